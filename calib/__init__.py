@@ -1,0 +1,1 @@
+"""Calibrations of the rig: extrinsics, IMU, forearm, clocks; kept in one file."""

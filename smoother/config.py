@@ -1,0 +1,52 @@
+"""The smoother's configuration: few leaves, each with its unit, defaults in code."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Section(BaseModel):
+    """A group of settings; unknown names are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class CameraNoise(_Section):
+    """What the camera's joints are believed to be worth before the recording tells."""
+
+    joint_sigma_m: float = Field(0.010, gt=0, description="white noise of a joint, m an axis; start value")
+    huber: float = Field(1.345, gt=0, description="where the robust loss turns linear, in sigmas")
+
+
+class ImuNoise(_Section):
+    """The inertial sensor, errors of scale and mounting of a consumer device included."""
+
+    accelerometer_density: float = Field(0.02, gt=0, description="m/s^2/sqrt(Hz)")
+    gyroscope_density: float = Field(0.003, gt=0, description="rad/s/sqrt(Hz)")
+    accelerometer_bias_sigma: float = Field(0.3, gt=0, description="m/s^2, before the first pass")
+    gyroscope_bias_sigma: float = Field(0.05, gt=0, description="rad/s, before the first pass")
+
+
+class ArmPrior(_Section):
+    """What is believed of the arm before the recording tells."""
+
+    upper_arm_m: float = Field(0.30, gt=0, description="shoulder to elbow where nothing is known, m")
+    upper_arm_sigma_m: float = Field(0.05, gt=0, description="m")
+    shoulder_walk: float = Field(0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
+
+
+class Windows(_Section):
+    """How a recording is cut into pieces that are solved side by side."""
+
+    margin_s: float = Field(1.5, gt=0, description="visible time on both sides of a gap, s")
+    length_s: float = Field(8.0, gt=0, description="length aimed at where no gap decides, s")
+    processes: int = Field(0, ge=0, description="worker processes; 0 = one a core")
+
+
+class Config(_Section):
+    """Everything that can be set; `unocclude config` prints it."""
+
+    camera: CameraNoise = CameraNoise()
+    imu: ImuNoise = ImuNoise()
+    arm: ArmPrior = ArmPrior()
+    windows: Windows = Windows()

@@ -1,0 +1,138 @@
+"""The recovered motion: what `smooth` and every peer return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .calibration import ArmCalibration
+from .recording import JOINTS, BoolArray, FloatArray, JointTracks
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A run of occluded frames, bounded by the visible frames beside it (IMU clock, s).
+
+    `start_s` is the last visible frame before the gap (the recording's first frame where the gap
+    is open at the start), `end_s` the first visible frame after it. `open_start`, `open_end`: one
+    side has no visible frame, so the gap is recovered from the other side alone.
+    """
+
+    start_s: float
+    end_s: float
+    open_start: bool = False
+    open_end: bool = False
+
+    @property
+    def length_s(self) -> float:
+        """Duration, s."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True)
+class FrameResiduals:
+    """Camera minus recovered joint position, a row a camera frame.
+
+    Attributes
+    ----------
+    t_s : (F,) frame times on the IMU's clock, s.
+    residual : (F, 5, 3) m in {K}, joints in the order of `JOINTS`; nan where there is no answer.
+    used : (F, 5) the sample took part in the solution.
+    reason : (F, 5) why a tracked sample was set aside, "" where it was not (numpy str).
+    """
+
+    t_s: FloatArray
+    residual: FloatArray
+    used: BoolArray
+    reason: np.ndarray
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """The arm's motion on the IMU's times and clock, with covariance.
+
+    Covariances are one-sigma, in {K}; nan where the method has no answer or states none.
+
+    Attributes
+    ----------
+    method : name of the method ("graph" or a peer).
+    t_s : (N,) the IMU's stamps, s after `origin_ns`.
+    occluded : (N,) the camera did not see the forearm at that time.
+    position : (N, 3) of the IMU, m in {K}; nan where there is no answer.
+    quaternion : (N, 4) qw, qx, qy, qz of `R_K_A`.
+    velocity : (N, 3) m/s in {K}.
+    pose_covariance : (N, 6, 6) of (position in {K} m, rotation vector in {K} rad).
+    velocity_covariance : (N, 3, 3) (m/s)^2 in {K}.
+    joints : positions (N, 3) by joint name, m in {K}.
+    joint_covariance : (N, 3, 3) by joint name, m^2 in {K}.
+    gaps : the occluded stretches.
+    calibration : what was used or found for this arm; None for methods that need none.
+    gravity_direction : (3,) unit vector of down in {K}; nan where the method does not solve it.
+    clock_offset_s, clock_offset_sigma_s : t_imu = t_camera + offset.
+    arm : the camera's joints, stamps moved to the IMU's clock.
+    residuals : camera against answer; None for methods that keep none.
+    notes : what a reader must know of this result, one sentence each.
+    config : the effective configuration, as plain values.
+    figures : further numbers worth keeping (biases, noise found, timings), by name.
+    """
+
+    method: str
+    t_s: FloatArray
+    occluded: BoolArray
+    position: FloatArray
+    quaternion: FloatArray
+    velocity: FloatArray
+    pose_covariance: FloatArray
+    velocity_covariance: FloatArray
+    joints: dict[str, FloatArray]
+    joint_covariance: dict[str, FloatArray]
+    gaps: tuple[Gap, ...]
+    calibration: ArmCalibration | None
+    gravity_direction: FloatArray
+    clock_offset_s: float
+    clock_offset_sigma_s: float
+    arm: JointTracks
+    residuals: FrameResiduals | None = None
+    origin_ns: int = 0
+    side: str = ""
+    name: str = "recording"
+    notes: tuple[str, ...] = ()
+    config: dict[str, object] = field(default_factory=dict)
+    figures: dict[str, object] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """(N, 3) standard deviation of the IMU's position, m an axis of {K}."""
+        return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """(N,) square root of the trace of the orientation covariance, degrees."""
+        return np.degrees(np.sqrt(np.trace(self.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))
+
+    def to_arrays(self) -> dict[str, FloatArray | BoolArray]:
+        """Everything a notebook needs, by the column families of the CSV export.
+
+        Returns
+        -------
+        dict with `t_s` (N,), `occluded` (N,), `imu` (N, 3), `imu_quaternion` (N, 4; qw, qx, qy,
+        qz), `velocity` (N, 3), `sigma` (N, 3), `sigma_deg` (N,), and for each joint found its
+        position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame.
+        """
+        arrays: dict[str, FloatArray | BoolArray] = {
+            "t_s": self.t_s,
+            "occluded": self.occluded,
+            "imu": self.position,
+            "imu_quaternion": self.quaternion,
+            "velocity": self.velocity,
+            "sigma": self.sigma_m,
+            "sigma_deg": self.sigma_deg,
+        }
+        for joint in (name for name in JOINTS if name in self.joints):
+            arrays[joint] = self.joints[joint]
+            arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
+        return arrays
