@@ -25,6 +25,8 @@ class ImuNoise(_Section):
     gyroscope_density: float = Field(0.003, gt=0, description="rad/s/sqrt(Hz)")
     accelerometer_bias_sigma: float = Field(0.3, gt=0, description="m/s^2, before the first pass")
     gyroscope_bias_sigma: float = Field(0.05, gt=0, description="rad/s, before the first pass")
+    accelerometer_bias_walk: float = Field(0.03, gt=0, description="m/s^2/sqrt(s) inside a window")
+    gyroscope_bias_walk: float = Field(0.001, gt=0, description="rad/s/sqrt(s) inside a window")
 
 
 class ArmPrior(_Section):
@@ -32,6 +34,7 @@ class ArmPrior(_Section):
 
     upper_arm_m: float = Field(0.30, gt=0, description="shoulder to elbow where nothing is known, m")
     upper_arm_sigma_m: float = Field(0.05, gt=0, description="m")
+    upper_arm_flex_m: float = Field(0.005, gt=0, description="how far from constant the length is, m")
     shoulder_walk: float = Field(0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
 
 

@@ -1,0 +1,144 @@
+"""The `Recovery` of a recording from the joined motions of its stretches."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .arrays import interpolate, rotate_covariance, skew
+from .calibration import ArmCalibration
+from .config import Config
+from .join import Motion, at_times
+from .occlusion import occluded_at
+from .plan import Stretch
+from .prepare import lever_of
+from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointTracks, Recording
+from .result import FrameResiduals, Gap, Recovery
+from .window import Message
+
+
+def assemble(
+    recording: Recording,
+    calibration: ArmCalibration,
+    config: Config,
+    offset_s: float,
+    stretches: list[Stretch],
+    motions: list[Motion],
+    messages: list[Message],
+    accepted: BoolArray,
+    visible: BoolArray,
+    camera_sigma_m: dict[str, float],
+) -> Recovery:
+    """The answer at every IMU sample; nan where no stretch has one."""
+    imu_t, count = recording.imu.t_s, len(recording.imu)
+    position, velocity = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    quaternion = np.full((count, 4), np.nan)
+    pose, velocity_covariance = np.full((count, 6, 6), np.nan), np.full((count, 3, 3), np.nan)
+    occluded = np.ones(count, dtype=bool)
+    names = [joint for joint in JOINTS if joint in recording.arm.present and joint != "strap"]
+    joints = {joint: np.full((count, 3), np.nan) for joint in names}
+    joint_covariance = {joint: np.full((count, 3, 3), np.nan) for joint in names}
+    residual = np.full((len(recording.arm), 5, 3), np.nan)
+    gaps: list[Gap] = []
+    for stretch, motion in zip(stretches, motions, strict=True):
+        rows = np.flatnonzero((imu_t >= motion.t[0]) & (imu_t <= motion.t[-1]))
+        t = imu_t[rows]
+        states = at_times(motion, stretch.signal, t)
+        position[rows], velocity[rows] = states.p, states.v
+        quaternion[rows] = Rotation.from_matrix(states.R).as_quat()[:, [3, 0, 1, 2]]
+        pose[rows] = interpolate(motion.t, motion.pose_covariance, t)
+        velocity_covariance[rows] = interpolate(motion.t, motion.velocity_covariance, t)
+        occluded[rows] = occluded_at(t, stretch.gaps)
+        gaps.extend(stretch.gaps)
+        for joint in names:
+            place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
+            joints[joint][rows], joint_covariance[joint][rows] = place, covariance
+        _residuals(residual, recording.arm, offset_s, stretch, motion, calibration)
+    down = np.mean([message.gravity.mean for message in messages], axis=0)
+    return Recovery(
+        method="graph",
+        t_s=imu_t,
+        occluded=occluded,
+        position=position,
+        quaternion=quaternion,
+        velocity=velocity,
+        pose_covariance=pose,
+        velocity_covariance=velocity_covariance,
+        joints=joints,
+        joint_covariance=joint_covariance,
+        gaps=tuple(gaps),
+        calibration=calibration,
+        gravity_direction=down / np.linalg.norm(down),
+        clock_offset_s=offset_s,
+        clock_offset_sigma_s=float("nan"),
+        arm=_on_imu_clock(recording.arm, offset_s),
+        residuals=FrameResiduals(
+            recording.arm.t_s + offset_s, residual, accepted, np.full(accepted.shape, "", dtype="<U40")
+        ),
+        origin_ns=recording.origin_ns,
+        side=recording.side,
+        name=recording.name,
+        notes=recording.notes,
+        config=config.model_dump(),
+        figures={
+            "camera_sigma_m": camera_sigma_m,
+            "accelerometer_bias": np.mean([m.bias.mean[:3] for m in messages], axis=0).tolist(),
+            "gyroscope_bias": np.mean([m.bias.mean[3:] for m in messages], axis=0).tolist(),
+        },
+    )
+
+
+def _joint(
+    joint: str,
+    R: FloatArray,
+    p: FloatArray,
+    pose_covariance: FloatArray,
+    calibration: ArmCalibration,
+    motion: Motion,
+    t: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
+    if joint == "shoulder":
+        assert motion.shoulder is not None and motion.shoulder_covariance is not None
+        return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
+    lever = lever_of(calibration, joint)
+    if lever is None:
+        return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
+    arm = R @ lever
+    jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
+    covariance = rotate_covariance(jacobian, pose_covariance)
+    if joint in calibration.lever_arms:
+        covariance = covariance + rotate_covariance(R, np.diag(calibration.lever_arms[joint].sigma_m ** 2))
+    return p + arm, covariance
+
+
+def _residuals(
+    residual: FloatArray,
+    arm: JointTracks,
+    offset_s: float,
+    stretch: Stretch,
+    motion: Motion,
+    calibration: ArmCalibration,
+) -> None:
+    """Camera minus answer at every frame of the stretch, seen or set aside."""
+    frame_t = arm.t_s + offset_s
+    rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
+    if not len(rows):
+        return
+    states = at_times(motion, stretch.signal, frame_t[rows])
+    for column, joint in enumerate(JOINTS):
+        if joint == "shoulder":
+            if motion.shoulder is not None:
+                answer = interpolate(motion.t, motion.shoulder, frame_t[rows])
+                residual[rows, column] = arm.position[rows, column] - answer
+            continue
+        lever = lever_of(calibration, joint)
+        if lever is not None:
+            residual[rows, column] = arm.position[rows, column] - states.p - states.R @ lever
+
+
+def _on_imu_clock(arm: JointTracks, offset_s: float) -> JointTracks:
+    return JointTracks(arm.name, arm.t_s + offset_s, arm.position, arm.state)
+
+
+__all__ = ["FOREARM_JOINTS", "assemble"]

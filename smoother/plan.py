@@ -1,0 +1,159 @@
+"""A stretch of the recording cut into windows: nodes, start values, camera samples by node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import interpolate
+from .inertial import InertialSignal, equivalent_samples, integrate, split_blocks
+from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
+from .result import Gap
+from .window import Inertia, Noise, Priors, ShoulderSight, Sight, States, Window
+
+#: Shoulder knots keep at least so far apart, s.
+KNOT_S = 0.09
+#: Borders of windows keep so far from gaps where the visible stretch is long enough, s.
+KEEP_S = 2.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of the recording without a pause of the IMU, ready to be cut.
+
+    Attributes
+    ----------
+    signal : the IMU as a continuous signal.
+    t : (n,) nodes on the IMU's clock, s.
+    start : start values at the nodes.
+    frame_t : (f,) camera frames on the IMU's clock, s.
+    frame_node : (f,) node of each camera frame that has one, -1 where it has none.
+    position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
+    gaps : the occluded stretches inside.
+    attitude_covariance : (n, 3, 3) rad^2 in {K} of the start orientations.
+    """
+
+    signal: InertialSignal
+    t: FloatArray
+    start: States
+    frame_t: FloatArray
+    frame_node: IntArray
+    position: FloatArray
+    accepted: BoolArray
+    sigma_m: FloatArray
+    gaps: tuple[Gap, ...]
+    attitude_covariance: FloatArray
+
+
+def cut_times(stretch: Stretch, length_s: float) -> list[float]:
+    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
+    t0, t1 = float(stretch.t[0]), float(stretch.t[-1])
+    visible = []
+    last = t0
+    for gap in stretch.gaps:
+        visible.append((last, gap.start_s))
+        last = gap.end_s
+    visible.append((last, t1))
+    borders = [t0]
+    for a, b in visible:
+        keep = min(KEEP_S, 0.5 * (b - a))
+        while t1 - borders[-1] > 1.5 * length_s:
+            target = borders[-1] + length_s
+            place = min(max(target, a + keep), b - keep)
+            if place < target - 0.5 * length_s:
+                break
+            borders.append(place)
+    return [*borders, t1]
+
+
+def cut(
+    stretch: Stretch,
+    priors: list[Priors] | Priors,
+    noise: Noise,
+    borders: list[float],
+    margin_s: float,
+    gravity_magnitude: float,
+) -> list[Window]:
+    """The windows between the borders, each with its margins."""
+    windows = []
+    for index, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+        lo = int(np.searchsorted(stretch.t, a - margin_s, side="left"))
+        hi = int(np.searchsorted(stretch.t, b + margin_s, side="right"))
+        rows = slice(lo, hi)
+        prior = priors if isinstance(priors, Priors) else priors[index]
+        t = stretch.t[rows]
+        start = States(stretch.start.R[rows], stretch.start.p[rows], stretch.start.v[rows])
+        attitude_node = _best_node(stretch.attitude_covariance[rows])
+        windows.append(
+            Window(
+                index=index,
+                t=t,
+                core_start_s=a,
+                core_end_s=b,
+                inertia=_inertia(stretch.signal, t, prior.bias.mean),
+                sights=_sights(stretch, lo, hi),
+                shoulder=_shoulder(stretch, lo, hi),
+                start=start,
+                attitude_node=attitude_node,
+                attitude_covariance=stretch.attitude_covariance[lo + attitude_node],
+                priors=prior,
+                noise=noise,
+                gravity_magnitude=gravity_magnitude,
+            )
+        )
+    return windows
+
+
+def _best_node(covariance: FloatArray) -> int:
+    return int(np.argmin(np.trace(covariance, axis1=1, axis2=2)))
+
+
+def _inertia(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Inertia:
+    block_t, first = split_blocks(t)
+    acc, gyro, h = equivalent_samples(integrate(signal, block_t, bias))
+    return Inertia(acc, gyro, h, first, bias)
+
+
+def _sights(stretch: Stretch, lo: int, hi: int) -> tuple[Sight, ...]:
+    inside = (stretch.frame_node >= lo) & (stretch.frame_node < hi)
+    sights = []
+    for joint in FOREARM_JOINTS:
+        column = JOINTS.index(joint)
+        frames = np.flatnonzero(inside & stretch.accepted[:, column])
+        if len(frames):
+            sights.append(
+                Sight(
+                    joint,
+                    stretch.frame_node[frames] - lo,
+                    stretch.position[frames, column],
+                    stretch.sigma_m[frames, column],
+                )
+            )
+    return tuple(sights)
+
+
+def _shoulder(stretch: Stretch, lo: int, hi: int) -> ShoulderSight | None:
+    """Knots about every tenth of a second, each with the mean of the frames nearest to it."""
+    column = JOINTS.index("shoulder")
+    if not stretch.accepted[:, column].any():
+        return None
+    t = stretch.t[lo:hi]
+    knots = [0]
+    for i in range(1, len(t)):
+        if t[i] - t[knots[-1]] >= KNOT_S or i == len(t) - 1:
+            knots.append(i)
+    node = np.array(knots)
+    seen = np.flatnonzero(stretch.accepted[:, column])
+    seen_t = stretch.frame_t[seen]
+    near = (seen_t >= t[0] - KNOT_S) & (seen_t <= t[-1] + KNOT_S)
+    owner = np.searchsorted(0.5 * (t[node][1:] + t[node][:-1]), seen_t[near])
+    count = np.bincount(owner, minlength=len(node)).astype(float)
+    total = np.zeros((len(node), 3))
+    np.add.at(total, owner, stretch.position[seen[near], column])
+    variance = np.bincount(owner, weights=stretch.sigma_m[seen[near], column] ** 2, minlength=len(node))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        position = total / count[:, None]
+        sigma = np.sqrt(variance) / count
+    start = interpolate(seen_t, stretch.position[seen, column], t[node])
+    return ShoulderSight(node, position, sigma, np.where(count[:, None] > 0, position, start))

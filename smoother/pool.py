@@ -1,0 +1,55 @@
+"""Windows solved side by side in processes, or here when there are few."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from types import TracebackType
+
+from .solve import solve
+from .window import Solution, Window
+
+#: With fewer nodes than this in all, starting processes costs more than it saves.
+WORTH_NODES = 4000
+
+
+class Pool:
+    """Solves windows in order; use as a context manager.
+
+    Parameters
+    ----------
+    processes : worker processes, 0 = one a core.
+    nodes : nodes of the whole job; a small one is solved here.
+    """
+
+    def __init__(self, processes: int, nodes: int) -> None:
+        count = processes or os.cpu_count() or 1
+        self._executor: ProcessPoolExecutor | None = None
+        if count > 1 and nodes > WORTH_NODES:
+            # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
+            context = multiprocessing.get_context("spawn")
+            self._executor = ProcessPoolExecutor(count, mp_context=context)
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._executor is not None:
+            self._executor.shutdown(wait=error is None, cancel_futures=True)
+
+    def solve(
+        self, windows: Sequence[Window], with_covariance: bool, done: Callable[[float], None]
+    ) -> list[Solution]:
+        """Solve every window; `done` hears the share that is finished."""
+        job = partial(solve, with_covariance=with_covariance)
+        results = map(job, windows) if self._executor is None else self._executor.map(job, windows)
+        solutions = []
+        for solution in results:
+            solutions.append(solution)
+            done(len(solutions) / len(windows))
+        return solutions

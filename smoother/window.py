@@ -1,0 +1,186 @@
+"""One window of the recording as plain arrays: what is asked of a graph, and what it answers.
+
+Both travel between processes, so they hold arrays and numbers only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .recording import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A mean and its covariance."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What a window is told about the quantities that it shares with the rest of the recording.
+
+    Attributes
+    ----------
+    bias : (6,) accelerometer m/s^2 and gyroscope rad/s in {A}, at the window's middle.
+    bias_walk : (6,) how far the bias wanders, unit/sqrt(s).
+    gravity : mean (3,) unit vector of down in {K}, covariance (3, 3) rad^2, across it.
+    upper_arm : m and m^2, mean (1,) and covariance (1, 1); None without a shoulder.
+    levers : by joint, (3,) m in {A}; a joint that is the IMU itself is not named.
+    """
+
+    bias: Gaussian
+    bias_walk: FloatArray
+    gravity: Gaussian
+    upper_arm: Gaussian | None
+    levers: dict[str, Gaussian]
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Equivalent IMU samples of the window's intervals (see `inertial.equivalent_samples`).
+
+    Attributes
+    ----------
+    acc : (m, 2, 3), gyro : (m, 3), h : (m,) of the blocks, bias taken off already.
+    first : (n,) index of each interval's first block and, last, m.
+    bias : (6,) the bias that was taken off.
+    """
+
+    acc: FloatArray
+    gyro: FloatArray
+    h: FloatArray
+    first: IntArray
+    bias: FloatArray
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A forearm joint's accepted camera samples.
+
+    Attributes
+    ----------
+    joint : its name.
+    node : (k,) index of the node each belongs to.
+    position : (k, 3) m in {K}.
+    sigma_m : (k,) standard deviation an axis, m.
+    """
+
+    joint: str
+    node: IntArray
+    position: FloatArray
+    sigma_m: FloatArray
+
+
+@dataclass(frozen=True)
+class ShoulderSight:
+    """The shoulder's knots: where the smooth shoulder has a variable.
+
+    Attributes
+    ----------
+    node : (k,) node whose time the knot shares.
+    position : (k, 3) m in {K}, nan where the camera saw none.
+    sigma_m : (k,) m an axis.
+    start : (k, 3) start value, m in {K}.
+    """
+
+    node: IntArray
+    position: FloatArray
+    sigma_m: FloatArray
+    start: FloatArray
+
+
+@dataclass(frozen=True)
+class States:
+    """Pose and velocity at the nodes: R_K_A (n, 3, 3), position (n, 3) m, velocity (n, 3) m/s in {K}."""
+
+    R: FloatArray
+    p: FloatArray
+    v: FloatArray
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Densities and losses that all windows share.
+
+    `attitude` is the covariance (3, 3) rad^2 in {K} of the start orientation: a weak prior that
+    keeps a direction which the data leave free from being free.
+    """
+
+    accelerometer_density: float
+    gyroscope_density: float
+    huber: float
+    upper_arm_sigma_m: float
+    shoulder_walk: float
+
+
+@dataclass(frozen=True)
+class Window:
+    """A piece of the recording to solve: nodes t (n,), of which [core_start_s, core_end_s] is its own."""
+
+    index: int
+    t: FloatArray
+    core_start_s: float
+    core_end_s: float
+    inertia: Inertia
+    sights: tuple[Sight, ...]
+    shoulder: ShoulderSight | None
+    start: States
+    attitude_node: int
+    attitude_covariance: FloatArray
+    priors: Priors
+    noise: Noise
+    gravity_magnitude: float
+
+
+@dataclass(frozen=True)
+class Message:
+    """What a window's own data say of the shared quantities: posterior, prior still inside.
+
+    Attributes
+    ----------
+    t_s : time of the bias, s.
+    bias, gravity : posterior (mean, covariance), gravity's covariance (3, 3) across it.
+    upper_arm : posterior, or None.
+    levers : posterior by joint.
+    """
+
+    t_s: float
+    bias: Gaussian
+    gravity: Gaussian
+    upper_arm: Gaussian | None
+    levers: dict[str, Gaussian]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A window's answer.
+
+    Attributes
+    ----------
+    index : of the window.
+    states : at the window's nodes.
+    pose_covariance : (n, 6, 6) of (position, rotation vector) in {K}; None where not asked for.
+    velocity_covariance : (n, 3, 3); None where not asked for.
+    shoulder : (k, 3) knots, and shoulder_covariance (k, 3, 3).
+    message : the shared quantities.
+    bias : (n, 6) at the nodes.
+    residuals : by joint, camera minus answer (k, 3) in the order of `Sight`.
+    iterations, error : of the optimiser; `error` is half the weighted squared sum.
+    """
+
+    index: int
+    states: States
+    pose_covariance: FloatArray | None
+    velocity_covariance: FloatArray | None
+    shoulder: FloatArray | None
+    shoulder_covariance: FloatArray | None
+    message: Message
+    bias: FloatArray
+    residuals: dict[str, FloatArray]
+    iterations: int
+    error: float
