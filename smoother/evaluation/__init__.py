@@ -1,0 +1,8 @@
+"""How good a recovery is: against a reference, or against what was hidden from it."""
+
+from __future__ import annotations
+
+from .gaps import GapTable, evaluate_gaps
+from .validate import Validation, validate
+
+__all__ = ["GapTable", "Validation", "evaluate_gaps", "validate"]

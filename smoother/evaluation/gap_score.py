@@ -1,0 +1,149 @@
+"""The errors of a recovery inside one hidden gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording import JOINTS, BoolArray, FloatArray, Recording
+from ..result import Recovery
+from .align import linear_at, position_at, truth_at
+from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise
+from .placement import HiddenGap
+
+#: Hidden joints to compare with where there is no truth, the best first.
+REFERENCES = ("wrist", "strap", "hand", "elbow")
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Errors sample by sample inside a gap.
+
+    Attributes
+    ----------
+    reference : what the answer was compared with: "truth" or a joint.
+    distance_m, angle_deg, squared_sigmas : (N,) as in `metrics`; nan where there is no answer.
+    unanswered : samples with a reference and without an answer.
+    sigma_max_m : largest stated standard deviation, m an axis, or None.
+    path_m : length of the hidden path, m, or None.
+    """
+
+    reference: str
+    distance_m: FloatArray
+    angle_deg: FloatArray
+    squared_sigmas: FloatArray
+    unanswered: int = 0
+    sigma_max_m: float | None = None
+    path_m: float | None = None
+
+    def figures(self) -> Figures:
+        """The figures of these samples."""
+        return summarise(self.distance_m, self.angle_deg, self.squared_sigmas, self.unanswered)
+
+    @staticmethod
+    def empty(reference: str = "", unanswered: int = 0) -> Hidden:
+        """A gap in which nothing can be compared."""
+        return Hidden(reference, np.zeros(0), np.zeros(0), np.zeros(0), unanswered)
+
+    @staticmethod
+    def pooled(parts: Sequence[Hidden]) -> Hidden:
+        """The samples of several gaps together."""
+        return Hidden(
+            reference=parts[0].reference,
+            distance_m=np.concatenate([part.distance_m for part in parts]),
+            angle_deg=np.concatenate([part.angle_deg for part in parts]),
+            squared_sigmas=np.concatenate([part.squared_sigmas for part in parts]),
+            unanswered=sum(part.unanswered for part in parts),
+        )
+
+
+def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> Hidden:
+    """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
+    offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
+    if recording.truth is not None and len(recording.truth):
+        return _against_truth(recording, recovery, gap, offset)
+    return _against_camera(recording, recovery, gap, offset)
+
+
+def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> Hidden:
+    assert recording.truth is not None
+    inside = gap.contains(recovery.t_s - offset)
+    truth = truth_at(recording.truth, recovery.t_s[inside])
+    scored = truth.score & np.isfinite(truth.position).all(axis=1)
+    position = np.where(scored[:, None], recovery.position[inside], np.nan)
+    covariance = recovery.pose_covariance[inside, :3, :3]
+    angle = orientation_error_deg(recovery.quaternion[inside], truth.quaternion)
+    return _hidden(
+        "truth", position, truth.position, covariance, np.where(truth.score, angle, np.nan), scored
+    )
+
+
+def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> Hidden:
+    joint = _reference_joint(recording, recovery, gap)
+    if joint is None:
+        return Hidden.empty()
+    frames = gap.contains(recording.arm.t_s) & recording.arm.tracked(joint)
+    reference = recording.arm.joint(joint)[frames]
+    t_s = recording.arm.t_s[frames] + offset
+    if joint == "strap":
+        known, covariance = recovery.position, recovery.pose_covariance[:, :3, :3]
+    else:
+        known = recovery.joints[joint]
+        covariance = recovery.joint_covariance.get(joint, np.full((len(recovery), 3, 3), np.nan))
+    answer = position_at(recovery.t_s, known, t_s)
+    stated = linear_at(recovery.t_s, covariance.reshape(-1, 9), t_s).reshape(-1, 3, 3)
+    # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
+    noise = camera_noise(recovery, joint)
+    scored = np.ones(len(t_s), dtype=bool)
+    return _hidden(joint, answer, reference, stated + noise, np.full(len(t_s), np.nan), scored, stated)
+
+
+def _reference_joint(recording: Recording, recovery: Recovery, gap: HiddenGap) -> str | None:
+    """The first joint that the camera saw in the gap and that the recovery answers."""
+    inside = gap.contains(recording.arm.t_s)
+    for joint in REFERENCES:
+        answered = joint == "strap" or joint in recovery.joints
+        if answered and (recording.arm.tracked(joint) & inside).any():
+            return joint
+    return None
+
+
+def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
+    """Covariance (3, 3) of a joint's camera samples, m^2, from the residuals where it was used."""
+    if recovery.residuals is None:
+        return np.zeros((3, 3))
+    index = JOINTS.index(joint)
+    used = recovery.residuals.used[:, index]
+    residual = recovery.residuals.residual[used, index]
+    residual = residual[np.isfinite(residual).all(axis=1)]
+    if len(residual) < 10:
+        return np.zeros((3, 3))
+    spread = 1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0)
+    return np.diag(spread**2)
+
+
+def _hidden(
+    name: str,
+    answer: FloatArray,
+    reference: FloatArray,
+    covariance: FloatArray,
+    angle: FloatArray,
+    scored: BoolArray,
+    stated: FloatArray | None = None,
+) -> Hidden:
+    difference = answer - reference
+    distance = np.linalg.norm(difference, axis=1)
+    variance = np.einsum("nii->ni", covariance if stated is None else stated)
+    finite = variance[np.isfinite(variance).all(axis=1)]
+    path = reference[np.isfinite(reference).all(axis=1)]
+    return Hidden(
+        reference=name,
+        distance_m=distance,
+        angle_deg=angle,
+        squared_sigmas=squared_sigmas(difference, covariance),
+        unanswered=int((scored & ~np.isfinite(distance)).sum()),
+        sigma_max_m=float(np.sqrt(finite.max())) if len(finite) else None,
+        path_m=float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) if len(path) > 1 else None,
+    )

@@ -1,0 +1,282 @@
+"""Validation without mocap: hide visible stretches, recover them, compare with what was hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import RecordingError, UnoccludeError
+from ..recording import Recording
+from ..result import Recovery
+from .gap_score import Hidden, score_gap
+from .metrics import Figures, summarise
+from .placement import HiddenGap, place_gaps
+
+#: A method: recording in, recovery out.
+Method = Callable[[Recording], Recovery]
+#: Called with the part done (0 to 1) and what is being done.
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class GapRow:
+    """One hidden gap and what a method made of it.
+
+    Attributes
+    ----------
+    length_s : length asked for, s.
+    method : name of the method.
+    run : which copy of the recording the gap was hidden in.
+    gap : the stretch, on the camera's clock.
+    reference : "truth", "wrist", "strap" ..: what the answer was compared with.
+    figures : errors inside the gap.
+    sigma_max_m : largest stated standard deviation inside the gap, m an axis, or None.
+    path_m : length of the hidden path, m.
+    failure : why there is no answer, "" where there is one.
+    """
+
+    length_s: float
+    method: str
+    run: int
+    gap: HiddenGap
+    reference: str
+    figures: Figures
+    sigma_max_m: float | None = None
+    path_m: float | None = None
+    failure: str = ""
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name."""
+        figures = self.figures
+        return {
+            "length_s": self.length_s,
+            "method": self.method,
+            "run": self.run,
+            "start_s": self.gap.start_s,
+            "end_s": self.gap.end_s,
+            "reference": self.reference,
+            "rms_m": figures.position_rms_m,
+            "max_m": figures.position_max_m,
+            "orientation_rms_deg": figures.orientation_rms_deg,
+            "nees": figures.nees,
+            "samples": figures.samples,
+            "sigma_max_m": self.sigma_max_m,
+            "path_m": self.path_m,
+            "failure": self.failure,
+        }
+
+
+@dataclass(frozen=True)
+class GapFigures:
+    """A method's errors in all gaps of one length."""
+
+    figures: Figures
+    gaps: int
+    failed: int
+
+    def to_dict(self) -> dict[str, float | int | None]:
+        """Plain values by name, distances in m and in cm."""
+        f = self.figures
+        metres = {
+            "rms": f.position_rms_m,
+            "median": f.position_median_m,
+            "p95": f.position_p95_m,
+            "max": f.position_max_m,
+        }
+        result: dict[str, float | int | None] = {f"{name}_m": value for name, value in metres.items()}
+        for name, value in metres.items():
+            result[f"{name}_cm"] = None if value is None else 100.0 * value
+        result |= {
+            "orientation_rms_deg": f.orientation_rms_deg,
+            "orientation_max_deg": f.orientation_max_deg,
+            "nees": f.nees,
+            "coverage_95": f.coverage_95,
+            "gaps": self.gaps,
+            "failed": self.failed,
+            "samples": f.samples,
+            "unanswered": f.unanswered,
+        }
+        return result
+
+
+@dataclass(frozen=True)
+class GapTable:
+    """Error against gap length.
+
+    Attributes
+    ----------
+    lengths : by gap length (s), by method, its figures over all gaps of that length.
+    rows : each gap by itself.
+    notes : what a reader must know, one sentence each.
+    """
+
+    lengths: dict[float, dict[str, GapFigures]]
+    rows: tuple[GapRow, ...]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values, as `--json` writes them."""
+        return {
+            "lengths": [
+                {"length_s": length, "methods": {name: f.to_dict() for name, f in methods.items()}}
+                for length, methods in self.lengths.items()
+            ],
+            "rows": [row.to_dict() for row in self.rows],
+            "notes": list(self.notes),
+        }
+
+
+@dataclass
+class _Collected:
+    """Rows and their samples while the runs go on."""
+
+    rows: list[GapRow] = field(default_factory=list)
+    hidden: list[Hidden] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def evaluate_gaps(
+    recording: Recording,
+    lengths_s: Sequence[float],
+    methods: Mapping[str, Method],
+    *,
+    seed: int = 0,
+    repetitions: int = 1,
+    gaps_per_run: int = 6,
+    margin_s: float = 1.5,
+    progress: Progress | None = None,
+) -> GapTable:
+    """Hide visible stretches at random, recover them, and measure the error in them.
+
+    Each method gets a copy of the recording in which elbow, wrist, hand and strap are not tracked
+    inside the gaps and which has no truth: no step of it, calibration included, can see what is
+    scored. All methods get the same gaps. The hidden stretch is compared with the recording's truth
+    at the IMU's times where there is one, else with the hidden camera samples (wrist, or the
+    recording's only joint) at the frames' times plus the clock offset that the method found.
+
+    Parameters
+    ----------
+    recording : the recording, whole.
+    lengths_s : gap lengths to try, s.
+    methods : by name, a function from a recording to its recovery.
+    seed : where the gaps fall.
+    repetitions : copies with other gaps, a length.
+    gaps_per_run : most gaps hidden in one copy.
+    margin_s : visible time kept on both sides of a gap.
+    progress : called with (part done, what is being done).
+
+    Raises
+    ------
+    RecordingError
+        No stretch of the recording can be hidden at any of the lengths.
+    """
+    collected = _Collected()
+    placed = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
+    for number, (length, run, gaps) in enumerate(placed):
+        copy = hide(recording, gaps)
+        for place, (name, method) in enumerate(methods.items()):
+            if progress is not None:
+                done = (number + place / len(methods)) / len(placed)
+                progress(done, f"gaps of {length:g} s, {name}")
+            _run(recording, copy, length, run, gaps, name, method, collected)
+    if progress is not None:
+        progress(1.0, "done")
+    return _table(lengths_s, methods, collected)
+
+
+def hide(recording: Recording, gaps: Sequence[HiddenGap]) -> Recording:
+    """A copy whose forearm is not seen inside the gaps, and which has no truth."""
+    hidden = np.zeros(len(recording.arm), dtype=bool)
+    for gap in gaps:
+        hidden |= gap.contains(recording.arm.t_s)
+    return replace(recording, arm=recording.arm.hide(hidden), truth=None)
+
+
+def _place_all(
+    recording: Recording,
+    lengths_s: Sequence[float],
+    seed: int,
+    repetitions: int,
+    gaps_per_run: int,
+    margin_s: float,
+    collected: _Collected,
+) -> list[tuple[float, int, list[HiddenGap]]]:
+    """The gaps of every run, as (length, run, gaps)."""
+    placed = []
+    for length in lengths_s:
+        for run in range(repetitions):
+            # a generator a length and run: adding a length to the list moves no other gap
+            rng = np.random.default_rng([seed, round(1000 * length), run])
+            gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
+            if gaps:
+                placed.append((length, run, gaps))
+        if not any(entry[0] == length for entry in placed):
+            collected.notes.append(f"No visible stretch has room for a gap of {length:g} s.")
+    if not placed:
+        shortest = min(lengths_s, default=0.0)
+        raise RecordingError(
+            f"{recording.name}: no stretch in which the camera sees the forearm has room for a gap of"
+            f" {shortest:g} s with 0.4 s visible on both sides"
+        )
+    return placed
+
+
+def _run(
+    recording: Recording,
+    copy: Recording,
+    length_s: float,
+    run: int,
+    gaps: Sequence[HiddenGap],
+    name: str,
+    method: Method,
+    collected: _Collected,
+) -> None:
+    """One method on one copy; what it cannot do becomes a row without figures."""
+    try:
+        recovery = method(copy)
+    except UnoccludeError as error:
+        collected.notes.append(f"{name} could not recover gaps of {length_s:g} s: {error}")
+        for gap in gaps:
+            nothing = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
+            collected.rows.append(GapRow(length_s, name, run, gap, "", nothing, failure=str(error)))
+            collected.hidden.append(Hidden.empty())
+        return
+    for gap in gaps:
+        hidden = score_gap(recording, recovery, gap)
+        failure = "" if np.isfinite(hidden.distance_m).any() else "no answer inside the gap"
+        collected.rows.append(
+            GapRow(
+                length_s,
+                name,
+                run,
+                gap,
+                hidden.reference,
+                hidden.figures(),
+                sigma_max_m=hidden.sigma_max_m,
+                path_m=hidden.path_m,
+                failure=failure,
+            )
+        )
+        collected.hidden.append(hidden)
+
+
+def _table(lengths_s: Sequence[float], methods: Mapping[str, Method], collected: _Collected) -> GapTable:
+    lengths: dict[float, dict[str, GapFigures]] = {}
+    for length in dict.fromkeys(lengths_s):
+        for name in methods:
+            chosen = [
+                (row, hidden)
+                for row, hidden in zip(collected.rows, collected.hidden, strict=True)
+                if row.length_s == length and row.method == name
+            ]
+            if chosen:
+                pooled = Hidden.pooled([hidden for _, hidden in chosen])
+                failed = sum(bool(row.failure) for row, _ in chosen)
+                figures = GapFigures(pooled.figures(), gaps=len(chosen), failed=failed)
+                lengths.setdefault(float(length), {})[name] = figures
+    return GapTable(lengths, tuple(collected.rows), tuple(dict.fromkeys(collected.notes)))
+
+
+__all__ = ["GapFigures", "GapRow", "GapTable", "evaluate_gaps", "hide"]

@@ -1,0 +1,185 @@
+"""Hidden gaps: where they fall, that nothing leaks, and what is scored."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import make_recording, make_recovery, make_truth
+
+from smoother.errors import RecordingError, SolveError
+from smoother.evaluation import evaluate_gaps
+from smoother.evaluation.gaps import hide
+from smoother.evaluation.placement import place_gaps, visible_runs
+from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
+
+
+def place(recording: Recording, length_s: float, seed: int = 0, count: int = 6, **options):
+    return place_gaps(recording, length_s, np.random.default_rng(seed), count=count, **options)
+
+
+@pytest.mark.parametrize("length_s", [0.5, 1.0, 2.0, 3.0])
+def test_gaps_keep_their_distance(length_s):
+    recording = make_recording(60.0)
+    gaps = place(recording, length_s)
+    assert len(gaps) >= 4
+    frames = recording.arm.t_s
+    for gap in gaps:
+        assert gap.length_s == pytest.approx(length_s, abs=0.02)
+        assert gap.start_s in frames
+        assert gap.end_s in frames
+        assert gap.start_s >= frames[0] + 1.5
+        assert gap.end_s <= frames[-1] - 1.5 + 0.02
+    for a, b in itertools.pairwise(gaps):
+        assert b.start_s - a.end_s >= 3.0 - 0.02
+
+
+def test_same_seed_same_gaps():
+    recording = make_recording(60.0)
+    assert place(recording, 1.0, seed=4) == place(recording, 1.0, seed=4)
+    assert place(recording, 1.0, seed=4) != place(recording, 1.0, seed=5)
+
+
+def test_occlusions_and_imu_pauses_are_kept_clear_of():
+    recording = make_recording(60.0)
+    t = recording.arm.t_s
+    arm = recording.arm.hide((t > 20) & (t < 24))
+    imu = recording.imu.select((recording.imu.t_s < 40) | (recording.imu.t_s > 41))
+    recording = replace(recording, arm=arm, imu=imu)
+    assert len(visible_runs(recording)) == 3
+    for seed in range(20):
+        for gap in place(recording, 1.0, seed=seed):
+            for start, end in ((20, 24), (40, 41)):
+                assert gap.end_s + 1.5 <= start + 0.05 or gap.start_s - 1.5 >= end - 0.05
+
+
+def test_one_joint_alone_is_no_sight_of_the_forearm():
+    recording = make_recording(30.0)
+    t = recording.arm.t_s
+    state = recording.arm.state.copy()
+    for joint in ("elbow", "hand"):
+        state[t > 12, JOINTS.index(joint)] = JointState.INFERRED
+    recording = replace(recording, arm=replace(recording.arm, state=state))
+    assert visible_runs(recording)[-1][1] <= 12.0
+
+
+def test_a_strap_alone_is():
+    recording = make_recording(30.0)
+    arm = recording.arm.hide(np.ones(len(recording.arm), bool))
+    arm.position[:, JOINTS.index("strap")] = [0, 0, 2.0]
+    arm.state[:, JOINTS.index("strap")] = JointState.TRACKED
+    assert len(place(replace(recording, arm=arm), 1.0)) >= 2
+
+
+def test_short_recording_gets_one_gap_in_the_middle():
+    recording = make_recording(2.2, truth=False)
+    (gap,) = place(recording, 1.0)
+    middle = 0.5 * (recording.arm.t_s[0] + recording.arm.t_s[-1])
+    assert 0.5 * (gap.start_s + gap.end_s) == pytest.approx(middle, abs=0.04)
+    assert place(recording, 1.5) == []
+
+
+def test_unscored_stretches_are_avoided():
+    recording = make_recording(60.0)
+    truth = make_truth(np.arange(0, 60, 0.01))
+    recording = replace(recording, truth=replace(truth, score=truth.t_s < 30))
+    for seed in range(10):
+        for gap in place(recording, 2.0, seed=seed):
+            assert gap.start_s <= 29.05
+
+
+def test_nothing_hidden_reaches_the_method():
+    recording = make_recording(40.0)
+    seen: list[Recording] = []
+
+    def method(copy: Recording):
+        seen.append(copy)
+        return make_recovery(copy)
+
+    table = evaluate_gaps(recording, [1.0], {"graph": method}, gaps_per_run=3)
+    (copy,) = seen
+    assert copy.truth is None
+    hidden = np.zeros(len(copy.arm), bool)
+    for row in table.rows:
+        hidden |= row.gap.contains(copy.arm.t_s)
+    assert hidden.sum() == pytest.approx(3 * 29, abs=3)
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    assert np.isnan(copy.arm.position[hidden][:, forearm]).all()
+    assert (copy.arm.state[hidden][:, forearm] == JointState.NOT_TRACKED).all()
+    assert (copy.arm.state[:, JOINTS.index("shoulder")] == JointState.TRACKED).all()
+    np.testing.assert_array_equal(copy.arm.position[~hidden], recording.arm.position[~hidden])
+    assert np.isfinite(recording.arm.position[hidden][:, forearm[:3]]).all()  # the recording is whole
+
+
+def test_against_truth():
+    recording = make_recording(60.0)
+    table = evaluate_gaps(
+        recording,
+        [0.5, 2.0],
+        {"good": lambda copy: make_recovery(copy), "poor": lambda copy: make_recovery(copy, error_m=0.03)},
+        repetitions=2,
+    ).to_dict()
+    assert [entry["length_s"] for entry in table["lengths"]] == [0.5, 2.0]
+    for entry in table["lengths"]:
+        good, poor = entry["methods"]["good"], entry["methods"]["poor"]
+        assert {"rms_m", "median_m", "p95_m", "max_m", "nees", "gaps", "samples", "rms_cm"} <= set(good)
+        assert good["rms_m"] < 1e-5
+        assert poor["rms_m"] == pytest.approx(0.03 * np.sqrt(3), rel=0.1)
+        assert poor["rms_cm"] == pytest.approx(100 * poor["rms_m"])
+        assert poor["nees"] == pytest.approx(9.0, rel=0.2)
+        assert good["gaps"] == poor["gaps"] >= 8
+        assert good["orientation_rms_deg"] < 0.01
+    rows = table["rows"]
+    assert {row["reference"] for row in rows} == {"truth"}
+    assert rows[0]["start_s"] == next(row for row in rows if row["method"] == "poor")["start_s"]
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.06])
+def test_against_the_camera_with_its_clock_offset(offset_s):
+    recording = make_recording(40.0, offset_s=offset_s, noise_m=0.005, truth=False)
+
+    def method(copy: Recording):
+        return make_recovery(copy, offset_s=offset_s, sigma_m=1e-4)
+
+    table = evaluate_gaps(recording, [1.0], {"graph": method})
+    figures = table.lengths[1.0]["graph"].figures
+    assert table.rows[0].reference == "wrist"
+    assert figures.position_rms_m == pytest.approx(0.005 * np.sqrt(3), rel=0.15)
+    assert figures.samples == pytest.approx(29 * len(table.rows), abs=8)
+    assert 0.2 < figures.nees < 1.0  # the residuals say 8 mm, so the camera's noise is in the covariance
+    wrong = evaluate_gaps(recording, [1.0], {"graph": lambda copy: make_recovery(copy, offset_s=0.3)})
+    assert wrong.lengths[1.0]["graph"].figures.position_rms_m > 0.02
+
+
+def test_a_method_that_fails_is_a_row():
+    recording = make_recording(30.0)
+
+    def broken(copy: Recording):
+        raise SolveError("the motion is not determined")
+
+    def silent(copy: Recording):
+        recovery = make_recovery(copy)
+        return replace(recovery, position=np.full_like(recovery.position, np.nan))
+
+    methods = {"broken": broken, "silent": silent, "good": make_recovery}
+    table = evaluate_gaps(recording, [1.0], methods)
+    assert table.lengths[1.0]["broken"].failed == table.lengths[1.0]["broken"].gaps
+    assert table.lengths[1.0]["broken"].figures.position_rms_m is None
+    assert table.lengths[1.0]["silent"].failed == table.lengths[1.0]["silent"].gaps
+    assert table.lengths[1.0]["silent"].figures.unanswered > 0
+    assert table.lengths[1.0]["good"].failed == 0
+    assert any("not determined" in note for note in table.notes)
+
+
+def test_no_room_is_a_sentence():
+    with pytest.raises(RecordingError, match="has room for a gap of 5 s"):
+        evaluate_gaps(make_recording(4.0), [5.0], {"graph": make_recovery})
+    table = evaluate_gaps(make_recording(8.0), [1.0, 20.0], {"graph": make_recovery})
+    assert list(table.lengths) == [1.0]
+    assert any("20 s" in note for note in table.notes)
+
+
+def test_hide_takes_the_truth_away():
+    assert hide(make_recording(5.0), []).truth is None
