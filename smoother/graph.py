@@ -19,6 +19,8 @@ from .window import Gaussian, Window
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
+#: Accelerometer noise goes up in steps of this factor, so that intervals share their parameters.
+DENSITY_STEP = 1.25
 
 
 def bias_of_intervals(window: Window) -> IntArray:
@@ -54,16 +56,15 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
 def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
     """`ImuFactorWithGravityDirection` between neighbours."""
     inertia, noise = window.inertia, window.noise
-    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
-    params.setAccelerometerCovariance(np.eye(3) * noise.accelerometer_density**2)
-    params.setGyroscopeCovariance(np.eye(3) * noise.gyroscope_density**2)
-    params.setIntegrationCovariance(np.eye(3) * 1e-8)
     removed = gtsam.imuBias.ConstantBias(inertia.bias[:3], inertia.bias[3:])
     acc = inertia.acc + inertia.bias[:3]
     gyro = inertia.gyro + inertia.bias[3:]
     first = inertia.first
+    density = np.hypot(noise.accelerometer_density, inertia.velocity_error / np.sqrt(np.diff(window.t)))
+    level = np.round(np.log(density / noise.accelerometer_density) / np.log(DENSITY_STEP)).astype(int)
+    params = {step: _parameters(window, DENSITY_STEP**step) for step in np.unique(level).tolist()}
     for i in range(len(window.t) - 1):
-        pim = gtsam.PreintegratedImuMeasurements(params, removed)
+        pim = gtsam.PreintegratedImuMeasurements(params[int(level[i])], removed)
         for block in range(first[i], first[i + 1]):
             pim.integrateMeasurement(acc[block, 0], gyro[block], inertia.h[block])
             pim.integrateMeasurement(acc[block, 1], gyro[block], inertia.h[block])
@@ -72,6 +73,16 @@ def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntA
                 X(i), V(i), X(i + 1), V(i + 1), B(biases[i]), G(0), pim, window.gravity_magnitude
             )
         )
+
+
+def _parameters(window: Window, factor: float) -> gtsam.PreintegrationParams:
+    """Noise of the preintegration, the accelerometer's density times a factor."""
+    noise = window.noise
+    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
+    params.setAccelerometerCovariance(np.eye(3) * (factor * noise.accelerometer_density) ** 2)
+    params.setGyroscopeCovariance(np.eye(3) * noise.gyroscope_density**2)
+    params.setIntegrationCovariance(np.eye(3) * 1e-8)
+    return params
 
 
 def _add_bias(

@@ -21,6 +21,17 @@ FINE_STEP_S = 1.0 / 240.0
 BLOCK_S = 0.036
 
 
+#: Share of a knock's impulse that the samples may have missed.
+ROUGH_SHARE = 0.2
+
+
+def _roughness(imu: ImuStream) -> FloatArray:
+    """How far each sample's specific force is from its neighbours' mean, m/s^2 (N,)."""
+    rough = np.zeros(len(imu))
+    rough[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
+    return rough
+
+
 class InertialSignal:
     """The specific force and angular rate between samples.
 
@@ -37,6 +48,7 @@ class InertialSignal:
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
         self._integral = CubicSpline(self.edges, integral)
+        self._rough = np.concatenate(([0.0], np.cumsum((_roughness(imu) * np.diff(self.edges)) ** 2)))
 
     @property
     def start_s(self) -> float:
@@ -47,6 +59,14 @@ class InertialSignal:
     def end_s(self) -> float:
         """End of the last sample's interval, s."""
         return float(self.edges[-1])
+
+    def velocity_error(self, t: FloatArray) -> FloatArray:
+        """Velocity that each interval of consecutive times may have lost to knocks, m/s (n,).
+
+        Between neighbouring samples a knock is faster than the sensor follows: part of the impulse
+        is filtered, aliased or clipped. Root sum of squares over the samples.
+        """
+        return ROUGH_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._rough)), 0.0))
 
     def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Mean (specific force m/s^2, angular rate rad/s) over intervals, (..., 6) in {A}."""

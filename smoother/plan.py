@@ -112,7 +112,7 @@ def _best_node(covariance: FloatArray) -> int:
 def _inertia(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Inertia:
     block_t, first = split_blocks(t)
     acc, gyro, h = equivalent_samples(integrate(signal, block_t, bias))
-    return Inertia(acc, gyro, h, first, bias)
+    return Inertia(acc, gyro, h, first, bias, signal.velocity_error(t))
 
 
 def _sights(stretch: Stretch, lo: int, hi: int) -> tuple[Sight, ...]:

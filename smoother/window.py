@@ -49,6 +49,7 @@ class Inertia:
     acc : (m, 2, 3), gyro : (m, 3), h : (m,) of the blocks, bias taken off already.
     first : (n,) index of each interval's first block and, last, m.
     bias : (6,) the bias that was taken off.
+    velocity_error : (n - 1,) what knocks may have cost in each interval, m/s.
     """
 
     acc: FloatArray
@@ -56,6 +57,7 @@ class Inertia:
     h: FloatArray
     first: IntArray
     bias: FloatArray
+    velocity_error: FloatArray
 
 
 @dataclass(frozen=True)
