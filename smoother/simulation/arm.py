@@ -1,0 +1,130 @@
+"""A simulated arm before a depth camera, with truth: `simulate_arm`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..calibration import ArmCalibration, Length, LeverArm
+from ..recording import BoolArray, FloatArray, ImuStream, Recording, Truth
+from .body import draw_measures
+from .camera import add_noise, add_outliers, deliver, exposures, film
+from .config import ArmSimulation
+from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
+from .inertial import ideal_imu, measure
+from .motion import ArmMotion, Motion, draw_stage, draw_wobble
+from .protocol import perform
+
+#: What the true calibration claims to be good to, m.
+LEVER_ARM_SIGMA_M = 0.002
+UPPER_ARM_SIGMA_M = 0.003
+
+
+@dataclass(frozen=True)
+class SimulatedArm:
+    """A recording with everything that is known of it.
+
+    Attributes
+    ----------
+    recording : what a reader of recordings would give, with truth.
+    calibration : true lever arms and arm measures, with small sigmas (2 mm, 3 mm).
+    parameters : what was drawn, by name; SI units, vectors as arrays. Among them `gravity` (3,) m/s^2 in {K},
+        `clock_offset_s` (t_imu = t_camera + offset), `accelerometer_bias` and `gyroscope_bias` (3,) means,
+        `..._bias_t` (N, 3), `..._matrix` (3, 3), `joint_bias` {joint: (3,)}.
+    ideal_imu : the IMU without its errors.
+    occluded : (F,) frames in which the camera cannot see the forearm, whatever it says.
+    """
+
+    recording: Recording
+    calibration: ArmCalibration
+    parameters: dict[str, Any]
+    ideal_imu: ImuStream
+    occluded: BoolArray
+
+
+def true_motion(motion: Motion, t_s: FloatArray) -> Truth:
+    """The motion at the given times (N,) as a reference to score against."""
+    R, position = motion.imu_pose(t_s)
+    quaternion = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)  # to qw, qx, qy, qz
+    # One sign all along, so that a plot shows no jumps.
+    turn = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    quaternion[1:] *= np.cumprod(turn)[:, None]
+    return Truth(t_s, position, quaternion, np.ones(len(t_s), dtype=bool), motion.joints(t_s))
+
+
+def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> SimulatedArm:
+    """Simulate an arm with an IMU on its wrist before a depth camera.
+
+    The IMU's clock is the true time; the camera's stamps are late by `config.latency_s` (offset =
+    -latency_s). The seed decides the person, the movements, the mounting and all noise: the same seed and
+    configuration give the same recording, bit for bit; a seed moves in the same way whatever the errors.
+
+    Parameters
+    ----------
+    config : what to simulate; None for the defaults (preset `white`).
+    seed : non-negative.
+    """
+    config = config or ArmSimulation()
+    # Separate streams, so that switching one error on leaves the motion and the other errors as they were.
+    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6)
+    )
+    measures = draw_measures(body_rng)
+    stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
+    performance = perform(config, body_rng)
+    wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
+    motion = ArmMotion(performance, measures, stage, wobble, config.side)
+
+    ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
+    imu, parameters = measure(ideal, config, imu_rng)
+
+    footage = film(
+        times := exposures(performance.duration_s, config.frame_rate_hz, stamp_rng), motion.joints(times)
+    )
+    true = footage.position.copy()
+    parameters |= add_noise(footage, config, noise_rng)
+    if config.protocol == "random" and not config.still_all:
+        hidden = random_gaps(
+            times, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, gap_rng
+        )
+    else:
+        hidden = settle(motion.hidden(times), config.frame_rate_hz)
+    before_belly = np.zeros(len(times), dtype=bool)
+    for begin, end in performance.belly_s:
+        before_belly |= (times >= begin) & (times < end) & ~hidden
+    dim_belly(footage, before_belly, true, config, gap_rng)
+    lose_forearm(footage, hidden, true, config, gap_rng)
+    parameters |= deceive(footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng)
+    parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
+    tracks, kept = deliver(footage, "simulated", config, stamp_rng)
+
+    lever_arms = {
+        joint: LeverArm(measures.lever_arm(joint), np.full(3, LEVER_ARM_SIGMA_M))
+        for joint in ("elbow", "wrist", "hand")
+    }
+    calibration = ArmCalibration(
+        side=config.side,
+        lever_arms=lever_arms,
+        upper_arm=Length(measures.upper_arm, UPPER_ARM_SIGMA_M),
+        R_F_A=measures.R_F_A,
+    )
+    parameters |= {
+        "gravity": stage.gravity,
+        "clock_offset_s": -config.latency_s,
+        "upper_arm_m": measures.upper_arm,
+        "forearm_m": measures.forearm,
+        "hand_m": measures.hand,
+        "strap_to_wrist_m": measures.strap_to_wrist,
+    }
+    recording = Recording(
+        imu=imu,
+        arm=tracks,
+        side=config.side,
+        camera_frame=config.camera_frame,
+        truth=true_motion(motion, imu.t_s),
+        name=f"simulated arm, seed {seed}",
+    )
+    return SimulatedArm(recording, calibration, parameters, ideal, hidden[kept])

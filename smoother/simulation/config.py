@@ -1,0 +1,160 @@
+"""What to simulate: the motion, the sensors, and every error that can be switched on."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..recording import CameraFrame
+
+
+class Preset(StrEnum):
+    """Named sets of errors."""
+
+    CLEAN = "clean"  # no error at all
+    WHITE = "white"  # 8 mm of white camera noise, an ordinary MEMS IMU: the defaults
+    REALISTIC = "realistic"  # what Kinect skeletons and strapped IMUs do as well
+
+
+_CLEAN = {
+    "noise_m": 0.0,
+    "accelerometer_noise": 0.0,
+    "gyroscope_noise": 0.0,
+    "accelerometer_bias": 0.0,
+    "gyroscope_bias": 0.0,
+    "accelerometer_walk": 0.0,
+    "gyroscope_walk": 0.0,
+}
+_REALISTIC = {
+    "noise_m": 0.005,
+    "noise_depth_m": 0.004,
+    "noise_correlated_m": 0.008,
+    "noise_correlated_s": 0.3,
+    "joint_bias_m": 0.008,
+    "latency_s": 0.020,
+    "frame_jitter_s": 0.001,
+    "dropped_frames": 0.02,
+    "imu_scale": 0.003,
+    "imu_misalignment_deg": 0.2,
+}
+_REALISTIC_ARM = {"wobble_deg": 2.3, "shoulder_lost": 0.05}
+
+
+class SensorErrors(BaseModel):
+    """The camera and the IMU, with their errors; the defaults are the preset `white`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    frame_rate_hz: float = Field(default=30.0, gt=1, le=240, description="camera frames a second")
+    noise_m: float = Field(default=0.008, ge=0, description="white noise of a joint, m an axis")
+    noise_depth_m: float = Field(
+        default=0.0, ge=0, description="white noise along the ray at 2 m, m; grows with distance squared"
+    )
+    noise_correlated_m: float = Field(default=0.0, ge=0, description="noise with a memory, m an axis")
+    noise_correlated_s: float = Field(default=0.3, gt=0, description="its time constant, s")
+    joint_bias_m: float = Field(
+        default=0.0, ge=0, description="sigma of a joint's constant error, m an axis in {K}"
+    )
+    latency_s: float = Field(
+        default=0.0, description="camera stamps late by this; t_imu = t_camera - latency_s"
+    )
+    frame_jitter_s: float = Field(default=0.0, ge=0, description="sigma of a frame stamp's own error, s")
+    dropped_frames: float = Field(default=0.0, ge=0, lt=1, description="fraction of frames that never arrive")
+    outliers: float = Field(default=0.0, ge=0, le=1, description="fraction of tracked samples that are wrong")
+    outlier_m: float = Field(default=0.3, ge=0, description="how far an outlier lies off, m")
+
+    imu_rate_hz: float = Field(default=80.0, ge=20, le=1000, description="IMU samples a second")
+    accelerometer_noise: float = Field(default=0.003, ge=0, description="density, m/s^2/sqrt(Hz)")
+    gyroscope_noise: float = Field(default=0.0003, ge=0, description="density, rad/s/sqrt(Hz)")
+    accelerometer_bias: float = Field(
+        default=0.05, ge=0, description="sigma of the first bias, m/s^2 an axis"
+    )
+    gyroscope_bias: float = Field(default=0.01, ge=0, description="sigma of the first bias, rad/s an axis")
+    accelerometer_walk: float = Field(default=0.0005, ge=0, description="bias walk, m/s^2/sqrt(s)")
+    gyroscope_walk: float = Field(default=0.00005, ge=0, description="bias walk, rad/s/sqrt(s)")
+    imu_scale: float = Field(default=0.0, ge=0, description="sigma of each axis' scale error, 0.003 = 0.3 %")
+    imu_misalignment_deg: float = Field(
+        default=0.0, ge=0, description="sigma of each cross-axis angle, degrees"
+    )
+    accelerometer_range: float | None = Field(default=None, gt=0, description="saturates at +- this, m/s^2")
+    gyroscope_range: float | None = Field(default=None, gt=0, description="saturates at +- this, rad/s")
+
+    @classmethod
+    def _changes(cls, name: Preset) -> dict[str, Any]:
+        return {Preset.CLEAN: _CLEAN, Preset.WHITE: {}, Preset.REALISTIC: _REALISTIC}[name]
+
+    @classmethod
+    def preset(cls, name: Preset | str, **changes: Any) -> Self:
+        """The named preset ("clean", "white", "realistic") with these settings changed."""
+        return cls(**{**cls._changes(Preset(name)), **changes})
+
+
+class ArmSimulation(SensorErrors):
+    """An arm with a wrist IMU before a depth camera."""
+
+    protocol: Literal["behind", "random", "hang"] = Field(
+        default="behind",
+        description="behind = held pose, behind the head, belly, behind the back; random = smooth motion "
+        "with occlusions at random times; hang = arm at the side",
+    )
+    repetitions: int = Field(default=2, ge=1, description="how often the protocol `behind` is done")
+    duration_s: float = Field(default=30.0, gt=1, description="length of `random` and `hang`, s")
+    side: Literal["left", "right"] = "right"
+    camera_frame: CameraFrame = CameraFrame.KINECT
+    distance_m: float = Field(default=2.0, gt=0.8, description="person to camera, m")
+    speed: float = Field(default=1.0, gt=0.1, le=3, description="factor on the speed of every movement")
+    sway_m: float = Field(default=0.008, ge=0, description="rms of the shoulder's slow sway, m an axis")
+    tremor_rad: float = Field(default=0.0003, ge=0, description="rms of a 7-11 Hz tremor, rad a joint angle")
+    still_start_s: float = Field(default=0.0, ge=0, description="the arm first hangs without any motion, s")
+    still_all: bool = Field(default=False, description="the arm hangs without any motion from start to end")
+    wobble_deg: float = Field(
+        default=0.0, ge=0, description="rms of the strap's rotation on the forearm, degrees"
+    )
+
+    occluded_state: Literal["not_tracked", "inferred"] = Field(
+        default="not_tracked", description="what the camera says of the forearm's joints in an occlusion"
+    )
+    inferred_error_m: float = Field(
+        default=0.06, ge=0, description="error of an inferred position, m an axis"
+    )
+    elbow_lag_s: float = Field(
+        default=0.1, ge=0, description="the elbow stays tracked up to this much longer, s"
+    )
+    belly: Literal["tracked", "inferred", "not_tracked"] = Field(
+        default="tracked", description="the forearm's joints while it lies in front of the belly"
+    )
+    shoulder_lost: float = Field(
+        default=0.0, ge=0, le=1, description="fraction of occluded frames without shoulder"
+    )
+    frozen_gaps: float = Field(
+        default=0.0, ge=0, le=1, description="fraction of occlusions where joints stand still"
+    )
+    swapped_gaps: float = Field(
+        default=0.0, ge=0, le=1, description="fraction of occlusions with the arms swapped"
+    )
+    occlusion_lengths_s: tuple[float, ...] = Field(
+        default=(0.5, 1.0, 2.0, 3.0),
+        description="lengths to choose from in `random`, s; empty = no occlusion",
+    )
+    occlusion_every_s: float = Field(
+        default=6.0, gt=0, description="about one occlusion in this time in `random`, s"
+    )
+
+    @classmethod
+    def _changes(cls, name: Preset) -> dict[str, Any]:
+        extra = _REALISTIC_ARM if name is Preset.REALISTIC else {}
+        return {**super()._changes(name), **extra}
+
+
+class PointSimulation(SensorErrors):
+    """A tracked point (the strap alone) that carries an IMU, in a frame with z up."""
+
+    duration_s: float = Field(default=30.0, gt=1, description="length, s")
+    speed: float = Field(default=1.0, gt=0.1, le=3, description="factor on the speed of the movement")
+    tilt_deg: float = Field(default=0.0, ge=0, le=45, description="gravity off -z by this angle, degrees")
+    occlusion_lengths_s: tuple[float, ...] = Field(
+        default=(0.5, 1.0, 2.0, 3.0), description="lengths to choose from, s; empty = no occlusion"
+    )
+    occlusion_every_s: float = Field(default=6.0, gt=0, description="about one occlusion in this time, s")

@@ -1,0 +1,175 @@
+"""Motion as a function of time in the camera frame: what sensors are simulated from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from ..recording import BoolArray, CameraFrame, FloatArray
+from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, Measures, arm_chain
+from .path import KNOT_RATE_HZ, band_noise
+from .posture import reference
+from .protocol import Performance
+
+#: Axes of a level Kinect to those of other level cameras.
+LEVEL_FROM_KINECT = {
+    CameraFrame.KINECT: np.eye(3),
+    CameraFrame.OPTICAL: np.diag([-1.0, -1.0, 1.0]),
+    CameraFrame.ZUP: np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+}
+
+
+class Motion(Protocol):
+    """A body with an IMU on it, in {K}, at any time of the recording (and 0.4 s beyond its ends)."""
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`R_K_A` (N, 3, 3) and the IMU's position (N, 3) m in {K}."""
+        ...
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """Positions (N, 3) by joint, m in {K}."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where the person stands before the camera.
+
+    Attributes
+    ----------
+    R_K_T : (3, 3) torso axes to camera axes.
+    place_K : (3,) origin of {T} (between the shoulders), m in {K}.
+    """
+
+    R_K_T: FloatArray
+    place_K: FloatArray
+
+    @property
+    def gravity(self) -> FloatArray:
+        """(3,) m/s^2 in {K}; the torso is upright."""
+        return np.asarray(self.R_K_T @ [0.0, -GRAVITY, 0.0])
+
+
+GRAVITY = 9.81
+
+
+def tilt_rotation(degrees: float, heading: float, up: FloatArray) -> Rotation:
+    """A rotation by `degrees` about a level axis; `up` (3,) is a unit axis, `heading` rad turns about it."""
+    level = np.roll(up, 1)
+    axis = Rotation.from_rotvec(heading * up).apply(level)
+    return Rotation.from_rotvec(np.radians(degrees) * axis)
+
+
+def draw_stage(distance_m: float, frame: CameraFrame, rng: np.random.Generator) -> Stage:
+    """A camera tilted by 3 to 10 degrees, and a person about `distance_m` before it who faces it."""
+    up = np.array([0.0, 1.0, 0.0])
+    tilt = tilt_rotation(rng.uniform(3, 10), rng.uniform(-np.pi, np.pi), up)
+    turn = Rotation.from_euler("y", rng.normal(0, 4), degrees=True)
+    place = [rng.normal(0, 0.08), rng.uniform(0.1, 0.35), distance_m * rng.uniform(0.95, 1.05)]
+    to_frame = LEVEL_FROM_KINECT[frame]
+    return Stage(to_frame @ (tilt * turn).as_matrix(), to_frame @ place)
+
+
+def draw_wobble(performance: Performance, rms_deg: float, rng: np.random.Generator) -> FloatArray:
+    """Rotation vectors (N, 3), rad in {F}, of a strap that slides as the arm moves; the mean is zero.
+
+    Four fifths of it follow the joint angles with 0.2 s of delay and memory, the rest is slow noise; the
+    largest part turns about the forearm.
+    """
+    drive = performance.posture[:, [SHOULDER.start, SHOULDER.start + 1, FLEXION, PRONATION]]
+    spread = drive.std(axis=0)
+    moving = spread > 1e-6
+    if rms_deg == 0.0 or not moving.any():
+        return np.zeros((len(drive), 3))
+    drive = (drive[:, moving] - drive[:, moving].mean(axis=0)) / spread[moving]
+    drive = gaussian_filter1d(drive, 0.2 * KNOT_RATE_HZ, axis=0, mode="nearest")
+    delay = int(0.2 * KNOT_RATE_HZ)
+    drive = np.concatenate([np.repeat(drive[:1], delay, axis=0), drive[:-delay]])
+    wobble = drive @ rng.normal(size=(drive.shape[1], 3))
+    wobble /= wobble.std(axis=0)
+    wobble = 0.8 * wobble + 0.6 * band_noise(performance.t_s, 0.1, 0.5, 3, rng)
+    wobble -= wobble.mean(axis=0)
+    wobble *= np.sqrt([0.2, 0.6, 0.2]) / wobble.std(axis=0)
+    return np.radians(rms_deg) * wobble
+
+
+class ArmMotion:
+    """An arm that performs a protocol before the camera."""
+
+    def __init__(
+        self, performance: Performance, measures: Measures, stage: Stage, wobble: FloatArray, side: str
+    ) -> None:
+        self.measures, self.stage = measures, stage
+        # A left arm is the mirror image of a right one; z of its {F} is then mirrored twice (x cross y).
+        self._mirror = np.diag([-1.0 if side == "left" else 1.0, 1.0, 1.0])
+        self._flip = np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
+        table = np.hstack([performance.posture, performance.sway, wobble])
+        self._spline: BSpline = make_interp_spline(performance.t_s, table, k=5)
+
+    def _chain(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Shoulder, elbow (N, 3) and `R_T_F` (N, 3, 3) in {T}, and the strap's rotation vector (N, 3)."""
+        table = self._spline(t_s)
+        sway = table[:, POSTURE_SIZE : POSTURE_SIZE + 3]
+        shoulder, elbow, R_T_F = arm_chain(table[:, :POSTURE_SIZE], reference(), self.measures)
+        mirror = self._mirror
+        return (
+            (shoulder + sway) @ mirror,
+            (elbow + sway) @ mirror,
+            mirror @ R_T_F @ self._flip,
+            table[:, POSTURE_SIZE + 3 :],
+        )
+
+    def _to_camera(self, points_T: FloatArray) -> FloatArray:
+        return np.asarray(points_T @ self.stage.R_K_T.T + self.stage.place_K)
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Motion.imu_pose`."""
+        _, elbow, R_T_F, wobble = self._chain(t_s)
+        strap = Rotation.from_rotvec(wobble).as_matrix()
+        # The strap turns about the arm's core: the sensor moves with it.
+        in_forearm = strap @ self.measures.imu_in_forearm
+        in_forearm[:, 1] -= self.measures.along_forearm["elbow"]
+        position = elbow + np.einsum("nij,nj->ni", R_T_F, in_forearm)
+        R_K_A = self.stage.R_K_T @ R_T_F @ strap @ self.measures.R_F_A
+        return R_K_A, self._to_camera(position)
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """See `Motion.joints`."""
+        shoulder, elbow, R_T_F, _ = self._chain(t_s)
+        along, direction = self.measures.along_forearm, R_T_F[:, :, 1]
+        places = {"shoulder": shoulder, "elbow": elbow}
+        for joint in ("wrist", "hand"):
+            places[joint] = elbow + (along[joint] - along["elbow"]) * direction
+        return {joint: self._to_camera(place) for joint, place in places.items()}
+
+    def other_arm(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """The joints of the other arm, which hangs and sways with the trunk: (N, 3) by joint, m in {K}."""
+        sway = self._spline(t_s)[:, POSTURE_SIZE : POSTURE_SIZE + 3] @ self._mirror
+        rest = self.measures.shoulder * [-1.0, 1.0, 1.0] @ self._mirror
+        down = np.array([0.0, -1.0, 0.0])
+        reach = {
+            "shoulder": 0.0,
+            "elbow": self.measures.upper_arm,
+            "wrist": self.measures.upper_arm + self.measures.forearm,
+            "hand": self.measures.upper_arm + self.measures.forearm + self.measures.hand,
+        }
+        return {joint: self._to_camera(rest + sway + length * down) for joint, length in reach.items()}
+
+    def hidden(self, t_s: FloatArray) -> BoolArray:
+        """(N,) True where the body stands between the camera and the wrist or the hand."""
+        # The body sways with the shoulder.
+        sway = self._spline(t_s)[:, POSTURE_SIZE : POSTURE_SIZE + 3] @ self._mirror
+        R_T_K = self.stage.R_K_T.T
+        eye = -R_T_K @ self.stage.place_K - sway
+        joints = self.joints(t_s)
+        hidden = np.zeros(len(t_s), dtype=bool)
+        for joint in ("wrist", "hand"):
+            place = (joints[joint] - self.stage.place_K) @ R_T_K.T - sway
+            for part in BODY:
+                hidden |= part.hides(place, eye)
+        return hidden
