@@ -1,0 +1,145 @@
+"""Layouts of the ROS 2 messages that are read (CDR, either byte order)."""
+
+from __future__ import annotations
+
+import struct
+
+from .layout import Layout
+
+
+class Cursor:
+    """Walks over one CDR message and notes where its fields lie.
+
+    Alignment counts from behind the four bytes of the encapsulation header.
+    """
+
+    def __init__(self, data: bytes):
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise ValueError("not plain CDR")
+        self.data = data
+        self.position = 4
+        self.order = "<" if data[1] else ">"
+        self.layout = Layout.of(data)
+        self.layout.fix(0, 2)
+
+    def align(self, size: int) -> None:
+        """Move to the next multiple of `size`."""
+        self.position += -(self.position - 4) % size
+
+    def skip(self, size: int, count: int = 1) -> None:
+        """Pass over values; nothing is aligned where there are none."""
+        if count:
+            self.align(size)
+            self.position += size * count
+            self._check()
+
+    def field(self, name: str, kind: str, count: int = 1) -> None:
+        """Note `count` values of a numpy type (`i4`, `u4`, `f8`)."""
+        size = int(kind[1:])
+        self.align(size)
+        self.layout.add(name, self.position, self.order + kind, count)
+        self.position += size * count
+        self._check()
+
+    def length(self) -> int:
+        """A sequence's or string's length, which decides the layout."""
+        self.align(4)
+        (value,) = struct.unpack_from(f"{self.order}I", self.data, self.position)
+        self.layout.fix(self.position, self.position + 4)
+        self.position += 4
+        return int(value)
+
+    def text(self, name: str = "") -> None:
+        """A string; one that is named decides the layout, so that it is the same for all rows."""
+        length = self.length()
+        start, self.position = self.position, self.position + length
+        self._check()
+        if name:
+            self.layout.fix(start, self.position)
+            raw = self.data[start : self.position].rstrip(b"\0")
+            self.layout.texts[name] = raw.decode("utf-8", "replace")
+
+    def header(self, frame: str = "frame_id") -> None:
+        """A std_msgs/Header."""
+        self.field("sec", "i4")
+        self.field("nsec", "u4")
+        self.text(frame)
+
+    def sequence(self, size: int, values: int) -> None:
+        """A sequence of elements of `values` numbers of `size` bytes."""
+        self.skip(size, self.length() * values)
+
+    def _check(self) -> None:
+        if self.position > len(self.data):
+            raise IndexError("message is cut off")
+
+
+def imu(data: bytes) -> Layout:
+    """Layout of sensor_msgs/msg/Imu: `sec`, `nsec`, `gyro`, `acc`."""
+    cursor = Cursor(data)
+    cursor.header()
+    cursor.skip(8, 4 + 9)
+    cursor.field("gyro", "f8", 3)
+    cursor.skip(8, 9)
+    cursor.field("acc", "f8", 3)
+    return cursor.layout
+
+
+def magnetic_field(data: bytes) -> Layout:
+    """Layout of sensor_msgs/msg/MagneticField: `sec`, `nsec`, `mag`."""
+    cursor = Cursor(data)
+    cursor.header()
+    cursor.field("mag", "f8", 3)
+    return cursor.layout
+
+
+def pose_stamped(data: bytes) -> Layout:
+    """Layout of geometry_msgs/msg/PoseStamped: `sec`, `nsec`, `position`, `quaternion` (x, y, z, w)."""
+    cursor = Cursor(data)
+    cursor.header()
+    cursor.field("position", "f8", 3)
+    cursor.field("quaternion", "f8", 4)
+    return cursor.layout
+
+
+def marker_array(data: bytes, textured: bool = True) -> Layout:
+    """Layout of visualization_msgs/msg/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker.
+
+    Parameters
+    ----------
+    data : the message.
+    textured : markers carry a texture and an embedded mesh (ROS 2 Humble and later).
+    """
+    cursor = Cursor(data)
+    count = cursor.length()
+    if count * 100 > len(data):
+        raise ValueError("more markers than bytes for them")
+    cursor.layout.counts["markers"] = count
+    for _ in range(count):
+        cursor.header()
+        cursor.text()
+        cursor.field("id", "i4")
+        cursor.skip(4)
+        cursor.field("action", "i4")
+        cursor.field("position", "f8", 3)
+        cursor.skip(8, 4 + 3)
+        cursor.skip(4, 4 + 2)
+        cursor.skip(1)
+        cursor.sequence(8, 3)
+        cursor.sequence(4, 4)
+        if textured:
+            cursor.text()
+            cursor.skip(4, 2)
+            cursor.text()
+            cursor.text()
+            cursor.sequence(1, 1)
+            cursor.sequence(4, 2)
+        cursor.text()
+        cursor.text()
+        if textured:
+            cursor.text()
+            cursor.sequence(1, 1)
+        cursor.skip(1)
+    if len(data) - cursor.position > 7:  # some writers pad the end
+        raise ValueError("bytes left over")
+    return cursor.layout

@@ -1,0 +1,171 @@
+"""Samples that cannot be used, and units that cannot be: one place for all readers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RecordingError
+from ..recording import JOINTS, BoolArray, IntArray, JointState
+from .streams import ArmFrames, ImuSamples, PoseSamples
+
+#: A stream that loses more of its samples than this is refused.
+_LIMIT = 0.05
+_GRAVITY = 9.80665
+#: 2000 deg/s is the widest range of common gyroscopes: 35 rad/s.
+_GYRO_LIMIT = 35.0
+#: Median rest |acc| to the unit that it looks like.
+_ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
+
+
+def increasing(stamp_ns: IntArray) -> BoolArray:
+    """Samples (N,) to keep so that stamps increase strictly.
+
+    A stamp that jumps back makes the later sample the wrong one, a stamp that jumps ahead the
+    earlier: whichever reading drops fewer samples is taken.
+    """
+    if len(stamp_ns) < 2:
+        return np.ones(len(stamp_ns), bool)
+    after_all = np.ones(len(stamp_ns), bool)
+    after_all[1:] = stamp_ns[1:] > np.maximum.accumulate(stamp_ns)[:-1]
+    before_all = np.ones(len(stamp_ns), bool)
+    before_all[:-1] = stamp_ns[:-1] < np.minimum.accumulate(stamp_ns[::-1])[::-1][1:]
+    return after_all if after_all.sum() >= before_all.sum() else before_all
+
+
+def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
+    """Drop what cannot be used of an IMU, and check its units.
+
+    Parameters
+    ----------
+    stream : samples as recorded.
+    source : the file, for messages.
+
+    Returns
+    -------
+    The stream with finite samples and increasing stamps, and what was dropped as sentences.
+
+    Raises
+    ------
+    RecordingError
+        More than 5 % of the samples would be dropped, or a unit cannot be.
+    """
+    finite = np.isfinite(stream.acc).all(axis=1) & np.isfinite(stream.gyro).all(axis=1)
+    keep, notes = _keep(stream.stamp_ns, np.asarray(finite), stream.topic, source, "samples")
+    mag = None if stream.mag is None else stream.mag[keep]
+    kept = replace(
+        stream, stamp_ns=stream.stamp_ns[keep], acc=stream.acc[keep], gyro=stream.gyro[keep], mag=mag
+    )
+    if len(kept.stamp_ns) < 2:
+        raise RecordingError(
+            f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
+        )
+    _check_units(kept, source)
+    return kept, notes
+
+
+def clean_arm(arm: ArmFrames, source: str) -> tuple[ArmFrames, list[str]]:
+    """Drop frames with repeated or backward stamps, and tracked joints without a position.
+
+    Returns, raises : as `clean_imu`.
+    """
+    keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), arm.label, source, "frames")
+    position, state = arm.position[keep].copy(), arm.state[keep].copy()
+    claimed = state != JointState.NOT_TRACKED
+    broken = claimed & ~np.isfinite(position).all(axis=2)
+    if broken.any():
+        if broken.sum() > _LIMIT * claimed.sum():
+            raise RecordingError(
+                f"{source}: {broken.sum()} of {claimed.sum()} joint positions of {arm.label} are not "
+                "numbers, which is too many to drop; check the recorder."
+            )
+        notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
+        state[broken] = JointState.NOT_TRACKED
+    position[state == JointState.NOT_TRACKED] = np.nan
+    tracked = state == JointState.TRACKED
+    if tracked.any():
+        far = float(np.median(np.linalg.norm(position[tracked], axis=1)))
+        if far > 100:
+            raise RecordingError(
+                f"{source}: the joints of {arm.label} lie about {far:.0f} from the camera, which looks like "
+                "millimetres; convert them to metres (position_unit in a recording.toml)."
+            )
+    return replace(arm, stamp_ns=arm.stamp_ns[keep], position=position, state=state), notes
+
+
+def clean_poses(poses: PoseSamples) -> tuple[PoseSamples, list[str]]:
+    """Drop poses with repeated or backward stamps; those that are not finite stay as nan."""
+    keep = increasing(poses.stamp_ns)
+    dropped = int((~keep).sum())
+    notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
+    score = None if poses.score is None else poses.score[keep]
+    position, quaternion = poses.position[keep].copy(), poses.quaternion[keep].copy()
+    position[~np.isfinite(position).all(axis=1)] = np.nan
+    length = np.linalg.norm(quaternion, axis=1)
+    quaternion[~(np.isfinite(length) & (length > 0.5))] = np.nan
+    return (
+        replace(
+            poses,
+            stamp_ns=poses.stamp_ns[keep],
+            position=position,
+            quaternion=quaternion,
+            score=score,
+            joints={name: values[keep] for name, values in poses.joints.items()},
+        ),
+        notes,
+    )
+
+
+def _keep(
+    stamp_ns: IntArray, finite: BoolArray, topic: str, source: str, what: str
+) -> tuple[NDArray[np.bool_], list[str]]:
+    keep = finite.copy()
+    keep[finite] = increasing(stamp_ns[finite])
+    dropped, total = int((~keep).sum()), len(keep)
+    if not dropped:
+        return keep, []
+    not_numbers = int((~finite).sum())
+    causes = []
+    if not_numbers:
+        causes.append(f"{not_numbers} not finite")
+    if dropped > not_numbers:
+        causes.append(f"{dropped - not_numbers} with repeated or backward stamps")
+    if dropped > _LIMIT * total:
+        raise RecordingError(
+            f"{source}: {dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
+            "which is too many to drop; check the recorder."
+        )
+    return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
+
+
+def _check_units(stream: ImuSamples, source: str) -> None:
+    rate = np.linalg.norm(stream.gyro, axis=1)
+    fast = float(np.percentile(rate, 99))
+    if fast > _GYRO_LIMIT:
+        raise RecordingError(
+            f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s and "
+            "looks like deg/s; convert it to rad/s (gyroscope_unit in a recording.toml)."
+        )
+    # The quietest fifth, whatever the gyroscope's unit and offset are.
+    quiet = rate <= np.percentile(rate, 20)
+    rest = float(np.median(np.linalg.norm(stream.acc[quiet], axis=1)))
+    if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
+        return
+    for low, high, unit in _ACC_UNITS:
+        if low < rest < high:
+            raise RecordingError(
+                f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81, "
+                f"which looks like {unit}; convert it to m/s^2 (accelerometer_unit in a recording.toml)."
+            )
+    why = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
+    raise RecordingError(
+        f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2 "
+        f"({why}); record the raw specific force in m/s^2."
+    )
+
+
+def joint_counts(arm: ArmFrames) -> dict[str, int]:
+    """Tracked frames by joint."""
+    return {joint: int((arm.state[:, i] == JointState.TRACKED).sum()) for i, joint in enumerate(JOINTS)}

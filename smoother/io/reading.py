@@ -1,0 +1,265 @@
+"""A recording from an MCAP file."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
+from .choose import choose
+from .clean import clean_arm, clean_imu, clean_poses
+from .container import Container, Topic
+from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
+from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
+from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+
+#: Topics that a result adds; a recording is read without them.
+RESULT_PREFIX = "/unocclude/"
+TRUTH_PREFIX = "/truth"
+METADATA = "unocclude.recording"
+_SECOND = 1_000_000_000
+#: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
+_SMALL_NS = 1_000_000 * _SECOND
+
+AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
+
+
+def open_recording(path: str | os.PathLike[str]) -> RecordingFile:
+    """Read all streams of an MCAP file that a recording can be made of.
+
+    Streams are found by schema. Images are passed over. A file that was cut off gives what it has.
+
+    Parameters
+    ----------
+    path : the file.
+
+    Returns
+    -------
+    All streams with their samples as recorded, and the list of topics.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, empty or not MCAP.
+    """
+    container = Container(path)
+    decoders: dict[int, AnyDecoder | None] = {}
+    by_topic: dict[int, AnyDecoder | None] = {}
+
+    def wanted(topic: Topic) -> bool:
+        if id(topic) not in by_topic:
+            ours = topic.name.startswith(RESULT_PREFIX)
+            by_topic[id(topic)] = None if ours else plain_decoder(topic) or skeleton_decoder(topic)
+        return by_topic[id(topic)] is not None
+
+    for batch in container.batches(wanted):
+        for position, messages in batch.items():
+            if position not in decoders:
+                decoders[position] = by_topic[id(container.topics[position])]
+            decoder = decoders[position]
+            if decoder is not None and messages:
+                decoder.feed(messages)
+
+    file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
+    file.topics = [
+        TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
+    ]
+    _gather(file, [decoder for decoder in decoders.values() if decoder is not None])
+    _take_metadata(file)
+    return file
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+) -> Recording:
+    """Read one arm and the IMU on it from an MCAP file.
+
+    Parameters
+    ----------
+    path : the file.
+    imu, skeleton : topic (or a part of it, or its frame_id) to take.
+    side : "left" or "right".
+    body : the camera's number of the body.
+    prefer_side : side to take where the file leaves it open (a calibration's).
+
+    Returns
+    -------
+    The recording; `notes` say what was dropped and what was chosen.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read or used as it is, or leaves open what is meant.
+    """
+    file = open_recording(path)
+    return select_recording(file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side)
+
+
+def select_recording(
+    file: RecordingFile,
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+) -> Recording:
+    """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
+    choice = choose(file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side)
+    source = str(file.path)
+    notes = [*file.notes, *choice.notes]
+    forearm, dropped = clean_imu(choice.imu, source)
+    arm, arm_dropped = clean_arm(choice.arm, source)
+    notes += dropped + arm_dropped
+    _check_overlap(forearm, arm, source)
+    base, truth = None, None
+    if choice.base is not None:
+        base, dropped = clean_imu(choice.base, source)
+        notes += dropped
+    if choice.truth is not None:
+        truth, dropped = clean_poses(choice.truth)
+        notes += dropped
+    first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
+    origin = min(first) // _SECOND * _SECOND
+    origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
+    return Recording(
+        imu=_imu_stream(forearm, origin),
+        arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin), arm.position, arm.state),
+        side=choice.side,
+        camera_frame=file.camera_frame or arm.camera_frame,
+        gravity_hint=file.gravity_hint,
+        base_imu=None if base is None else _imu_stream(base, origin),
+        truth=None if truth is None else _truth(truth, origin),
+        origin_ns=origin,
+        name=file.name,
+        notes=tuple(notes),
+    )
+
+
+def seconds(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
+    """Stamps (N,) in ns to seconds after an origin; `nanoseconds` gives the same stamps back."""
+    return (stamp_ns - origin_ns) / 1e9
+
+
+def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
+    """Seconds (N,) after an origin to stamps in ns."""
+    return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
+
+
+def _gather(file: RecordingFile, decoders: list[AnyDecoder]) -> None:
+    fields: list[FieldSamples] = []
+    for decoder in decoders:
+        if decoder.grouper.broken:
+            file.notes.append(
+                f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
+            )
+        if isinstance(decoder, SkeletonDecoder | MarkerDecoder):
+            arms = decoder.arms()
+            file.arms += arms
+            if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
+                file.frames_without_body += decoder.topic.count
+            continue
+        stream = decoder.stream()
+        if isinstance(stream, ImuSamples):
+            file.imus.append(stream)
+        elif isinstance(stream, PoseSamples):
+            file.poses.append(stream)
+        elif isinstance(stream, FieldSamples):
+            fields.append(stream)
+    _join_truth_joints(file)
+    for field in fields:
+        _join_field(file, field)
+
+
+def _join_truth_joints(file: RecordingFile) -> None:
+    """Skeletons on truth topics are reference joints of the truth beside them."""
+    from ..recording import JOINTS
+
+    for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
+        file.arms.remove(arm)
+        for poses in file.poses:
+            if f"{poses.topic}/joints" != arm.topic:
+                continue
+            row = np.searchsorted(arm.stamp_ns, poses.stamp_ns)
+            row = np.minimum(row, len(arm.stamp_ns) - 1)
+            same = arm.stamp_ns[row] == poses.stamp_ns
+            for i, joint in enumerate(JOINTS):
+                if arm.state[:, i].any():
+                    poses.joints[joint] = np.where(same[:, None], arm.position[row, i], np.nan)
+
+
+def _join_field(file: RecordingFile, field: FieldSamples) -> None:
+    """Give a magnetometer to the IMU of its frame, or under the same name."""
+
+    def beside(imu: ImuSamples) -> bool:
+        return field.topic.rpartition("/")[0] == imu.topic.rpartition("/")[0]
+
+    mine = [imu for imu in file.imus if imu.frame_id == field.frame_id and beside(imu)]
+    mine = mine or [imu for imu in file.imus if field.frame_id and imu.frame_id == field.frame_id]
+    mine = mine or [imu for imu in file.imus if beside(imu)]
+    if len(mine) != 1 or mine[0].mag is not None:
+        file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
+        return
+    order = np.argsort(field.stamp_ns, kind="stable")
+    order = order[np.isfinite(field.mag[order]).all(axis=1)]
+    if not len(order):
+        return
+    zero = int(field.stamp_ns[order[0]])
+    at, have = (mine[0].stamp_ns - zero) / 1e9, (field.stamp_ns[order] - zero) / 1e9
+    mine[0].mag = np.stack([np.interp(at, have, field.mag[order, i]) for i in range(3)], axis=1)
+
+
+def _take_metadata(file: RecordingFile) -> None:
+    record = file.metadata.get(METADATA, {})
+    try:
+        if record.get("camera_frame"):
+            file.camera_frame = CameraFrame(record["camera_frame"])
+        if record.get("gravity"):
+            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
+            file.gravity_hint = gravity / np.linalg.norm(gravity)
+        file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
+        scores = json.loads(record.get("truth_score", "{}"))
+        for poses in file.poses:
+            if poses.topic in scores:
+                poses.score = np.zeros(len(poses.stamp_ns), bool)
+                for start, stop in scores[poses.topic]:
+                    poses.score[start:stop] = True
+    except (ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
+        ) from error
+
+
+def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
+    first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
+    last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
+    if last > first:
+        return
+    apart = (first - last) / 1e9
+    raise RecordingError(
+        f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
+        f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
+        "clocks that agree to a second."
+    )
+
+
+def _span(stamp_ns: IntArray) -> str:
+    return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
+
+
+def _imu_stream(stream: ImuSamples, origin: int) -> ImuStream:
+    return ImuStream(stream.topic, seconds(stream.stamp_ns, origin), stream.acc, stream.gyro, stream.mag)
+
+
+def _truth(poses: PoseSamples, origin: int) -> Truth:
+    score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
+    return Truth(seconds(poses.stamp_ns, origin), poses.position, poses.quaternion, score, dict(poses.joints))

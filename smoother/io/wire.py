@@ -1,0 +1,163 @@
+"""Protobuf messages of one layout, encoded for many samples at once.
+
+A template is the wire form of one message with slots for what changes from sample to sample.
+Every slot has a fixed width (varints are padded, which every decoder accepts), so that numpy can
+fill all samples of a stream together.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_VARINT, _FIXED64, _BYTES = 0, 1, 2
+#: Widths of padded varints: any 64-bit number, any 32-bit number, a flag or small enum.
+_WIDE, _MEDIUM, _BYTE = 10, 5, 1
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where a column's values go: `count` doubles from component `first`, or one varint."""
+
+    column: str
+    offset: int
+    width: int  # bytes of a varint; 0 for doubles
+    first: int = 0
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Template:
+    """A piece of a message: its bytes, and the slots in them."""
+
+    data: bytes
+    slots: tuple[Slot, ...] = ()
+
+    def encode(self, rows: int, columns: Mapping[str, NDArray]) -> list[bytes]:
+        """Wire form of `rows` messages.
+
+        Parameters
+        ----------
+        rows : how many messages.
+        columns : by the slots' names, (rows,) or (rows, k); stamps as int64 ns.
+        """
+        if not self.data:
+            return [b""] * rows
+        block = np.tile(np.frombuffer(self.data, np.uint8), (rows, 1))
+        for slot in self.slots:
+            values = columns[slot.column]
+            if slot.width:
+                part = values if values.ndim == 1 else values[:, slot.first]
+                _put_varint(block, slot.offset, slot.width, part)
+                continue
+            wanted = values.reshape(rows, -1)[:, slot.first : slot.first + slot.count]
+            raw = np.ascontiguousarray(wanted, dtype="<f8").view(np.uint8)
+            block[:, slot.offset : slot.offset + 8 * slot.count] = raw
+        buffer, size = block.tobytes(), block.shape[1]
+        return [buffer[start : start + size] for start in range(0, rows * size, size)]
+
+
+def _put_varint(block: NDArray[np.uint8], offset: int, width: int, values: NDArray) -> None:
+    rest = values.astype(np.int64).view(np.uint64)
+    for place in range(width):
+        more = np.uint8(0x80 if place < width - 1 else 0)
+        block[:, offset + place] = (rest & np.uint64(0x7F)).astype(np.uint8) | more
+        rest = rest >> np.uint64(7)
+
+
+def varint(value: int) -> bytes:
+    """Shortest varint of a non-negative number."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def tag(number: int, kind: int) -> bytes:
+    """Key of a field: its number and wire type."""
+    return varint(number << 3 | kind)
+
+
+def join(*parts: Template) -> Template:
+    """Fields one after the other."""
+    data, slots = bytearray(), []
+    for part in parts:
+        for slot in part.slots:
+            slots.append(Slot(slot.column, slot.offset + len(data), slot.width, slot.first, slot.count))
+        data += part.data
+    return Template(bytes(data), tuple(slots))
+
+
+def message(number: int, *parts: Template) -> Template:
+    """A field that is itself a message."""
+    body = join(*parts)
+    return join(Template(tag(number, _BYTES) + varint(len(body.data))), body)
+
+
+def text(number: int, value: str) -> Template:
+    """A constant string."""
+    raw = value.encode()
+    return Template(tag(number, _BYTES) + varint(len(raw)) + raw if raw else b"")
+
+
+def number(number: int, value: int) -> Template:
+    """A constant non-negative integer, enum or bool."""
+    return Template(tag(number, _VARINT) + varint(value) if value else b"")
+
+
+def constants(*values: float) -> Template:
+    """Constant doubles in the fields 1, 2, ... (a vector, a colour)."""
+    return Template(
+        b"".join(tag(i + 1, _FIXED64) + struct.pack("<d", value) for i, value in enumerate(values))
+    )
+
+
+def constant(number: int, value: float) -> Template:
+    """A constant double."""
+    return Template(tag(number, _FIXED64) + struct.pack("<d", value))
+
+
+def double(number: int, column: str, component: int = 0) -> Template:
+    """A double taken from a component of a column."""
+    return _slot(tag(number, _FIXED64), Slot(column, 0, 0, component, 1), 8)
+
+
+def vector(number: int, column: str, components: tuple[int, ...] = (0, 1, 2)) -> Template:
+    """A message of doubles in the fields 1, 2, ... taken from a column's components."""
+    return message(number, *(double(i + 1, column, component) for i, component in enumerate(components)))
+
+
+def packed(number: int, column: str, count: int) -> Template:
+    """`repeated double`, all components of a column in order."""
+    return _slot(tag(number, _BYTES) + varint(8 * count), Slot(column, 0, 0, 0, count), 8 * count)
+
+
+def flag(number: int, column: str, component: int = 0) -> Template:
+    """A bool or an enum below 128 from a column."""
+    return _slot(tag(number, _VARINT), Slot(column, 0, _BYTE, component), _BYTE)
+
+
+def timestamp(number: int, column: str) -> Template:
+    """A google.protobuf.Timestamp from the columns `column` + "_sec" and "_nsec" (see `stamps`)."""
+    return message(
+        number,
+        _slot(tag(1, _VARINT), Slot(f"{column}_sec", 0, _WIDE), _WIDE),
+        _slot(tag(2, _VARINT), Slot(f"{column}_nsec", 0, _MEDIUM), _MEDIUM),
+    )
+
+
+def stamps(column: str, stamp_ns: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The columns that `timestamp` reads; seconds may be negative, nanoseconds are not."""
+    seconds, nanoseconds = np.divmod(stamp_ns, 1_000_000_000)
+    return {f"{column}_sec": seconds, f"{column}_nsec": nanoseconds}
+
+
+def _slot(head: bytes, slot: Slot, size: int) -> Template:
+    moved = Slot(slot.column, len(head), slot.width, slot.first, slot.count)
+    return Template(head + bytes(size), (moved,))
