@@ -144,8 +144,8 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
         return
     # `RangeFactorWithTransformBias3D`: the length's correction is the variable U
     length = float(upper_arm.mean[0])
-    values.insert(U(0), np.zeros(1))
-    graph.add(gtsam.PriorFactorVector(U(0), np.zeros(1), gaussian(upper_arm.covariance)))
+    values.insert(U(0), 0.0)
+    graph.addPriorDouble(U(0), 0.0, gaussian(upper_arm.covariance))
     model = isotropic(1, noise.upper_arm_sigma_m)
     at_elbow = Pose3(Rot3(), elbow.mean)
     for k, node in enumerate(shoulder.node):

@@ -38,9 +38,11 @@ def solve(window: Window, with_covariance: bool) -> Solution:
         values = optimizer.optimize()
         marginals = _marginals(graph, values)
     except RuntimeError as error:
+        if "ndetermin" not in str(error):
+            raise
         raise SolveError(
             f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
-            f" the camera saw there ({_named(error)})"
+            " the camera saw there"
         ) from error
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
@@ -65,12 +67,6 @@ def solve(window: Window, with_covariance: bool) -> Solution:
 
 def _marginals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals:
     return gtsam.Marginals(graph, values)
-
-
-def _named(error: RuntimeError) -> str:
-    """GTSAM's reason without its key number, which means nothing to a user."""
-    text = str(error).strip().splitlines()
-    return "a direction is free" if "ndetermin" in str(error) else (text[0] if text else "no reason given")
 
 
 def _states(values: gtsam.Values, count: int) -> States:
@@ -126,7 +122,7 @@ def _message(
     if values.exists(U(0)):
         assert window.priors.upper_arm is not None
         upper_arm = Gaussian(
-            window.priors.upper_arm.mean + values.atVector(U(0)), marginals.marginalCovariance(U(0))
+            window.priors.upper_arm.mean + values.atDouble(U(0)), marginals.marginalCovariance(U(0))
         )
     return Message(
         t_s=float(0.5 * (window.t[0] + window.t[-1])),
