@@ -2,5 +2,14 @@
 
 from .arm import SimulatedArm, simulate_arm
 from .config import ArmSimulation, PointSimulation, Preset, SensorErrors
+from .point import simulate_point
 
-__all__ = ["ArmSimulation", "PointSimulation", "Preset", "SensorErrors", "SimulatedArm", "simulate_arm"]
+__all__ = [
+    "ArmSimulation",
+    "PointSimulation",
+    "Preset",
+    "SensorErrors",
+    "SimulatedArm",
+    "simulate_arm",
+    "simulate_point",
+]

@@ -68,7 +68,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     seed : non-negative.
     """
     config = config or ArmSimulation()
-    # Separate streams, so that switching one error on leaves the motion and the other errors as they were.
+    # Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
     body_rng, imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6)
     )
@@ -81,9 +81,9 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
 
-    footage = film(
-        times := exposures(performance.duration_s, config.frame_rate_hz, stamp_rng), motion.joints(times)
-    )
+    times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
+    strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
+    footage = film(times, motion.joints(times) | strap)
     true = footage.position.copy()
     parameters |= add_noise(footage, config, noise_rng)
     if config.protocol == "random" and not config.still_all:

@@ -109,6 +109,7 @@ class ArmSimulation(SensorErrors):
     tremor_rad: float = Field(default=0.0003, ge=0, description="rms of a 7-11 Hz tremor, rad a joint angle")
     still_start_s: float = Field(default=0.0, ge=0, description="the arm first hangs without any motion, s")
     still_all: bool = Field(default=False, description="the arm hangs without any motion from start to end")
+    strap: bool = Field(default=False, description="the camera finds the strap too")
     wobble_deg: float = Field(
         default=0.0, ge=0, description="rms of the strap's rotation on the forearm, degrees"
     )
