@@ -23,7 +23,7 @@ def load_open3d() -> ModuleType:
         _load_packaged_libusb()
         _forget("open3d")
         import open3d
-    return open3d  # type: ignore[no-any-return]
+    return open3d
 
 
 def _load_packaged_libusb() -> None:

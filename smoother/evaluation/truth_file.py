@@ -122,7 +122,7 @@ def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
             f"{path}: several topics could be the truth ({topics}); keep one, or call it /truth"
         )
     stream = named[0]
-    t_s = (stream.stamp_ns - recovery.origin_ns) * 1e-9
+    t_s: FloatArray = (stream.stamp_ns - recovery.origin_ns) / 1e9
     order = np.argsort(t_s, kind="stable")
     score = np.ones(len(t_s), dtype=bool) if stream.score is None else stream.score
     return Truth(

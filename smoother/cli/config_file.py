@@ -1,0 +1,87 @@
+"""The configuration as a TOML file: read, and printed with its units."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from ..config import Config
+from ..errors import UnoccludeError
+
+
+def read_config(path: Path | None) -> Config:
+    """Read a configuration; what it does not name keeps its default.
+
+    Raises
+    ------
+    UnoccludeError
+        The file is no TOML, or a setting is unknown or out of range; the text names it.
+    """
+    if path is None:
+        return Config()
+    try:
+        return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except UnicodeDecodeError as error:
+        raise UnoccludeError(f"{path}: not a TOML file (it is no UTF-8 text)") from error
+    except tomllib.TOMLDecodeError as error:
+        raise UnoccludeError(f"{path}: not a TOML file: {error}") from error
+    except ValidationError as error:
+        raise UnoccludeError(f"{path}: {describe(error)}") from error
+
+
+def describe(error: ValidationError) -> str:
+    """The first thing that a check found, with the key that it concerns."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"there is no setting '{key}'{more}"
+    return f"'{key}' = {first['input']!r}: {first['msg'][:1].lower()}{first['msg'][1:]}{more}"
+
+
+def with_processes(config: Config, processes: int | None) -> Config:
+    """The configuration with another number of worker processes, if one is given."""
+    if processes is None:
+        return config
+    windows = config.windows.model_copy(update={"processes": processes})
+    return config.model_copy(update={"windows": windows})
+
+
+def to_toml(config: BaseModel) -> str:
+    """The configuration as TOML; each setting's meaning and unit in a comment."""
+    lines: list[str] = []
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        if not isinstance(value, BaseModel):
+            lines.append(_line(name, value, field.description))
+            continue
+        if lines:
+            lines.append("")
+        summary = (type(value).__doc__ or "").strip().splitlines()
+        lines += [f"# {summary[0]}"] if summary else []
+        lines.append(f"[{name}]")
+        lines += [
+            _line(key, getattr(value, key), leaf.description)
+            for key, leaf in type(value).model_fields.items()
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _line(name: str, value: Any, description: str | None) -> str:
+    comment = f"  # {description}" if description else ""
+    if value is None:
+        return f"# {name} ={comment}"
+    return f"{name} = {_value(value)}{comment}"
+
+
+def _value(value: Any) -> str:
+    """A TOML value; its strings, numbers and flags are written as JSON writes them."""
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,78 @@
+"""`unocclude demo`: the main job on a small recording: smooth, validate, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import Json, Processes
+from .output import check_outputs, say, write_json
+from .progress import progress_bar
+
+if TYPE_CHECKING:
+    from ..calibration import ArmCalibration
+
+#: Used where `data/` holds no recording.
+SEED = 1
+
+
+def demo(
+    folder: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="FOLDER", help="Where to write; files of an earlier demo are replaced."
+        ),
+    ] = Path("out/demo"),
+    processes: Processes = None,
+    json_file: Json = None,
+) -> None:
+    """Recover a small recording, hold it against its truth, and write a report."""
+    from .. import smooth
+    from ..evaluation import validate
+    from ..evaluation.summary import recovery_figures
+    from ..io import read_recording, write_recovery
+    from ..report import write_report
+    from .config_file import read_config, with_processes
+    from .smooth import print_recovery
+    from .validate import print_validation
+
+    folder.mkdir(parents=True, exist_ok=True)
+    check_outputs(True, [json_file])
+    source, calibration = _recording(folder)
+    recording = read_recording(source)
+    say(f"recording: {source}")
+    with progress_bar("recovering") as progress:
+        recovery = smooth(recording, calibration, with_processes(read_config(None), processes), progress)
+    result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
+    write_recovery([recovery], result, source=source, force=True)
+    found = None if recording.truth is None else validate(recovery, recording.truth)
+    write_report(recovery, report, recording=recording, validation=found, truth=recording.truth, force=True)
+    figures = {"recovery": recovery_figures(recovery), "validation": found and found.to_dict()}
+    write_json(json_file, figures | {"report": report}, True)
+    print_recovery(recording, recovery)
+    if found is not None:
+        print_validation(found)
+    say(f"result: {result}")
+    say(f"report: {report.resolve()}")
+
+
+def _recording(folder: Path) -> tuple[Path, ArmCalibration | None]:
+    """The recording beside the source tree and its calibration, or one simulated on the spot."""
+    data = Path(__file__).parents[2] / "data"
+    if (data / "demo.mcap").is_file():
+        calibration_file = data / "demo_calibration.toml"
+        if not calibration_file.is_file():
+            return data / "demo.mcap", None
+        from ..io import read_recording
+        from .load import load_calibration
+
+        return data / "demo.mcap", load_calibration(calibration_file, read_recording(data / "demo.mcap").side)
+    from ..io import write_recording
+    from ..simulation import ArmSimulation, simulate_arm
+
+    simulated = simulate_arm(ArmSimulation.preset("realistic"), SEED)
+    path = folder / "demo.mcap"
+    write_recording(simulated.recording, path, force=True)
+    return path, simulated.calibration

@@ -1,0 +1,52 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
+Output = Annotated[
+    Path, typer.Option("-o", "--output", metavar="FILE", help="What to write.", show_default=False)
+]
+Calibration = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration", metavar="CAL.toml", help="How the IMU sits on the arm, and the arm's measures."
+    ),
+]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="CONF.toml", help="Settings; `unocclude config` prints the defaults."),
+]
+Imu = Annotated[
+    str | None,
+    typer.Option("--imu", metavar="TOPIC", help="The forearm IMU, where the recording has several."),
+]
+Skeleton = Annotated[
+    str | None,
+    typer.Option("--skeleton", metavar="TOPIC", help="The skeleton, where the recording has several."),
+]
+Side = Annotated[str | None, typer.Option("--side", metavar="left|right", help="The arm that wears the IMU.")]
+Body = Annotated[
+    int | None, typer.Option("--body", metavar="N", help="The person, where the camera saw several.")
+]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="OUT.html", help="Also write a report, one page that opens anywhere."),
+]
+Processes = Annotated[
+    int | None, typer.Option("--processes", metavar="N", min=0, help="Worker processes; 0 = one a core.")
+]
+Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the figures as JSON.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
+
+
+def one_side(side: str | None) -> str | None:
+    """Check `--side` before any work is done for it."""
+    if side not in (None, "left", "right"):
+        raise typer.BadParameter(f"--side is left or right, not '{side}'")
+    return side

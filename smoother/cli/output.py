@@ -1,0 +1,109 @@
+"""What commands print and write: tables, notes, figures as JSON, outputs checked beforehand."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from ..errors import UnoccludeError
+
+
+def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
+    """Refuse outputs that could not be written in the end, before any work is done for them.
+
+    Raises
+    ------
+    UnoccludeError
+        An output exists and `--force` is not given, two have the same name, or one is an input.
+    """
+    from ..io.atomic import check_output
+
+    read = {path.resolve() for path in inputs if path is not None}
+    seen: set[Path] = set()
+    for path in (path for path in outputs if path is not None):
+        if path.resolve() in read:
+            raise UnoccludeError(f"{path} is read by this command; give another name to write to")
+        if path.resolve() in seen:
+            raise UnoccludeError(f"{path} is named for two outputs; give each a name of its own")
+        seen.add(path.resolve())
+        check_output(path, force)
+
+
+def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
+    """Write figures as JSON; numbers that are not finite become null."""
+    if path is None:
+        return
+    from ..io.atomic import writing
+
+    with writing(path, force) as temporary:
+        temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """Numpy values, paths and tuples as JSON has them; numbers that are not finite as None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set)):
+        return [plain(item) for item in value]
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table; all columns but the first are numbers and stand to the right."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="left" if place == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*[Text(cell(value)) for value in row])
+    console().print(table)
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print what the user must know, a line each, none twice."""
+    for note in dict.fromkeys(notes):
+        say(f"note: {note}")
+
+
+def say(text: str) -> None:
+    """Print a line on stdout as it is."""
+    print(text)
+
+
+def say_written(*paths: Path | None) -> None:
+    """Print what was written."""
+    say(f"written: {', '.join(str(path) for path in paths if path is not None)}")
+
+
+def console() -> Any:
+    """Rich's console on stdout; wide enough for a table where stdout is no terminal."""
+    from rich.console import Console
+
+    found = Console()
+    return found if found.is_terminal else Console(width=120)
+
+
+def cell(value: object) -> str:
+    """A value as a table shows it; "-" where there is none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def centimetres(metres: float | None) -> str:
+    """A length for a table, in cm."""
+    return "-" if metres is None or not math.isfinite(metres) else f"{100 * metres:.2f}"

@@ -1,0 +1,93 @@
+"""Run a command: whatever goes wrong becomes one sentence on stderr and an exit code."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+
+import typer
+
+from ..errors import UnoccludeError
+
+OK, FAILED, WRONG_USE = 0, 1, 2
+#: Set to 1 to see where an error comes from.
+DEBUG = "UNOCCLUDE_DEBUG"
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run `unocclude` with these arguments.
+
+    Returns
+    -------
+    0 if done, 1 if it could not be done, 2 for wrong use.
+    """
+    from .app import app
+
+    if not debugging():
+        warnings.simplefilter("ignore")  # a library's warning says nothing to a user
+    try:
+        code = app(list(arguments), prog_name="unocclude", standalone_mode=False)
+        sys.stdout.flush()
+        return int(code or OK)
+    except KeyboardInterrupt:
+        return _fail("interrupted; no output was changed", FAILED)
+    except BrokenPipeError:
+        # the reader of our output went away (| head): nothing to tell anyone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception as error:
+        if debugging():
+            traceback.print_exc()
+        return _fail(*explain(error))
+
+
+def debugging() -> bool:
+    """Whether tracebacks are wanted."""
+    return os.environ.get(DEBUG, "") not in ("", "0")
+
+
+def explain(error: BaseException) -> tuple[str, int]:
+    """One sentence for an error, and the exit code."""
+    if isinstance(error, typer.Abort):
+        return "interrupted; no output was changed", FAILED
+    if hasattr(error, "format_message"):  # typer's errors of use
+        return _usage(error), WRONG_USE
+    if isinstance(error, UnoccludeError):
+        return str(error), FAILED
+    if isinstance(error, OSError):
+        return _os_error(error), FAILED
+    if isinstance(error, MemoryError):
+        return (
+            "the computer's memory does not suffice for this recording; cut it, or use a larger machine",
+            FAILED,
+        )
+    kind = type(error).__name__
+    return f"an unexpected error, {kind}: {error} (set {DEBUG}=1 to see where it comes from)", FAILED
+
+
+def _usage(error: BaseException) -> str:
+    text = str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context is not None else "unocclude"
+    return f"{text}; see {command} --help"
+
+
+def _os_error(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename is not None else ""
+    if error.errno == errno.ENOSPC:
+        return f"{where}no space left on the disk; make room and run again"
+    if error.errno == errno.ENOENT:
+        return f"{where}there is no such file or folder"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"{where}permission denied"
+    return f"{where}{error.strerror or error}"
+
+
+def _fail(text: str, code: int) -> int:
+    sentence = " ".join(text.split())
+    print(f"unocclude: {sentence}", file=sys.stderr)
+    return code

@@ -1,0 +1,170 @@
+"""`unocclude simulate`: recordings with truth. Every setting of the simulation is an option."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import typer
+from typer.core import TyperGroup
+
+from .options import Force, Json, Output, Seed
+from .output import check_outputs, print_table, say_written, write_json
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+CalibrationOut = Annotated[
+    Path | None,
+    typer.Option("--calibration-out", metavar="CAL.toml", help="Also write the true calibration of the arm."),
+]
+PresetName = Annotated[
+    str, typer.Option("--preset", metavar="white|realistic|clean", help="Set of errors to start from.")
+]
+
+
+class SimulateGroup(TyperGroup):
+    """Makes `arm` when it is asked for: its options are the simulation's settings, slow to read."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of the commands."""
+        return ["arm"]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name, or None."""
+        if cmd_name != "arm":
+            return None
+        app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        example = "Example: unocclude simulate arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"
+        app.command("arm", epilog=example)(_with_settings(arm))
+        return typer.main.get_command(app)
+
+
+def arm(
+    output: Output,
+    calibration_out: CalibrationOut = None,
+    preset: PresetName = "white",
+    seed: Seed = 0,
+    json_file: Json = None,
+    force: Force = False,
+    **settings: Any,
+) -> None:
+    """Simulate an arm with a wrist IMU before a depth camera, with truth.
+
+    The settings that are not given come from the preset. Their defaults here are those of `white`.
+    """
+    from pydantic import ValidationError
+
+    from ..io import write_recording
+    from ..simulation import ArmSimulation, simulate_arm
+    from .config_file import describe
+
+    names = preset_names()
+    if preset not in names:
+        raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(names)}")
+    changes = {name: _parsed(name, value) for name, value in settings.items() if value is not None}
+    try:
+        config = ArmSimulation.preset(preset, **changes)
+    except ValidationError as error:
+        raise typer.BadParameter(f"setting {describe(error)}") from error
+    check_outputs(force, [output, calibration_out, json_file])
+    simulated = simulate_arm(config, seed)
+    write_recording(simulated.recording, output, force=force)
+    if calibration_out is not None:
+        _write_calibration(simulated.calibration, calibration_out, force)
+    figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
+    write_json(json_file, figures | {"parameters": simulated.parameters}, force)
+    recording = simulated.recording
+    rows = [
+        ("length, s", f"{recording.imu.t_s[-1] - recording.imu.t_s[0]:.1f}"),
+        ("IMU samples", len(recording.imu)),
+        ("camera frames", len(recording.arm)),
+        ("occluded frames", int(simulated.occluded.sum())),
+    ]
+    print_table(recording.name, ("what", "value"), rows)
+    say_written(output, calibration_out, json_file)
+
+
+def preset_names() -> list[str]:
+    """Names of the presets."""
+    from ..simulation import Preset
+
+    return [preset.value for preset in Preset]
+
+
+def _write_calibration(calibration: Any, path: Path, force: bool) -> None:
+    from calib.file import write_calibration
+
+    if path.exists() and force:
+        path.unlink()
+    write_calibration(path, calibration)
+
+
+def _with_settings(command: Any) -> Any:
+    """The command with an option for every setting of the simulation."""
+    from ..simulation import ArmSimulation
+
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
+    taken = {parameter.name for parameter in own}
+    fields = {name: field for name, field in ArmSimulation.model_fields.items() if name not in taken}
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
+        for name, field in fields.items()
+    ]
+    # keyword-only throughout: options have no order
+    own = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
+
+    def run(**values: Any) -> None:
+        command(**values)
+
+    run.__doc__ = command.__doc__
+    run.__signature__ = inspect.Signature(own + more)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + more}
+    return run
+
+
+def _option(name: str, field: FieldInfo) -> Any:
+    """The option of a setting; None where it is not given."""
+    flag = "--" + name.replace("_", "-")
+    default = field.get_default()
+    text = _shown(default)
+    about = ". ".join(part for part in (field.description, f"[{text}]") if part)
+    if isinstance(default, bool):
+        return Annotated[bool | None, typer.Option(f"{flag}/--no-{flag[2:]}", help=about, show_default=False)]
+    kind: Any = str
+    if isinstance(default, int):
+        kind = int
+    elif isinstance(default, float) or float in get_args(field.annotation):
+        kind = float
+    metavar = "|".join(_choices(field)) or {int: "N", float: "X", str: "X,X,.."}[kind]
+    return Annotated[kind | None, typer.Option(flag, metavar=metavar, help=about, show_default=False)]
+
+
+def _choices(field: FieldInfo) -> list[str]:
+    """Values that a setting may take, where they are named."""
+    if hasattr(field.annotation, "__members__"):
+        return [str(member.value) for member in field.annotation]  # type: ignore[union-attr]
+    return [value for value in get_args(field.annotation) if isinstance(value, str)]
+
+
+def _shown(default: Any) -> str:
+    if default is None:
+        return "none"
+    if isinstance(default, tuple):
+        return ",".join(str(item) for item in default)
+    return str(default.value if hasattr(default, "value") else default).lower()
+
+
+def _parsed(name: str, value: Any) -> Any:
+    """A list of numbers for the settings that are one, the value as it is for the others."""
+    from ..simulation import ArmSimulation
+
+    if not isinstance(ArmSimulation.model_fields[name].get_default(), tuple):
+        return value
+    try:
+        return tuple(float(part) for part in str(value).split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(
+            f"--{name.replace('_', '-')} takes numbers, as 0.5,1; not '{value}'"
+        ) from None
