@@ -1,0 +1,345 @@
+"""The calibration file: versioned TOML that people can read and edit.
+
+::
+
+    format = "unocclude calibration"
+    version = 1
+
+    [arm.right]                          # or arm.left; arm.any serves both
+    upper_arm_m = 0.301
+    upper_arm_sigma_m = 0.004
+    R_F_A = [1.0, 0.0, 0.0, 0.0]         # qw, qx, qy, qz: IMU axes to forearm axes
+    accelerometer_bias = [0.0, 0.0, 0.0] # m/s^2
+    gyroscope_bias = [0.0, 0.0, 0.0]     # rad/s
+
+    [arm.right.lever_arm.elbow]          # likewise wrist, hand
+    position_m = [0.03, -0.21, 0.0]      # in the IMU's axes
+    sigma_m = [0.005, 0.005, 0.005]
+
+Every key of an arm may be absent. Other top-level tables belong to other steps of the calibration and are
+kept as they are.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import re
+import shutil
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from scipy.spatial.transform import Rotation
+
+from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.errors import CalibrationError
+from smoother.recording import FloatArray
+
+FORMAT = "unocclude calibration"
+VERSION = 1
+SIDES = ("right", "left", "any")
+
+_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Sigmas = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
+_Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Section(BaseModel):
+    """A table whose keys are all known; numbers are numbers and finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _LeverArmSection(_Section):
+    position_m: _Vector
+    sigma_m: _Sigmas
+
+
+class _ArmSection(_Section):
+    upper_arm_m: float | None = Field(default=None, gt=0)
+    upper_arm_sigma_m: float | None = Field(default=None, gt=0)
+    R_F_A: _Quaternion | None = None
+    accelerometer_bias: _Vector | None = None
+    gyroscope_bias: _Vector | None = None
+    lever_arm: dict[Literal["elbow", "wrist", "hand"], _LeverArmSection] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.upper_arm_m is None) != (self.upper_arm_sigma_m is None):
+            raise ValueError("upper_arm_m and upper_arm_sigma_m must be given together")
+        if self.R_F_A is not None and abs(np.linalg.norm(self.R_F_A) - 1) > 1e-3:
+            raise ValueError("R_F_A must be a unit quaternion [qw, qx, qy, qz]")
+        return self
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
+    """What a calibration file holds.
+
+    Attributes
+    ----------
+    arms : arm calibrations by section: "right", "left" or "any".
+    tables : the other top-level tables by name, as plain TOML values.
+    source : what to call the file in messages.
+    """
+
+    arms: dict[str, ArmCalibration] = field(default_factory=dict)
+    tables: dict[str, Any] = field(default_factory=dict)
+    source: str = "the calibration"
+
+    def arm(self, side: str = "") -> ArmCalibration:
+        """The calibration of one arm.
+
+        Parameters
+        ----------
+        side : "right" or "left"; falls back to the section `any`. "" (a recording that does not say) takes
+            `any`, or the only arm that there is.
+
+        Raises
+        ------
+        CalibrationError
+            If the file has no arm, only the other one, or two for a recording that does not say.
+        """
+        if side not in ("", "any", "right", "left"):
+            raise CalibrationError(f"The side of an arm is right, left or empty, not {side!r}.")
+        for section in (side, "any"):
+            if section in self.arms:
+                return self.arms[section]
+        if not self.arms:
+            raise CalibrationError(f"{self.source} holds no arm; add one with `unocclude calibrate forearm`.")
+        if side in ("", "any"):
+            if len(self.arms) == 1:
+                return next(iter(self.arms.values()))
+            raise CalibrationError(
+                f"{self.source} holds both arms and the recording does not say which; give --side."
+            )
+        (other,) = self.arms
+        raise CalibrationError(
+            f"{self.source} holds the {other} arm only, and the recording is of the {side} arm; "
+            f"calibrate the {side} arm or give --side {other}."
+        )
+
+    def with_arm(self, arm: ArmCalibration) -> CalibrationFile:
+        """A copy in which this arm has taken the place of the one of its side ("" is the section `any`)."""
+        return replace(self, arms={**self.arms, arm.side or "any": arm})
+
+    def with_table(self, name: str, table: dict[str, Any]) -> CalibrationFile:
+        """A copy with another top-level table, which replaces one of that name."""
+        return replace(self, tables={**self.tables, name: table})
+
+
+def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
+    """Read a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it cannot be read, is not a calibration, was written by a newer program, or a value is wrong; the
+        message names the file and the key.
+    """
+    path = Path(path)
+    document = _load(path)
+    sections = document.get("arm", {})
+    if not isinstance(sections, dict):
+        raise CalibrationError(f"Calibration {path}: arm must be a table such as [arm.right].")
+    for name in sections:
+        if name not in SIDES:
+            raise CalibrationError(f"Calibration {path}: arm.{name} is not one of {', '.join(SIDES)}.")
+    arms = {side: _to_arm(side, _check(section, f"arm.{side}", path)) for side, section in sections.items()}
+    tables = {name: value for name, value in document.items() if name not in ("format", "version", "arm")}
+    for name, value in tables.items():
+        if not isinstance(value, dict | list):
+            raise CalibrationError(f"Calibration {path}: {name} is not a key that a calibration has.")
+    return CalibrationFile(arms, tables, source=f"Calibration {path}")
+
+
+def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile) -> None:
+    """Write a calibration into a file, or merge it into the one that exists.
+
+    Of an arm, what `calibration` states replaces what the file holds, lever arms joint by joint, and what it
+    leaves open (None) is kept; so are other arms. Another table replaces the one of its name. Comments are
+    not kept. The file is replaced in one step: it is never seen half written.
+
+    Raises
+    ------
+    CalibrationError
+        If the existing file is not a calibration that can be read, a value is wrong, or the file cannot be
+        written.
+    """
+    path = Path(path)
+    held = read_calibration(path) if path.exists() else CalibrationFile()
+    arms = {side: held.arms[side] for side in SIDES if side in held.arms}
+    for side, arm in calibration.arms.items():
+        if side not in SIDES:
+            raise CalibrationError(f"Calibration {path}: arm.{side} is not one of {', '.join(SIDES)}.")
+        arms[side] = _merge(arms[side], arm) if side in arms else arm
+    sections = {side: _to_section(arm) for side, arm in arms.items()}
+    for side, section in sections.items():
+        _check(section, f"arm.{side}", path)
+    tables = {**held.tables, **calibration.tables}
+    for name in {"format", "version", "arm"} & set(tables):
+        raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
+    document = {"format": FORMAT, "version": VERSION} | ({"arm": sections} if sections else {}) | tables
+    _replace(path, to_toml(document))
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """The file as plain values, once it has shown to be a calibration of a version that we know."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
+    if document.get("format") != FORMAT:
+        raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
+    version = document.get("version")
+    if type(version) is not int or version < 1:
+        raise CalibrationError(f"Calibration {path}: version must be a whole number such as {VERSION}.")
+    if version > VERSION:
+        raise CalibrationError(
+            f"Calibration {path} has version {version} and this program knows versions up to {VERSION}; "
+            "update unocclude."
+        )
+    return document
+
+
+def _check(section: object, where: str, path: Path) -> _ArmSection:
+    if not isinstance(section, dict):
+        raise CalibrationError(f"Calibration {path}: {where} must be a table, [{where}].")
+    try:
+        return _ArmSection.model_validate(section)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join([where, *(str(part) for part in first["loc"] if part != "[key]")])
+        said = re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
+        if first["type"] == "extra_forbidden":
+            said = "this key is not known"
+        elif first["type"] == "model_type":
+            said = "this must be a table"
+        raise CalibrationError(f"Calibration {path}: {key}: {said}.") from error
+
+
+def _to_arm(side: str, section: _ArmSection) -> ArmCalibration:
+    def array(values: list[float] | None) -> FloatArray | None:
+        return None if values is None else np.array(values, dtype=np.float64)
+
+    upper_arm = None
+    if section.upper_arm_m is not None and section.upper_arm_sigma_m is not None:
+        upper_arm = Length(section.upper_arm_m, section.upper_arm_sigma_m)
+    R_F_A = None
+    if section.R_F_A is not None:
+        R_F_A = Rotation.from_quat(np.roll(section.R_F_A, -1)).as_matrix()
+    return ArmCalibration(
+        side="" if side == "any" else side,
+        lever_arms={
+            joint: LeverArm(np.array(arm.position_m, dtype=float), np.array(arm.sigma_m, dtype=float))
+            for joint, arm in section.lever_arm.items()
+        },
+        upper_arm=upper_arm,
+        R_F_A=R_F_A,
+        accelerometer_bias=array(section.accelerometer_bias),
+        gyroscope_bias=array(section.gyroscope_bias),
+    )
+
+
+def _to_section(arm: ArmCalibration) -> dict[str, Any]:
+    """The plain values of an arm; what is None is left out."""
+    section: dict[str, Any] = {}
+    if arm.upper_arm is not None:
+        section["upper_arm_m"] = float(arm.upper_arm.value_m)
+        section["upper_arm_sigma_m"] = float(arm.upper_arm.sigma_m)
+    if arm.R_F_A is not None:
+        if not np.allclose(arm.R_F_A @ arm.R_F_A.T, np.eye(3), atol=1e-6) or np.linalg.det(arm.R_F_A) < 0:
+            raise CalibrationError("R_F_A of the calibration to write is not a rotation matrix.")
+        quaternion = np.roll(Rotation.from_matrix(arm.R_F_A).as_quat(canonical=True), 1)
+        section["R_F_A"] = quaternion.tolist()
+    for name in ("accelerometer_bias", "gyroscope_bias"):
+        if (bias := getattr(arm, name)) is not None:
+            section[name] = np.asarray(bias, dtype=float).tolist()
+    if arm.lever_arms:
+        section["lever_arm"] = {
+            joint: {
+                "position_m": np.asarray(lever.position_m, dtype=float).tolist(),
+                "sigma_m": np.asarray(lever.sigma_m, dtype=float).tolist(),
+            }
+            for joint, lever in arm.lever_arms.items()
+        }
+    return section
+
+
+def _merge(held: ArmCalibration, new: ArmCalibration) -> ArmCalibration:
+    stated = {
+        name: value
+        for name in ("upper_arm", "R_F_A", "accelerometer_bias", "gyroscope_bias")
+        if (value := getattr(new, name)) is not None
+    }
+    return replace(held, lever_arms={**held.lever_arms, **new.lever_arms}, **stated)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write beside the file, then put it in its place; a link stays a link."""
+    target = path.resolve()
+    beside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        try:
+            with beside.open("w", encoding="utf-8", newline="\n") as stream:
+                stream.write(text)
+                stream.flush()
+                os.fsync(stream.fileno())
+            if target.exists():
+                shutil.copymode(target, beside)
+            beside.replace(target)
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise CalibrationError(f"Calibration {path} cannot be written: {error.strerror or error}.") from error
+
+
+def to_toml(document: dict[str, Any]) -> str:
+    """TOML text of plain values: str, bool, int, float, dates, lists, and dicts (tables, nested at will)."""
+    lines: list[str] = []
+    _emit(document, (), lines)
+    return "\n".join(lines).strip() + "\n"
+
+
+def _emit(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
+    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
+    plain = {key: value for key, value in table.items() if key not in inner}
+    if path and (plain or not inner):  # a table of tables needs no header of its own
+        lines.extend(["", f"[{'.'.join(map(_key, path))}]"])
+    lines.extend(f"{_key(key)} = {_value(value)}" for key, value in plain.items())
+    for key, value in inner.items():
+        _emit(value, (*path, key), lines)
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _string(key)
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: Any) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return repr(float(value))
+        case str():
+            return _string(value)
+        case datetime.datetime() | datetime.date() | datetime.time():
+            return value.isoformat()
+        case list() | tuple():
+            return f"[{', '.join(map(_value, value))}]"
+        case dict():
+            return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
+    raise CalibrationError(f"A calibration file cannot hold a value of type {type(value).__name__}.")

@@ -1,0 +1,264 @@
+"""The calibration file: round trips, merging, and every refusal."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from calib import CalibrationFile, read_calibration, write_calibration
+from calib.file import to_toml
+from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.errors import CalibrationError
+
+HEAD = 'format = "unocclude calibration"\nversion = 1\n'
+
+number = st.floats(-1e3, 1e3)
+positive = st.floats(1e-9, 1e3)
+vector = st.lists(number, min_size=3, max_size=3).map(np.array)
+sigmas = st.lists(positive, min_size=3, max_size=3).map(np.array)
+rotation = (
+    st.lists(st.floats(-1, 1), min_size=4, max_size=4)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(lambda q: Rotation.from_quat(q).as_matrix())
+)
+arms = st.builds(
+    ArmCalibration,
+    side=st.sampled_from(["right", "left", ""]),
+    lever_arms=st.dictionaries(
+        st.sampled_from(["elbow", "wrist", "hand"]), st.builds(LeverArm, vector, sigmas), max_size=3
+    ),
+    upper_arm=st.none() | st.builds(Length, positive, positive),
+    R_F_A=st.none() | rotation,
+    accelerometer_bias=st.none() | vector,
+    gyroscope_bias=st.none() | vector,
+)
+plain = st.recursive(
+    st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+def same(a: ArmCalibration, b: ArmCalibration) -> None:
+    assert a.side == b.side
+    assert a.upper_arm == b.upper_arm
+    assert a.lever_arms.keys() == b.lever_arms.keys()
+    for joint in a.lever_arms:
+        np.testing.assert_array_equal(a.lever_arms[joint].position_m, b.lever_arms[joint].position_m)
+        np.testing.assert_array_equal(a.lever_arms[joint].sigma_m, b.lever_arms[joint].sigma_m)
+    for name in ("R_F_A", "accelerometer_bias", "gyroscope_bias"):
+        left, right = getattr(a, name), getattr(b, name)
+        assert (left is None) == (right is None)
+        if left is not None:
+            np.testing.assert_allclose(left, right, rtol=0, atol=1e-12 if name == "R_F_A" else 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(arms, arms)
+def test_what_is_written_is_read(
+    tmp_path_factory: pytest.TempPathFactory, one: ArmCalibration, two: ArmCalibration
+):
+    path = tmp_path_factory.mktemp("calibration") / "cal.toml"
+    write_calibration(path, CalibrationFile().with_arm(one).with_arm(two))
+    back = read_calibration(path)
+    same(back.arms[two.side or "any"], two)
+    if one.side != two.side:
+        same(back.arms[one.side or "any"], one)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.dictionaries(st.text(), plain, max_size=4))
+def test_toml_of_any_plain_values(table: dict):
+    assert tomllib.loads(to_toml({"x": table})) == {"x": table}
+
+
+def test_dates_and_special_floats_pass_through():
+    text = "[x]\na = 2026-01-02T03:04:05.678Z\nb = 2026-01-02\nc = 03:04:05\nd = inf\n"
+    assert tomllib.loads(to_toml(tomllib.loads(text))) == tomllib.loads(text)
+
+
+def test_the_file_reads_well(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    arm = ArmCalibration(
+        "right",
+        {"elbow": LeverArm(np.array([0.03, -0.2, 0.0]), np.full(3, 0.005))},
+        Length(0.3, 0.004),
+        np.eye(3),
+    )
+    write_calibration(path, CalibrationFile().with_arm(arm))
+    assert path.read_text() == (
+        'format = "unocclude calibration"\n'
+        "version = 1\n"
+        "\n"
+        "[arm.right]\n"
+        "upper_arm_m = 0.3\n"
+        "upper_arm_sigma_m = 0.004\n"
+        "R_F_A = [1.0, 0.0, 0.0, 0.0]\n"
+        "\n"
+        "[arm.right.lever_arm.elbow]\n"
+        "position_m = [0.03, -0.2, 0.0]\n"
+        "sigma_m = [0.005, 0.005, 0.005]\n"
+    )
+
+
+def test_the_quaternion_is_scalar_first(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    half = np.sqrt(0.5)
+    path.write_text(HEAD + f"[arm.any]\nR_F_A = [{half}, 0.0, 0.0, {half}]\n")
+    quarter_turn = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    np.testing.assert_allclose(read_calibration(path).arm("left").R_F_A, quarter_turn, atol=1e-12)
+
+
+def test_writing_merges(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    path.write_text(
+        HEAD
+        + "# a comment\n[arm.left]\nupper_arm_m = 0.28\nupper_arm_sigma_m = 0.01\n"
+        + "[arm.right]\nupper_arm_m = 0.3\nupper_arm_sigma_m = 0.01\ngyroscope_bias = [0.1, 0, 0]\n"
+        + "[arm.right.lever_arm.elbow]\nposition_m = [0, -0.2, 0]\nsigma_m = [1, 1, 1]\n"
+        + "[camera_from_mocap]\nrotation = [1, 0, 0, 0]\n[other.deep]\nkept = [{a = 1}]\n"
+    )
+    wrist = LeverArm(np.array([0.0, 0.05, 0.0]), np.full(3, 0.002))
+    new = CalibrationFile().with_arm(ArmCalibration("right", {"wrist": wrist}, Length(0.31, 0.002)))
+    write_calibration(path, new.with_table("camera_from_mocap", {"translation": [1.0, 2.0, 3.0]}))
+    back = read_calibration(path)
+    assert back.arm("left").upper_arm == Length(0.28, 0.01)
+    right = back.arm("right")
+    assert right.upper_arm == Length(0.31, 0.002)
+    assert set(right.lever_arms) == {"elbow", "wrist"}
+    np.testing.assert_array_equal(right.gyroscope_bias, [0.1, 0, 0])
+    assert back.tables == {
+        "camera_from_mocap": {"translation": [1.0, 2.0, 3.0]},
+        "other": {"deep": {"kept": [{"a": 1}]}},
+    }
+
+
+def test_sides(tmp_path: Path):
+    right, left, both = (ArmCalibration(side) for side in ("right", "left", ""))
+    one = CalibrationFile().with_arm(right)
+    assert one.arm("right").side == "right"
+    assert one.arm("").side == "right"
+    with pytest.raises(CalibrationError, match="holds the right arm only"):
+        one.arm("left")
+    assert one.with_arm(both).arm("left").side == ""
+    assert one.with_arm(both).arm("").side == ""
+    with pytest.raises(CalibrationError, match="does not say which"):
+        one.with_arm(left).arm("")
+    with pytest.raises(CalibrationError, match="holds no arm"):
+        CalibrationFile().arm("right")
+    with pytest.raises(CalibrationError, match="'up'"):
+        one.arm("up")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = ", "is not TOML"),
+        ("version = 1", "is not a calibration"),
+        ('format = "other"\nversion = 1', "is not a calibration"),
+        ('format = "unocclude calibration"', "version must be a whole number"),
+        ('format = "unocclude calibration"\nversion = 1.0', "version must be a whole number"),
+        ('format = "unocclude calibration"\nversion = true', "version must be a whole number"),
+        ('format = "unocclude calibration"\nversion = 0', "version must be a whole number"),
+        ('format = "unocclude calibration"\nversion = 2\narm = 3', "has version 2 .* update unocclude"),
+        (HEAD + "arm = 3", "arm must be a table"),
+        (HEAD + "typo = 3", "typo is not a key"),
+        (HEAD + "[arm.both]", r"arm\.both is not one of right, left, any"),
+        (HEAD + "[arm]\nright = 3", r"arm\.right must be a table"),
+        (HEAD + "[arm.right]\nuper_arm_m = 0.3", r"arm\.right\.uper_arm_m: this key is not known"),
+        (HEAD + "[arm.right]\nupper_arm_m = 0.3", "upper_arm_m and upper_arm_sigma_m must be given together"),
+        (
+            HEAD + "[arm.right]\nupper_arm_m = 0.3\nupper_arm_sigma_m = 0",
+            r"upper_arm_sigma_m: .*greater than 0",
+        ),
+        (HEAD + "[arm.right]\nupper_arm_m = nan\nupper_arm_sigma_m = 1", r"arm\.right\.upper_arm_m: .*"),
+        (HEAD + '[arm.right]\nupper_arm_m = "0.3"\nupper_arm_sigma_m = 1', r"upper_arm_m: .*number"),
+        (HEAD + "[arm.right]\nR_F_A = [1, 1, 0, 0]", "R_F_A must be a unit quaternion"),
+        (HEAD + "[arm.right]\nR_F_A = [1, 0, 0]", r"R_F_A: .*at least 4"),
+        (HEAD + "[arm.right]\ngyroscope_bias = [1, 0, inf]", r"gyroscope_bias\.2: .*finite"),
+        (HEAD + "[arm.right]\naccelerometer_bias = [1, 0, true]", r"accelerometer_bias\.2: .*number"),
+        (
+            HEAD + "[arm.right.lever_arm.elbow]\nposition_m = [0, 0, 0]",
+            r"lever_arm\.elbow\.sigma_m: .*required",
+        ),
+        (
+            HEAD + "[arm.left.lever_arm.elbow]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, -1]",
+            r"arm\.left\.lever_arm\.elbow\.sigma_m\.2: .*greater than 0",
+        ),
+        (HEAD + "[arm.right.lever_arm]\nelbow = 3", r"lever_arm\.elbow: this must be a table"),
+        (
+            HEAD + "[arm.right.lever_arm.knee]\nposition_m = [0, 0, 0]\nsigma_m = [1, 1, 1]",
+            r"lever_arm\.knee: .*'elbow', 'wrist' or 'hand'",
+        ),
+    ],
+)
+def test_refusals_name_file_and_key(tmp_path: Path, text: str, message: str):
+    path = tmp_path / "cal.toml"
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_calibration(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "_ArmSection" not in str(caught.value)
+
+
+def test_unreadable_files(tmp_path: Path):
+    with pytest.raises(CalibrationError, match="No such file"):
+        read_calibration(tmp_path / "absent.toml")
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        read_calibration(tmp_path)
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(CalibrationError, match="is not TOML"):
+        read_calibration(tmp_path / "binary.toml")
+
+
+def test_a_failed_write_leaves_the_file_alone(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    good = CalibrationFile().with_arm(ArmCalibration("right", upper_arm=Length(0.3, 0.01)))
+    write_calibration(path, good)
+    before = path.read_bytes()
+    for bad in (
+        good.with_arm(ArmCalibration("right", upper_arm=Length(0.3, -1.0))),
+        good.with_arm(ArmCalibration("right", R_F_A=2 * np.eye(3))),
+        good.with_arm(ArmCalibration("right", R_F_A=np.full((3, 3), np.nan))),
+        good.with_arm(ArmCalibration("right", gyroscope_bias=np.array([0, np.nan, 0]))),
+        good.with_arm(ArmCalibration("up")),
+        good.with_table("arm", {}),
+        good.with_table("odd", {"value": object()}),
+    ):
+        with pytest.raises(CalibrationError):
+            write_calibration(path, bad)
+        assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["cal.toml"]
+
+
+def test_never_writes_over_what_is_not_a_calibration(tmp_path: Path):
+    path = tmp_path / "thesis.toml"
+    path.write_text("mine = true\n")
+    with pytest.raises(CalibrationError, match="is not a calibration"):
+        write_calibration(path, CalibrationFile())
+    assert path.read_text() == "mine = true\n"
+
+
+def test_writing_where_there_is_no_folder(tmp_path: Path):
+    with pytest.raises(CalibrationError, match="cannot be written: No such file"):
+        write_calibration(tmp_path / "absent" / "cal.toml", CalibrationFile())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and modes of POSIX")
+def test_a_link_stays_a_link(tmp_path: Path):
+    real, link = tmp_path / "real.toml", tmp_path / "link.toml"
+    write_calibration(real, CalibrationFile())
+    real.chmod(0o600)
+    link.symlink_to(real)
+    write_calibration(link, CalibrationFile().with_arm(ArmCalibration("left", upper_arm=Length(0.3, 0.01))))
+    assert link.is_symlink()
+    assert real.stat().st_mode & 0o777 == 0o600
+    assert read_calibration(real).arm("left").upper_arm == Length(0.3, 0.01)
