@@ -54,7 +54,7 @@ def assemble(
             place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
             joints[joint][rows], joint_covariance[joint][rows] = place, covariance
         _residuals(residual, recording.arm, offset_s, stretch, motion, calibration)
-    down = np.mean([message.gravity.mean for message in messages], axis=0)
+    down = np.mean([motion.gravity.mean(axis=0) for motion in motions], axis=0)
     return Recovery(
         method="graph",
         t_s=imu_t,
@@ -82,8 +82,8 @@ def assemble(
         config=config.model_dump(),
         figures={
             "camera_sigma_m": camera_sigma_m,
-            "accelerometer_bias": np.mean([m.bias.mean[:3] for m in messages], axis=0).tolist(),
-            "gyroscope_bias": np.mean([m.bias.mean[3:] for m in messages], axis=0).tolist(),
+            "accelerometer_bias": np.mean([m.shared.mean[:3] for m in messages], axis=0).tolist(),
+            "gyroscope_bias": np.mean([m.shared.mean[3:6] for m in messages], axis=0).tolist(),
         },
     )
 

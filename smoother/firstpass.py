@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .recording import FloatArray
-from .window import Gaussian, Message, Priors
+from .shared import Gaussian
+from .window import Message, Priors
 
 #: Slow change of the biases over a recording: m/s^2/sqrt(s) and rad/s/sqrt(s).
 SLOW_WALK = np.array([2e-3] * 3 + [5e-5] * 3)
@@ -34,7 +35,7 @@ class _Information:
         return Gaussian(covariance @ self.vector, covariance)
 
 
-def tell(messages: list[Message], prior: Priors, fallback: list[Priors] | None = None) -> list[Priors]:
+def tell(messages: list[Message], prior: Priors) -> list[Priors]:
     """The second pass's priors, one a window.
 
     Parameters
@@ -43,54 +44,19 @@ def tell(messages: list[Message], prior: Priors, fallback: list[Priors] | None =
     prior : what the first pass was told, the same for all of its windows.
     """
     t = np.array([message.t_s for message in messages])
-    bias = _others([message.bias for message in messages], prior.bias, t, SLOW_WALK)
-    gravity = _gravity(messages, prior.gravity)
-    upper_arm: list[Gaussian | None] = [prior.upper_arm] * len(messages)
-    if prior.upper_arm is not None:
-        known = [message.upper_arm or prior.upper_arm for message in messages]
-        upper_arm = list(_others(known, prior.upper_arm, t, None))
-    levers = {
-        joint: _others([message.levers.get(joint, lever) for message in messages], lever, t, None)
-        for joint, lever in prior.levers.items()
-    }
-    return [
-        replace(
-            prior,
-            bias=bias[k],
-            gravity=gravity[k],
-            upper_arm=upper_arm[k],
-            levers={joint: each[k] for joint, each in levers.items()},
-        )
-        for k in range(len(messages))
-    ]
-
-
-def _gravity(messages: list[Message], prior: Gaussian) -> list[Gaussian]:
-    """Gravity in the plane across the prior's direction."""
-    mean = np.sum([message.gravity.mean for message in messages], axis=0)
-    mean /= np.linalg.norm(mean)
-    axes = np.linalg.svd(mean[None])[2][1:]
-    flat = [
-        Gaussian(axes @ message.gravity.mean, axes @ message.gravity.covariance @ axes.T)
-        for message in messages
-    ]
-    spread = float(np.trace(prior.covariance)) / 2.0
-    told = _others(flat, Gaussian(axes @ prior.mean, np.eye(2) * spread), np.zeros(len(flat)), None)
-    answer = []
-    for each in told:
-        direction = mean + axes.T @ each.mean
-        direction /= np.linalg.norm(direction)
-        answer.append(Gaussian(direction, axes.T @ each.covariance @ axes))
-    return answer
+    walk = np.zeros(prior.layout.size)
+    walk[prior.layout.bias] = SLOW_WALK
+    told = _others([message.shared for message in messages], prior.shared, t, walk)
+    return [replace(prior, shared=each) for each in told]
 
 
 def _others(
-    answers: list[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray | None
+    answers: list[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
 ) -> list[Gaussian]:
     """For each window, what the prior and all other windows say.
 
-    Forward and backward filter in information form over the windows, the quantity constant or (walk,
-    unit/sqrt(s)) slowly wandering, each window's own deviation added.
+    Forward and backward filter in information form over the windows, each component wandering by
+    `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
     """
     size = len(prior.mean)
     before = np.linalg.inv(prior.covariance)
@@ -108,7 +74,7 @@ def _others(
         """What has been heard on the way to each window, in the sweep's order."""
         heard, out, last = nothing, {}, None
         for k in order:
-            if last is not None and walk is not None:
+            if last is not None:
                 heard = _widen(heard, np.diag(walk**2) * abs(t[k] - t[last]))
             out[k] = heard
             heard, last = heard + widened[k], k

@@ -14,8 +14,9 @@ import numpy as np
 from gtsam import Pose3, Rot3, Unit3, noiseModel
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
-from .recording import FloatArray, IntArray
-from .window import Gaussian, Window
+from .recording import JOINTS, FloatArray, IntArray
+from .shared import Layout
+from .window import Window
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
@@ -37,9 +38,8 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     biases = bias_of_intervals(window)
     _add_states(values, window)
     _add_inertia(graph, window, biases)
-    _add_bias(graph, values, window, biases)
-    _add_gravity(graph, values, window)
-    _add_joints(graph, values, window)
+    _add_shared(graph, values, window, biases)
+    _add_joints(graph, window)
     if window.shoulder is not None:
         _add_shoulder(graph, values, window)
     _add_attitude(graph, window)
@@ -85,43 +85,93 @@ def _parameters(window: Window, factor: float) -> gtsam.PreintegrationParams:
     return params
 
 
-def _add_bias(
+def shared_keys(window: Window, biases: IntArray) -> list[int]:
+    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle."""
+    layout = window.priors.layout
+    keys = [B((int(biases[-1]) + 1) // 2), G(0)]
+    keys += [U(0)] if layout.has_upper_arm else []
+    return keys + [L(JOINTS.index(joint)) for joint in layout.joints]
+
+
+def shared_jacobian(layout: Layout, down: Unit3) -> FloatArray:
+    """Shared vector's change for a change of GTSAM's own coordinates (they differ for gravity alone)."""
+    jacobian = np.eye(layout.size)
+    jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
+    return jacobian
+
+
+def _add_shared(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, biases: IntArray
 ) -> None:
-    """`PriorFactorConstantBias` in the middle, `BetweenFactorConstantBias` as a random walk."""
-    prior, count = window.priors.bias, int(biases[-1]) + 1
-    mean = gtsam.imuBias.ConstantBias(prior.mean[:3], prior.mean[3:])
+    """One joint Gaussian prior (`HessianFactor`), and the biases' random walk (`BetweenFactorConstantBias`)."""
+    priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
+    bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:6])
+    count = int(biases[-1]) + 1
     for k in range(count):
-        values.insert(B(k), mean)
-    graph.add(gtsam.PriorFactorConstantBias(B(count // 2), mean, gaussian(prior.covariance)))
-    step = np.sqrt((window.t[-1] - window.t[0]) / count)
-    walk = noiseModel.Diagonal.Sigmas(window.priors.bias_walk * step)
+        values.insert(B(k), bias)
+    walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
     for k in range(count - 1):
         graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), gtsam.imuBias.ConstantBias(), walk))
-
-
-def _add_gravity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:
-    """`PriorFactorUnit3`."""
-    prior = window.priors.gravity
-    down = Unit3(prior.mean)
-    basis = down.basis()
+    down = Unit3(layout.down(mean))
     values.insert(G(0), down)
-    graph.add(gtsam.PriorFactorUnit3(G(0), down, gaussian(basis.T @ prior.covariance @ basis)))
+    if layout.has_upper_arm:
+        values.insert(U(0), 0.0)
+    for joint in layout.joints:
+        values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
+    # the prior's mean is the start value, so only its information matrix is needed
+    jacobian = shared_jacobian(layout, down)
+    information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
+    keys = shared_keys(window, biases)
+    factor = _gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
+    at = gtsam.Values()
+    at.insert(keys[0], bias)
+    at.insert(G(0), down)
+    if layout.has_upper_arm:
+        at.insert(U(0), 0.0)
+    for joint in layout.joints:
+        at.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
+    graph.add(gtsam.LinearContainerFactor(factor, at))
 
 
-def _add_joints(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:
-    """`GPSFactorArmCalib` (lever arm a variable with a prior) or `GPSFactorArm` at the IMU itself."""
-    for number, sight in enumerate(window.sights):
-        lever = window.priors.levers.get(sight.joint)
-        if lever is not None:
-            values.insert(L(number), lever.mean)
-            graph.add(gtsam.PriorFactorPoint3(L(number), lever.mean, gaussian(lever.covariance)))
+def _blocks(layout: Layout) -> list[slice]:
+    upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
+    return [layout.bias, layout.gravity, *upper_arm, *(layout.lever(joint) for joint in layout.joints)]
+
+
+def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArray) -> gtsam.HessianFactor:
+    """A zero-mean Gaussian over any number of variables, put together from its pairs."""
+    pairs = gtsam.GaussianFactorGraph()
+    for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
+        size = rows.stop - rows.start
+        pairs.add(gtsam.HessianFactor(key, information[rows, rows], np.zeros(size), 0.0))
+        for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
+            width = columns.stop - columns.start
+            pairs.add(
+                gtsam.HessianFactor(
+                    key,
+                    other,
+                    np.zeros((size, size)),
+                    information[rows, columns],
+                    np.zeros(size),
+                    np.zeros((width, width)),
+                    np.zeros(width),
+                    0.0,
+                )
+            )
+    return gtsam.HessianFactor(pairs)
+
+
+def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+    """`GPSFactorArmCalib` (the lever arm is a variable) or `GPSFactorArm` at the IMU itself."""
+    for sight in window.sights:
+        is_lever = sight.joint in window.priors.layout.joints
+        key = L(JOINTS.index(sight.joint))
         for node, position, sigma in zip(sight.node, sight.position, sight.sigma_m, strict=True):
             model = robust(float(sigma), window.noise.huber)
-            if lever is None:
-                graph.add(gtsam.GPSFactorArm(X(node), position, np.zeros(3), model))
+            if is_lever:
+                graph.add(gtsam.GPSFactorArmCalib(X(node), key, position, model))
             else:
-                graph.add(gtsam.GPSFactorArmCalib(X(node), L(number), position, model))
+                graph.add(gtsam.GPSFactorArm(X(node), position, np.zeros(3), model))
 
 
 def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:
@@ -137,17 +187,15 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
     for k, gap_s in enumerate(gaps):
         walk = isotropic(3, round(noise.shoulder_walk * float(np.sqrt(gap_s)), 6))
         graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), np.zeros(3), walk))
-    elbow, upper_arm = window.priors.levers.get("elbow"), window.priors.upper_arm
-    if elbow is None or upper_arm is None:
-        if not np.isfinite(shoulder.position[:, 0]).any():
-            graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
+    if not np.isfinite(shoulder.position[:, 0]).any():
+        graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
+    layout, mean = window.priors.layout, window.priors.shared.mean
+    if not layout.has_upper_arm:
         return
     # `RangeFactorWithTransformBias3D`: the length's correction is the variable U
-    length = float(upper_arm.mean[0])
-    values.insert(U(0), 0.0)
-    graph.addPriorDouble(U(0), 0.0, gaussian(upper_arm.covariance))
+    length = float(mean[layout.upper_arm][0])
+    at_elbow = Pose3(Rot3(), mean[layout.lever("elbow")])
     model = isotropic(1, noise.upper_arm_sigma_m)
-    at_elbow = Pose3(Rot3(), elbow.mean)
     for k, node in enumerate(shoulder.node):
         graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, model, at_elbow))
 
@@ -174,9 +222,3 @@ def isotropic(dimension: int, sigma: float) -> noiseModel.Isotropic:
 def robust(sigma_m: float, huber: float) -> noiseModel.Robust:
     """Huber's loss on a point of the camera (Huber, Ann. Math. Statist. 1964)."""
     return noiseModel.Robust.Create(noiseModel.mEstimator.Huber.Create(huber), isotropic(3, sigma_m))
-
-
-def gravity_covariance(direction: Unit3, covariance: FloatArray) -> Gaussian:
-    """A `Unit3` marginal (2 x 2 in its own basis) as mean (3,) and covariance (3, 3) in {K}."""
-    basis = direction.basis()
-    return Gaussian(direction.point3(), basis @ covariance @ basis.T)

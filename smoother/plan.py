@@ -91,7 +91,7 @@ def cut(
                 t=t,
                 core_start_s=a,
                 core_end_s=b,
-                inertia=_inertia(stretch.signal, t, prior.bias.mean),
+                inertia=_inertia(stretch.signal, t, prior.shared.mean[prior.layout.bias]),
                 sights=_sights(stretch, lo, hi),
                 shoulder=_shoulder(stretch, lo, hi),
                 start=start,

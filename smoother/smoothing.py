@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .assemble import assemble
-from .calibration import ArmCalibration
+from .calibration import ArmCalibration, Length
 from .config import Config
 from .errors import CalibrationError, SolveError
 from .firstpass import tell
@@ -21,7 +21,11 @@ from .recording import FOREARM_JOINTS, JOINTS, FloatArray, Recording
 from .result import Recovery
 from .start import Alignment, InertialAttitude
 from .timing import split_at_pauses
-from .window import Gaussian, Noise, Priors, Solution, Window
+from .shared import Gaussian, Layout, axes_across
+from .window import Noise, Priors, Solution, Window
+
+#: How well gravity's direction is known before the first pass, rad.
+GRAVITY_SIGMA_RAD = 0.2
 
 Progress = Callable[[float, str], None]
 
@@ -137,21 +141,23 @@ def _first_priors(
     if calibration.accelerometer_bias is not None:
         bias[:3] = calibration.accelerometer_bias
     sigma = np.repeat([config.imu.accelerometer_bias_sigma, config.imu.gyroscope_bias_sigma], 3)
-    upper_arm = calibration.upper_arm
-    length, length_sigma = config.arm.upper_arm_m, config.arm.upper_arm_sigma_m
-    if upper_arm is not None:
-        length, length_sigma = upper_arm.value_m, upper_arm.sigma_m
     has_shoulder = any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches)
-    return Priors(
-        bias=Gaussian(bias, np.diag(sigma**2)),
-        bias_walk=np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3),
-        gravity=Gaussian(down / np.linalg.norm(down), np.eye(3) * 0.2**2),
-        upper_arm=Gaussian(np.array([length]), np.array([[length_sigma**2]])) if has_shoulder else None,
-        levers={
-            joint: Gaussian(lever.position_m, np.diag(lever.sigma_m**2))
-            for joint, lever in calibration.lever_arms.items()
-        },
+    layout = Layout(
+        joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
+        has_upper_arm=has_shoulder and "elbow" in calibration.lever_arms,
+        gravity_axes=axes_across(down),
     )
+    mean, variance = np.zeros(layout.size), np.ones(layout.size)
+    mean[layout.bias], variance[layout.bias] = bias, sigma**2
+    variance[layout.gravity] = GRAVITY_SIGMA_RAD**2
+    if layout.has_upper_arm:
+        known = calibration.upper_arm or Length(config.arm.upper_arm_m, config.arm.upper_arm_sigma_m)
+        mean[layout.upper_arm], variance[layout.upper_arm] = known.value_m, known.sigma_m**2
+    for joint in layout.joints:
+        lever = calibration.lever_arms[joint]
+        mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
+    walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
+    return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
 
 
 def _solve(

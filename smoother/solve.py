@@ -7,9 +7,10 @@ import numpy as np
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from .errors import SolveError
-from .graph import bias_of_intervals, build, gravity_covariance
-from .recording import FloatArray, IntArray
-from .window import Gaussian, Message, Solution, States, Window
+from .graph import bias_of_intervals, build, shared_jacobian, shared_keys
+from .recording import JOINTS, FloatArray, IntArray
+from .shared import Gaussian
+from .window import Message, Solution, States, Window
 
 #: The optimiser stops when an iteration lowers the error by less than this part of it.
 RELATIVE_TOLERANCE = 1e-4
@@ -111,33 +112,31 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
 def _message(
     values: gtsam.Values, marginals: gtsam.Marginals, window: Window, biases: IntArray
 ) -> Message:
-    middle = (int(biases[-1]) + 1) // 2
-    gravity = values.atUnit3(G(0))
-    levers = {
-        sight.joint: Gaussian(values.atPoint3(L(k)), marginals.marginalCovariance(L(k)))
-        for k, sight in enumerate(window.sights)
-        if sight.joint in window.priors.levers
-    }
-    upper_arm = None
-    if values.exists(U(0)):
-        assert window.priors.upper_arm is not None
-        upper_arm = Gaussian(
-            window.priors.upper_arm.mean + values.atDouble(U(0)), marginals.marginalCovariance(U(0))
-        )
+    """The shared variables, jointly, in the shared vector's coordinates."""
+    layout = window.priors.layout
+    keys = shared_keys(window, biases)
+    down = values.atUnit3(G(0))
+    mean = np.empty(layout.size)
+    mean[layout.bias] = values.atConstantBias(keys[0]).vector()
+    mean[layout.gravity] = layout.gravity_axes @ down.point3()
+    if layout.has_upper_arm:
+        mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] + values.atDouble(U(0))
+    for joint in layout.joints:
+        mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
+    joint_marginal = marginals.jointMarginalCovariance(keys)
+    covariance = np.block([[joint_marginal.at(a, b) for b in keys] for a in keys])
+    jacobian = shared_jacobian(layout, down)
     return Message(
         t_s=float(0.5 * (window.t[0] + window.t[-1])),
-        bias=Gaussian(values.atConstantBias(B(middle)).vector(), marginals.marginalCovariance(B(middle))),
-        gravity=gravity_covariance(gravity, marginals.marginalCovariance(G(0))),
-        upper_arm=upper_arm,
-        levers=levers,
+        shared=Gaussian(mean, jacobian @ covariance @ jacobian.T),
     )
 
 
 def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str, FloatArray]:
     residuals = {}
-    for number, sight in enumerate(window.sights):
-        lever = values.atPoint3(L(number)) if sight.joint in window.priors.levers else np.zeros(3)
+    for sight in window.sights:
+        key = L(JOINTS.index(sight.joint))
+        lever = values.atPoint3(key) if sight.joint in window.priors.layout.joints else np.zeros(3)
         answer = states.p[sight.node] + states.R[sight.node] @ lever
         residuals[sight.joint] = sight.position - answer
     return residuals
-

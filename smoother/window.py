@@ -10,14 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .recording import FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """A mean and its covariance."""
-
-    mean: FloatArray
-    covariance: FloatArray
+from .shared import Gaussian, Layout
 
 
 @dataclass(frozen=True)
@@ -26,18 +19,14 @@ class Priors:
 
     Attributes
     ----------
-    bias : (6,) accelerometer m/s^2 and gyroscope rad/s in {A}, at the window's middle.
-    bias_walk : (6,) how far the bias wanders, unit/sqrt(s).
-    gravity : mean (3,) unit vector of down in {K}, covariance (3, 3) rad^2, across it.
-    upper_arm : m and m^2, mean (1,) and covariance (1, 1); None without a shoulder.
-    levers : by joint, (3,) m in {A}; a joint that is the IMU itself is not named.
+    layout : where each stands in the vector.
+    shared : the vector, bias at the window's middle.
+    bias_walk : (6,) how far the bias wanders inside the window, unit/sqrt(s).
     """
 
-    bias: Gaussian
+    layout: Layout
+    shared: Gaussian
     bias_walk: FloatArray
-    gravity: Gaussian
-    upper_arm: Gaussian | None
-    levers: dict[str, Gaussian]
 
 
 @dataclass(frozen=True)
@@ -141,21 +130,10 @@ class Window:
 
 @dataclass(frozen=True)
 class Message:
-    """What a window's own data say of the shared quantities: posterior, prior still inside.
-
-    Attributes
-    ----------
-    t_s : time of the bias, s.
-    bias, gravity : posterior (mean, covariance), gravity's covariance (3, 3) across it.
-    upper_arm : posterior, or None.
-    levers : posterior by joint.
-    """
+    """What a window found of the shared quantities: posterior, prior still inside, bias at t_s."""
 
     t_s: float
-    bias: Gaussian
-    gravity: Gaussian
-    upper_arm: Gaussian | None
-    levers: dict[str, Gaussian]
+    shared: Gaussian
 
 
 @dataclass(frozen=True)
