@@ -44,6 +44,15 @@ FORMAT = "unocclude calibration"
 VERSION = 1
 SIDES = ("right", "left", "any")
 
+#: What to say instead of pydantic's own words, by its name of the error.
+_SAID = {
+    "extra_forbidden": "this key is not known",
+    "missing": "this key is missing",
+    "model_type": "this must be a table",
+    "too_short": "this list is too short",
+    "too_long": "this list is too long",
+}
+
 _Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Sigmas = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -217,11 +226,7 @@ def _check(section: object, where: str, path: Path) -> _ArmSection:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join([where, *(str(part) for part in first["loc"] if part != "[key]")])
-        said = re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
-        if first["type"] == "extra_forbidden":
-            said = "this key is not known"
-        elif first["type"] == "model_type":
-            said = "this must be a table"
+        said = _SAID.get(first["type"]) or re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
         raise CalibrationError(f"Calibration {path}: {key}: {said}.") from error
 
 

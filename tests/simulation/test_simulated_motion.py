@@ -1,0 +1,232 @@
+"""The simulated motion: exact physics, plausible people, occlusions, truth that fits the calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from smoother.recording import CameraFrame, JointState, Truth
+from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
+from smoother.simulation.gaps import runs
+
+SEEDS = range(25)
+
+
+@pytest.fixture(scope="module")
+def people() -> list[SimulatedArm]:
+    return [simulate_arm(ArmSimulation.preset("clean"), seed) for seed in SEEDS]
+
+
+def rotations(truth: Truth) -> Rotation:
+    return Rotation.from_quat(np.roll(truth.quaternion, -1, axis=1))
+
+
+def integrate(simulated: SimulatedArm, begin: int, end: int, shift_s: float = 0.0) -> tuple[float, float]:
+    """Error (m, rad) after strapdown integration from sample `begin` to `end`, stamps shifted by `shift_s`.
+
+    The sums of averages are exact integrals at the ends of the samples; a quintic spline through them gives
+    the momentary values.
+    """
+    imu, truth = simulated.ideal_imu, simulated.recording.truth
+    assert truth is not None
+    step = 1.0 / imu.rate_hz
+    edges = np.concatenate([[imu.t_s[0] - step / 2], imu.t_s + step / 2]) + shift_s
+    sums = np.concatenate([np.zeros((1, 6)), np.cumsum(np.hstack([imu.acc, imu.gyro]) * step, axis=0)])
+    momentary = make_interp_spline(edges, sums, k=5).derivative()
+
+    position = make_interp_spline(truth.t_s, truth.position, k=5)
+    t0, t1 = truth.t_s[begin], truth.t_s[end]
+    fine = 2000
+    h = (t1 - t0) / fine
+    middle = momentary(t0 + h * (np.arange(fine) + 0.5))
+    turn = Rotation.from_rotvec(momentary(t0 + h * (np.arange(fine) + 0.5))[:, 3:] * h)
+    half = Rotation.from_rotvec(middle[:, 3:] * h / 2)
+    attitude = rotations(truth)[begin]
+    p, v = position(t0), position.derivative()(t0)
+    gravity = simulated.parameters["gravity"]
+    for k in range(fine):
+        a = (attitude * half[k]).apply(middle[k, :3]) + gravity
+        p, v = p + h * v + h * h / 2 * a, v + h * a
+        attitude = attitude * turn[k]
+    off = (attitude.inv() * rotations(truth)[end]).magnitude()
+    return float(np.linalg.norm(p - truth.position[end])), float(off)
+
+
+CASES = {
+    "right": lambda: simulate_arm(ArmSimulation.preset("clean", repetitions=1), 0),
+    "left, optical": lambda: simulate_arm(
+        ArmSimulation.preset("clean", repetitions=1, side="left", camera_frame="optical"), 1
+    ),
+    "wobbling strap, z up, 200 Hz": lambda: simulate_arm(
+        ArmSimulation.preset("clean", repetitions=1, wobble_deg=3, camera_frame="zup", imu_rate_hz=200), 2
+    ),
+    "random": lambda: simulate_arm(ArmSimulation.preset("clean", protocol="random", duration_s=20), 3),
+    "point": lambda: simulate_point(PointSimulation.preset("clean", duration_s=20, tilt_deg=5), 4),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_integrated_samples_reproduce_the_truth(case: str):
+    """Sub-millimetre over 2 s in motion: forces, rates, gravity, frames and stamps all agree."""
+    simulated = CASES[case]()
+    rate = round(simulated.ideal_imu.rate_hz)
+    for start_s in (3.7, 8.6, 11.5):  # the movements of `behind` (and any time of the others)
+        begin = round(start_s * rate)
+        position, attitude = integrate(simulated, begin, begin + 2 * rate)
+        assert position < 0.5e-3
+        assert attitude < 2e-4
+
+
+def test_the_stamp_is_the_centre_of_the_sample():
+    simulated = CASES["right"]()
+    begin = round(3.7 * 80)
+    right = integrate(simulated, begin, begin + 160)[0]
+    for half_sample in (-0.5 / 80, 0.5 / 80):
+        assert integrate(simulated, begin, begin + 160, half_sample)[0] > 20 * right
+
+
+def test_at_rest_the_accelerometer_shows_gravity_upwards():
+    simulated = simulate_arm(ArmSimulation.preset("clean", still_all=True, repetitions=1), 0)
+    acc, truth = simulated.recording.imu.acc, simulated.recording.truth
+    assert truth is not None
+    up = rotations(truth).apply(acc)
+    np.testing.assert_allclose(up, -np.tile(simulated.parameters["gravity"], (len(up), 1)), atol=1e-6)
+    np.testing.assert_allclose(simulated.recording.imu.gyro, 0, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(truth.position, axis=0), 0, atol=1e-12)
+    assert not simulated.occluded.any()
+
+
+@pytest.mark.parametrize("frame", list(CameraFrame))
+def test_gravity_is_3_to_10_degrees_off_the_camera(frame: CameraFrame):
+    for seed in range(5):
+        config = ArmSimulation.preset("clean", still_all=True, repetitions=1, camera_frame=frame)
+        gravity = simulate_arm(config, seed).parameters["gravity"]
+        assert np.linalg.norm(gravity) == pytest.approx(9.81)
+        tilt = np.degrees(np.arccos(gravity @ frame.down / 9.81))
+        assert 3 <= tilt <= 10
+
+
+def test_people_and_their_movements_are_plausible(people: list[SimulatedArm]):
+    measures = np.array([[p.parameters["upper_arm_m"], p.parameters["forearm_m"]] for p in people])
+    assert measures.min(axis=0) == pytest.approx([0.26, 0.23], abs=0.02)
+    assert measures.max(axis=0) == pytest.approx([0.34, 0.28], abs=0.02)
+    peaks = []
+    for person in people:
+        truth = person.recording.truth
+        assert truth is not None
+        speed = np.linalg.norm(np.gradient(truth.joints["wrist"], truth.t_s, axis=0), axis=1)
+        peaks.append([speed.max(), np.linalg.norm(person.ideal_imu.gyro, axis=1).max()])
+        assert 1.8 < truth.joints["shoulder"][:, 2].mean() < 2.2
+    peaks_m_s, peaks_rad_s = np.transpose(peaks)
+    assert peaks_m_s.min() > 1.0 and peaks_m_s.max() < 2.6
+    assert peaks_rad_s.min() > 3.0 and peaks_rad_s.max() < 15.0
+
+
+def test_two_occlusions_a_repetition_of_one_to_three_seconds(people: list[SimulatedArm]):
+    for person in people:
+        gaps = runs(person.occluded)
+        assert len(gaps) == 4
+        for gap in gaps:
+            assert 1.0 <= (gap.stop - gap.start) / 30 <= 3.0
+        tracks, hidden = person.recording.arm, person.occluded
+        for joint in ("wrist", "hand"):
+            np.testing.assert_array_equal(tracks.tracked(joint), ~hidden)
+        # The elbow may stay a little longer, never come back earlier.
+        assert (tracks.tracked("elbow") & hidden).sum() <= 4 * 3
+        assert tracks.tracked("shoulder").all()
+        assert np.isnan(tracks.joint("wrist")[hidden]).all()
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_truth_fits_the_calibration(side: str):
+    simulated = simulate_arm(ArmSimulation.preset("clean", side=side, repetitions=1), 5)
+    truth, calibration = simulated.recording.truth, simulated.calibration
+    assert truth is not None and calibration.upper_arm is not None and calibration.R_F_A is not None
+    R_K_A = rotations(truth)
+    for joint, lever in calibration.lever_arms.items():
+        place = truth.position + R_K_A.apply(lever.position_m)
+        np.testing.assert_allclose(place, truth.joints[joint], atol=1e-9)
+    upper = np.linalg.norm(truth.joints["elbow"] - truth.joints["shoulder"], axis=1)
+    np.testing.assert_allclose(upper, calibration.upper_arm.value_m, atol=1e-9)
+    along = calibration.forearm_direction
+    assert along is not None
+    np.testing.assert_allclose(calibration.R_F_A @ along, [0, 1, 0], atol=1e-9)
+    # In the first pose the palm faces the camera: the hand's back points away from it, the person's right
+    # shoulder is on the camera's left (+x), the thumb of the right hand towards the head (-x).
+    R_K_F = (R_K_A[40] * Rotation.from_matrix(calibration.R_F_A).inv()).as_matrix()
+    assert R_K_F[2, 0] > 0.8
+    assert R_K_F[1, 1] > 0.8
+    outward = 1 if side == "right" else -1
+    assert outward * truth.joints["shoulder"][:, 0].mean() > 0
+    assert outward * truth.joints["elbow"][40, 0] > outward * truth.joints["shoulder"][40, 0] + 0.15
+    assert R_K_F[0, 2] < -0.8  # on the left arm z is the little finger's side, so again -x
+
+
+def test_quaternions_keep_their_sign(people: list[SimulatedArm]):
+    for person in people:
+        q = person.recording.truth.quaternion
+        assert ((q[1:] * q[:-1]).sum(axis=1) > 0.9).all()
+        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-12)
+
+
+def test_camera_frames_are_the_same_motion_in_other_axes():
+    kinect = simulate_arm(ArmSimulation.preset("clean", repetitions=1), 3).recording.truth
+    optical = simulate_arm(
+        ArmSimulation.preset("clean", repetitions=1, camera_frame="optical"), 3
+    ).recording.truth
+    zup = simulate_arm(ArmSimulation.preset("clean", repetitions=1, camera_frame="zup"), 3).recording.truth
+    np.testing.assert_allclose(optical.position, kinect.position * [-1, -1, 1], atol=1e-12)
+    np.testing.assert_allclose(zup.position, kinect.position[:, [2, 0, 1]], atol=1e-12)
+
+
+def test_a_still_start_is_still():
+    simulated = simulate_arm(ArmSimulation.preset("clean", still_start_s=4, repetitions=1), 0)
+    imu, truth = simulated.recording.imu, simulated.recording.truth
+    still = imu.t_s < 3.95
+    np.testing.assert_allclose(imu.gyro[still], 0, atol=1e-6)
+    assert np.ptp(truth.position[still], axis=0).max() < 1e-6
+    assert truth.joints["wrist"][still, 1].max() < truth.joints["shoulder"][still, 1].min() - 0.3
+    assert np.ptp(truth.position[~still], axis=0).max() > 0.5
+    assert len(runs(simulated.occluded)) == 2
+
+
+def test_the_hanging_arm_lives():
+    simulated = simulate_arm(ArmSimulation.preset("clean", protocol="hang", duration_s=10), 0)
+    assert 0.001 < simulated.recording.truth.position.std(axis=0).max() < 0.05
+    assert not simulated.occluded.any()
+
+
+def test_random_occlusions_have_the_lengths_asked_for():
+    config = ArmSimulation.preset("clean", protocol="random", duration_s=200, occlusion_lengths_s=(0.5, 2.0))
+    simulated = simulate_arm(config, 1)
+    lengths = np.array([(gap.stop - gap.start) / 30 for gap in runs(simulated.occluded)])
+    assert 20 <= len(lengths) <= 45
+    near = np.abs(lengths[:, None] - [0.5, 2.0]).min(axis=1)
+    assert near.max() < 1.01 / 30  # a length is whole frames
+    none = simulate_arm(ArmSimulation.preset("clean", protocol="random", occlusion_lengths_s=()), 1)
+    assert not none.occluded.any()
+
+
+def test_a_point_is_a_strap_alone():
+    simulated = simulate_point(PointSimulation.preset("clean"), 0)
+    recording = simulated.recording
+    assert recording.arm.present == ("strap",)
+    assert (recording.camera_frame, recording.side) == (CameraFrame.ZUP, "")
+    assert simulated.calibration.lever_arms == {}
+    assert simulated.occluded.any()
+    np.testing.assert_array_equal(recording.arm.tracked("strap"), ~simulated.occluded)
+    at = make_interp_spline(recording.truth.t_s, recording.truth.position, k=5)
+    seen = recording.arm.tracked("strap") & (recording.arm.t_s > 0.1) & (recording.arm.t_s < 29.9)
+    np.testing.assert_allclose(recording.arm.joint("strap")[seen], at(recording.arm.t_s[seen]), atol=1e-5)
+
+
+def test_six_minutes_come_quickly():
+    import time
+
+    begin = time.process_time()
+    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=360), 0)
+    assert time.process_time() - begin < 10  # about 1 s; a loop over samples would take a minute
+    assert len(simulated.recording.imu) == 360 * 80
+    assert (simulated.recording.arm.state[:, 1] == JointState.TRACKED).mean() > 0.5
