@@ -1,0 +1,317 @@
+"""Every simulated error has the size and the memory it claims, and is off where it is switched off.
+
+Tolerances: a standard deviation estimated from n independent values scatters by 1 / sqrt(2 n) of itself;
+the tests allow five times that or more, so that a change of random numbers does not break them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from smoother.recording import JOINTS, JointState
+from smoother.simulation import (
+    ArmSimulation,
+    PointSimulation,
+    Preset,
+    SimulatedArm,
+    simulate_arm,
+    simulate_point,
+)
+from smoother.simulation.gaps import runs
+
+SHOULDER, ELBOW, WRIST, HAND, STRAP = range(5)
+
+
+def make(seed: int = 0, **changes: Any) -> SimulatedArm:
+    """A minute and a half of random motion without any error but those given."""
+    defaults = {"protocol": "random", "duration_s": 90.0, "occlusion_lengths_s": ()}
+    return simulate_arm(ArmSimulation.preset("clean", **{**defaults, **changes}), seed)
+
+
+def residual(simulated: SimulatedArm, latency_s: float = 0.0) -> np.ndarray:
+    """(F, 4, 3) camera minus truth at the moment of exposure, frames near the ends left out."""
+    tracks, truth = simulated.recording.arm, simulated.recording.truth
+    assert truth is not None
+    moment = tracks.t_s - latency_s
+    inside = (moment > 0.2) & (moment < truth.t_s[-1] - 0.2)
+    at = [make_interp_spline(truth.t_s, truth.joints[joint], k=5)(moment[inside]) for joint in JOINTS[:4]]
+    return tracks.position[inside, :4] - np.stack(at, axis=1)
+
+
+def test_clean_is_clean():
+    simulated = make()
+    np.testing.assert_allclose(residual(simulated), 0, atol=2e-5)  # the test's own interpolation
+    np.testing.assert_array_equal(simulated.recording.imu.acc, simulated.ideal_imu.acc)
+    np.testing.assert_array_equal(simulated.recording.imu.gyro, simulated.ideal_imu.gyro)
+    np.testing.assert_allclose(np.diff(simulated.recording.arm.t_s), 1 / 30, atol=1e-9)
+    assert (simulated.recording.arm.state[:, :4] == JointState.TRACKED).all()
+
+
+def test_white_noise():
+    noise = residual(make(noise_m=0.008)).reshape(-1, 12)
+    np.testing.assert_allclose(noise.std(axis=0), 0.008, rtol=0.08)
+    np.testing.assert_allclose(noise.mean(axis=0), 0, atol=5 * 0.008 / np.sqrt(len(noise)))
+    lag_one = (noise[1:] * noise[:-1]).mean(axis=0) / 0.008**2
+    np.testing.assert_allclose(lag_one, 0, atol=5 / np.sqrt(len(noise)))
+    assert abs(np.corrcoef(noise.T)[np.triu_indices(12, 1)]).max() < 0.12
+
+
+def test_correlated_noise_has_its_time_constant():
+    noise = residual(make(noise_correlated_m=0.008, noise_correlated_s=0.3, duration_s=600)).reshape(-1, 12)
+    # 600 s hold about 1000 independent values at this memory.
+    np.testing.assert_allclose(noise.std(axis=0), 0.008, rtol=0.12)
+    for frames in (3, 9, 18):
+        measured = (noise[frames:] * noise[:-frames]).mean() / 0.008**2  # mean of twelve tracks
+        assert measured == pytest.approx(np.exp(-frames / 30 / 0.3), abs=0.06)
+
+
+def test_correlated_noise_is_stationary_from_the_first_frame():
+    first = [make(seed, noise_correlated_m=0.01, duration_s=2).recording.arm for seed in range(60)]
+    clean = [make(seed, duration_s=2).recording.arm for seed in range(60)]
+    drawn = np.array([(a.position - b.position)[0, :4] for a, b in zip(first, clean, strict=True)])
+    assert drawn.std() == pytest.approx(0.01, rel=0.15)  # 720 values
+
+
+def test_depth_noise_lies_along_the_ray_and_grows_with_distance():
+    sigma = {}
+    for distance in (1.5, 3.0):
+        simulated = make(noise_depth_m=0.01, distance_m=distance)
+        noise = residual(simulated)
+        ray = simulated.recording.truth.joints["shoulder"].mean(axis=0)
+        ray /= np.linalg.norm(ray)
+        along = noise[:, SHOULDER] @ ray
+        across = noise[:, SHOULDER] - along[:, None] * ray
+        assert across.std() < 0.05 * along.std()  # the shoulder sways a little off its mean ray
+        true_distance = np.linalg.norm(simulated.recording.truth.joints["shoulder"].mean(axis=0))
+        assert along.std() == pytest.approx(0.01 * (true_distance / 2) ** 2, rel=0.1)
+        sigma[distance] = along.std()
+    assert sigma[3.0] > 3 * sigma[1.5]
+
+
+def test_joint_biases_are_constant_and_told():
+    drawn = []
+    for seed in range(25):
+        simulated = make(seed, joint_bias_m=0.008, duration_s=3)
+        off = residual(simulated)
+        for column, joint in enumerate(JOINTS[:4]):
+            told = simulated.parameters["joint_bias"][joint]
+            np.testing.assert_allclose(off[:, column], np.tile(told, (len(off), 1)), atol=5e-5)
+            drawn.append(told)
+    assert np.std(drawn) == pytest.approx(0.008, rel=0.2)  # 300 values
+
+
+def test_late_stamps_and_the_sign_of_the_offset():
+    simulated = make(latency_s=0.02)
+    assert simulated.parameters["clock_offset_s"] == -0.02  # t_imu = t_camera + offset
+    np.testing.assert_allclose(residual(simulated, latency_s=0.02), 0, atol=2e-5)
+    assert residual(simulated)[:, WRIST].std() > 0.005  # half a metre a second for 20 ms
+
+
+def test_frame_jitter_keeps_the_order():
+    exact = make().recording.arm.t_s
+    jitter = make(frame_jitter_s=0.003).recording.arm.t_s - exact
+    assert jitter.std() == pytest.approx(0.003, rel=0.1)
+    assert (np.diff(make(frame_jitter_s=0.1).recording.arm.t_s) > 0).all()
+
+
+def test_dropped_frames():
+    simulated = make(dropped_frames=0.1)
+    whole = make().recording.arm.t_s
+    assert len(simulated.recording.arm) / len(whole) == pytest.approx(0.9, abs=0.03)  # sigma 0.006
+    assert len(simulated.occluded) == len(simulated.recording.arm)
+    assert np.isin(simulated.recording.arm.t_s, whole).all()
+
+
+def test_outliers():
+    simulated = make(outliers=0.02, outlier_m=0.3, occlusion_lengths_s=(1.0,))
+    off = np.linalg.norm(residual(simulated), axis=2)
+    wrong = off > 0.01
+    assert wrong.sum() / np.isfinite(off).sum() == pytest.approx(0.02, abs=0.006)  # sigma 0.0014
+    np.testing.assert_allclose(off[wrong], 0.3, atol=1e-3)
+    assert simulated.parameters["outliers"] >= wrong.sum()
+
+
+def test_imu_noise_density():
+    simulated = make(accelerometer_noise=0.003, gyroscope_noise=0.0003, imu_rate_hz=100)
+    imu, ideal = simulated.recording.imu, simulated.ideal_imu
+    np.testing.assert_allclose((imu.acc - ideal.acc).std(axis=0), 0.003 * 10, rtol=0.05)
+    np.testing.assert_allclose((imu.gyro - ideal.gyro).std(axis=0), 0.0003 * 10, rtol=0.05)
+
+
+def test_imu_biases_are_told_and_walk():
+    first, steps = [], []
+    for seed in range(40):
+        simulated = make(seed, accelerometer_bias=0.05, gyroscope_walk=0.002, duration_s=9)
+        imu, ideal, told = simulated.recording.imu, simulated.ideal_imu, simulated.parameters
+        np.testing.assert_allclose(imu.acc - ideal.acc, told["accelerometer_bias_t"], atol=1e-12)
+        np.testing.assert_allclose(imu.gyro - ideal.gyro, told["gyroscope_bias_t"], atol=1e-12)
+        np.testing.assert_allclose((imu.acc - ideal.acc).mean(axis=0), told["accelerometer_bias"])
+        first.append(told["accelerometer_bias_t"][0])
+        steps.append(told["gyroscope_bias_t"][-1])
+    assert np.std(first) == pytest.approx(0.05, rel=0.3)  # 120 values
+    assert np.std(steps) == pytest.approx(0.002 * np.sqrt(9), rel=0.3)
+
+
+def test_scale_and_misalignment():
+    scales, crosses = [], []
+    for seed in range(30):
+        simulated = make(seed, imu_scale=0.003, imu_misalignment_deg=0.2, duration_s=3)
+        for sensor, measured, true in (
+            ("accelerometer", simulated.recording.imu.acc, simulated.ideal_imu.acc),
+            ("gyroscope", simulated.recording.imu.gyro, simulated.ideal_imu.gyro),
+        ):
+            matrix = simulated.parameters[f"{sensor}_matrix"]
+            np.testing.assert_allclose(measured, true @ matrix.T, atol=1e-12)
+            scales.extend(np.diag(matrix) - 1)
+            crosses.extend(matrix[~np.eye(3, dtype=bool)])
+    assert np.std(scales) == pytest.approx(0.003, rel=0.25)  # 180 values
+    assert np.std(crosses) == pytest.approx(np.radians(0.2), rel=0.2)
+
+
+def test_saturation():
+    imu = make(accelerometer_range=10.0, gyroscope_range=2.0).recording.imu
+    assert np.abs(imu.acc).max() == 10.0
+    assert np.abs(imu.gyro).max() == 2.0
+
+
+def test_wobble_turns_the_sensor_about_the_arm():
+    simulated = make(wobble_deg=2.3, duration_s=120)
+    truth, calibration = simulated.recording.truth, simulated.calibration
+    assert truth is not None and calibration.R_F_A is not None
+    R_K_A = Rotation.from_quat(np.roll(truth.quaternion, -1, axis=1))
+    still = make(duration_s=120).recording.truth
+    assert still is not None
+    np.testing.assert_allclose(truth.joints["wrist"], still.joints["wrist"], atol=1e-9)
+    turned = (Rotation.from_quat(np.roll(still.quaternion, -1, axis=1)).inv() * R_K_A).as_rotvec(degrees=True)
+    assert np.sqrt((turned**2).sum(axis=1).mean()) == pytest.approx(2.3, rel=0.02)
+    np.testing.assert_allclose(turned.mean(axis=0), 0, atol=0.15)
+    # Mostly about the forearm's axis, slowly, and the sensor moves with it by its radius.
+    about_arm = turned @ calibration.R_F_A[1]
+    assert (about_arm**2).mean() == pytest.approx(0.6 * 2.3**2, rel=0.05)
+    assert np.abs(np.diff(turned, axis=0)).max() * 80 < 30  # degrees a second
+    moved = np.linalg.norm(truth.position - still.position, axis=1)
+    assert 0.0005 < np.sqrt((moved**2).mean()) < 0.042 * np.radians(2.3) + 1e-4
+    # It follows the movement: directions of the limbs, smoothed and 0.2 s before, explain most of it.
+    joints = still.joints
+    limbs = np.hstack([joints["elbow"] - joints["shoulder"], joints["wrist"] - joints["elbow"]])
+    limbs = gaussian_filter1d(limbs, 0.2 * 80, axis=0)[:-16]
+    features = np.hstack([limbs, limbs**2, limbs[:, :3] * limbs[:, 3:], np.ones((len(limbs), 1))])
+    left = about_arm[16:] - features @ np.linalg.lstsq(features, about_arm[16:], rcond=None)[0]
+    assert left.var() < 0.6 * about_arm.var()
+
+
+def test_inferred_joints_keep_a_wrong_guess():
+    simulated = simulate_arm(ArmSimulation.preset("clean", occluded_state="inferred", repetitions=4), 0)
+    tracks, truth, hidden = simulated.recording.arm, simulated.recording.truth, simulated.occluded
+    assert (tracks.state[hidden][:, WRIST] == JointState.INFERRED).all()
+    assert not (tracks.state == JointState.INFERRED)[~hidden].any()
+    at = make_interp_spline(truth.t_s, truth.joints["wrist"], k=5)(tracks.t_s)
+    off = (tracks.joint("wrist") - at)[hidden]
+    assert 0.03 < off.std() < 0.1  # 8 gaps of 1.6 s hold few independent guesses
+    assert np.linalg.norm(np.diff(off, axis=0), axis=1).mean() < 0.05
+
+
+@pytest.mark.parametrize("state", ["inferred", "not_tracked"])
+def test_the_belly_can_be_poor(state: str):
+    simulated = simulate_arm(ArmSimulation.preset("clean", belly=state, repetitions=2), 0)
+    lost = (simulated.recording.arm.state[:, WRIST] == JointState[state.upper()]) & ~simulated.occluded
+    stretches = [gap.stop - gap.start for gap in runs(lost)]
+    assert len(stretches) == 2
+    assert all(1.5 < frames / 30 < 5 for frames in stretches)
+
+
+def test_the_shoulder_can_get_lost():
+    simulated = simulate_arm(ArmSimulation.preset("clean", shoulder_lost=0.5, repetitions=4), 0)
+    seen = simulated.recording.arm.tracked("shoulder")
+    assert seen[~simulated.occluded].all()
+    assert seen[simulated.occluded].mean() == pytest.approx(0.5, abs=0.15)  # 380 frames
+
+
+def test_frozen_joints_stand_still_and_say_tracked():
+    simulated = simulate_arm(ArmSimulation.preset("white", frozen_gaps=1.0), 0)
+    assert len(simulated.parameters["frozen"]) == 4
+    tracks = simulated.recording.arm
+    for gap in runs(simulated.occluded):
+        assert (tracks.state[gap, ELBOW : HAND + 1] == JointState.TRACKED).all()
+        assert (np.ptp(tracks.position[gap, ELBOW : HAND + 1], axis=0) == 0).all()
+        np.testing.assert_array_equal(
+            tracks.position[gap.start, WRIST], tracks.position[gap.start - 1, WRIST]
+        )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_swapped_arms_are_the_other_arm_and_say_tracked(side: str):
+    simulated = simulate_arm(ArmSimulation.preset("white", swapped_gaps=1.0, side=side), 0)
+    assert len(simulated.parameters["swapped"]) == 4
+    tracks, outward = simulated.recording.arm, 1 if side == "right" else -1
+    for gap in runs(simulated.occluded):
+        assert (tracks.state[gap, ELBOW : HAND + 1] == JointState.TRACKED).all()
+        across = tracks.joint("shoulder")[gap, 0] - tracks.joint("wrist")[gap, 0]
+        assert (outward * across > 0.2).all()
+        assert (tracks.joint("wrist")[gap, 1] < tracks.joint("shoulder")[gap, 1] - 0.35).all()
+
+
+def test_some_gaps_frozen_some_swapped_some_honest():
+    simulated = simulate_arm(
+        ArmSimulation.preset("white", protocol="random", duration_s=300, frozen_gaps=0.3, swapped_gaps=0.3), 0
+    )
+    count = len(runs(simulated.occluded))
+    frozen, swapped = (len(simulated.parameters[name]) for name in ("frozen", "swapped"))
+    honest = sum(not simulated.recording.arm.tracked("wrist")[gap].any() for gap in runs(simulated.occluded))
+    assert frozen + swapped + honest == count
+    assert min(frozen, swapped, honest) > 0.1 * count
+
+
+def test_the_strap_can_be_seen():
+    simulated = make(strap=True)
+    truth, tracks = simulated.recording.truth, simulated.recording.arm
+    inside = (tracks.t_s > 0.2) & (tracks.t_s < truth.t_s[-1] - 0.2)
+    at = make_interp_spline(truth.t_s, truth.position, k=5)(tracks.t_s[inside])
+    np.testing.assert_allclose(tracks.joint("strap")[inside], at, atol=2e-5)
+
+
+@pytest.mark.parametrize("preset", list(Preset))
+def test_a_seed_is_a_recording(preset: Preset):
+    config = ArmSimulation.preset(preset, repetitions=1)
+    one, again, other = simulate_arm(config, 7), simulate_arm(config, 7), simulate_arm(config, 8)
+    for name in ("t_s", "acc", "gyro"):
+        np.testing.assert_array_equal(getattr(one.recording.imu, name), getattr(again.recording.imu, name))
+    for name in ("t_s", "position", "state"):
+        np.testing.assert_array_equal(getattr(one.recording.arm, name), getattr(again.recording.arm, name))
+    assert not np.array_equal(one.recording.imu.acc[:100], other.recording.imu.acc[:100])
+    point = PointSimulation.preset(preset, duration_s=5)
+    np.testing.assert_array_equal(
+        simulate_point(point, 7).recording.imu.acc, simulate_point(point, 7).recording.imu.acc
+    )
+
+
+def test_errors_do_not_change_the_motion():
+    clean = simulate_arm(ArmSimulation.preset("clean"), 3)
+    spoilt = simulate_arm(ArmSimulation.preset("realistic", wobble_deg=0.0, outliers=0.1), 3)
+    np.testing.assert_array_equal(clean.recording.truth.position, spoilt.recording.truth.position)
+    np.testing.assert_array_equal(clean.ideal_imu.acc, spoilt.ideal_imu.acc)
+
+
+def test_the_realistic_preset_has_what_it_names():
+    config = ArmSimulation.preset("realistic", noise_m=0.001)
+    assert config.noise_m == 0.001
+    assert (config.joint_bias_m, config.noise_correlated_m, config.noise_correlated_s) == (0.008, 0.008, 0.3)
+    assert (config.latency_s, config.wobble_deg, config.imu_scale) == (0.02, 2.3, 0.003)
+    assert min(config.noise_depth_m, config.dropped_frames, config.imu_misalignment_deg) > 0
+    assert ArmSimulation() == ArmSimulation.preset("white")
+    assert ArmSimulation().noise_m == 0.008
+
+
+def test_wrong_settings_are_refused():
+    for changes in ({"noise": 1}, {"noise_m": -1}, {"noise_m": float("nan")}, {"dropped_frames": 1.0}):
+        with pytest.raises(ValidationError):
+            ArmSimulation(**changes)
+    with pytest.raises(ValueError):
+        ArmSimulation.preset("perfect")
