@@ -10,25 +10,31 @@ if TYPE_CHECKING:
     from .atomic import writing as writing
     from .datasets import import_broad as import_broad
     from .datasets import import_utd_mhad as import_utd_mhad
+    from .export import export_csv as export_csv
     from .plain import import_csv as import_csv
     from .plain import open_csv as open_csv
     from .reading import open_recording as open_recording
     from .reading import read_recording as read_recording
     from .reading import select_recording as select_recording
+    from .result import write_recovery as write_recovery
+    from .result_reading import read_recovery as read_recovery
     from .streams import RecordingFile as RecordingFile
     from .writing import write_recording as write_recording
 
 _HOMES = {
     "RecordingFile": "streams",
     "check_output": "atomic",
+    "export_csv": "export",
     "import_broad": "datasets",
     "import_csv": "plain",
     "import_utd_mhad": "datasets",
     "open_csv": "plain",
     "open_recording": "reading",
     "read_recording": "reading",
+    "read_recovery": "result_reading",
     "select_recording": "reading",
     "write_recording": "writing",
+    "write_recovery": "result",
     "writing": "atomic",
 }
 __all__ = list(_HOMES)

@@ -120,10 +120,10 @@ def import_utd_mhad(inertial_mat: str | os.PathLike[str], skeleton_mat: str | os
     # The Kinect writes zeros for a body that it does not have.
     nothing = ~np.isfinite(joints).all(axis=2) | (np.abs(joints).max(axis=2) < 1e-9)
     state[nothing], joints[nothing] = JointState.NOT_TRACKED, np.nan
+    acc: FloatArray = inertial[:, :3] * STANDARD_GRAVITY
+    gyro: FloatArray = inertial[:, 3:] * (np.pi / 180)
     return Recording(
-        imu=ImuStream(
-            "/imu/forearm_right", t_s, inertial[:, :3] * STANDARD_GRAVITY, np.deg2rad(inertial[:, 3:])
-        ),
+        imu=ImuStream("/imu/forearm_right", t_s, acc, gyro),
         arm=JointTracks("/skeleton", frame_s, joints, state),
         side="right",
         camera_frame=CameraFrame.KINECT,

@@ -55,7 +55,7 @@ def write_recording(
         for imu in file.imus:
             outgoing.append(_imu(output, imu))
         for arm in file.arms:
-            outgoing.append(_arm(output, arm))
+            outgoing.append(arm_messages(output, arm))
         for poses in file.poses:
             outgoing += _poses(output, poses)
         output.write(outgoing)
@@ -145,7 +145,8 @@ def _imu(output: Output, imu: ImuSamples) -> Outgoing:
     return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
 
-def _arm(output: Output, arm: ArmFrames) -> Outgoing:
+def arm_messages(output: Output, arm: ArmFrames) -> Outgoing:
+    """Skeleton messages of an arm, on its topic; joints that are never there are left out."""
     suffix = f"_{arm.side}" if arm.side else ""
     present = [i for i in range(len(JOINTS)) if (arm.state[:, i] != JointState.NOT_TRACKED).any()]
     parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
@@ -176,7 +177,7 @@ def _poses(output: Output, poses: PoseSamples) -> list[Outgoing]:
 
     outgoing = [Outgoing(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
     if poses.joints:
-        outgoing.append(_arm(output, _truth_joints(poses, poses.stamp_ns)))
+        outgoing.append(arm_messages(output, _truth_joints(poses, poses.stamp_ns)))
     return outgoing
 
 
