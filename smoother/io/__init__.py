@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from .datasets import import_broad as import_broad
     from .datasets import import_utd_mhad as import_utd_mhad
     from .export import export_csv as export_csv
+    from .info import RecordingInfo as RecordingInfo
+    from .info import describe as describe
     from .plain import import_csv as import_csv
     from .plain import open_csv as open_csv
     from .reading import open_recording as open_recording
@@ -23,7 +25,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "RecordingFile": "streams",
+    "RecordingInfo": "info",
     "check_output": "atomic",
+    "describe": "info",
     "export_csv": "export",
     "import_broad": "datasets",
     "import_csv": "plain",

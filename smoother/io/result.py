@@ -39,9 +39,9 @@ def write_recovery(
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
-    axes; an answer without orientation has body_frame_id = frame_id, one without position is left out), `/unocclude/skeleton` (joints
-    with covariance at every IMU sample), `/unocclude/arm` and `/unocclude/arm_camera` (drawn after and
-    before, at the camera's rate, orange where occluded), `/unocclude/gaps` (Event),
+    axes; an answer without orientation has body_frame_id = frame_id, one without position is left
+    out), `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
+    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded), `/unocclude/gaps` (Event),
     `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
     (FrameTransforms), `/unocclude/camera` (the camera's joints on the IMU's clock),
     `/unocclude/residuals`. With several arms each topic ends in the arm's side. The metadata record
@@ -119,8 +119,8 @@ class _Arm:
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
         self.frame_stamp = nanoseconds(recovery.arm.t_s, recovery.origin_ns)
-        self.has_position: BoolArray = np.isfinite(recovery.position).all(axis=1)
-        self.has_turn: BoolArray = np.isfinite(recovery.quaternion).all(axis=1)
+        self.has_position: BoolArray = np.asarray(np.isfinite(recovery.position).all(axis=1))
+        self.has_turn: BoolArray = np.asarray(np.isfinite(recovery.quaternion).all(axis=1))
 
     def all(self) -> list[Outgoing]:
         """Every stream, encoded when it is written."""

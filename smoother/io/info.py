@@ -1,0 +1,191 @@
+"""What a file holds, and what it lacks for which step."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from ..errors import RecordingError
+from ..occlusion import accepted_samples, find_gaps, visible_frames
+from ..recording import Recording
+from .choose import named_side, role
+from .reading import METADATA, open_recording, select_recording
+from .result import RESULT
+from .streams import RecordingFile
+
+_DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "foxglove.CompressedImage")
+
+
+@dataclass(frozen=True)
+class TopicRow:
+    """A topic: its schema, number of messages, mean rate, first to last log time."""
+
+    name: str
+    schema: str
+    count: int
+    rate_hz: float | None
+    duration_s: float
+
+
+@dataclass
+class RecordingInfo:
+    """What `unocclude info` shows.
+
+    Attributes
+    ----------
+    path, size_bytes : the file.
+    topics : all topics.
+    imus, skeletons, poses : streams found, as sentences a line each.
+    imu, skeleton, side, joints : what would be taken; empty where that is not settled.
+    imu_rate_hz, camera_rate_hz : median rates.
+    camera_frame : convention of the camera's axes, or None.
+    clocks : per stream, first and last stamp (s) and how far log times lie behind stamps.
+    duration_s : time that IMU and camera share.
+    gaps : number of occluded stretches; gap_total_s, gap_longest_s : their length together and the longest.
+    missing : by step, what is missing for it, one sentence.
+    notes : what was dropped, decided or wrong.
+    """
+
+    path: str
+    size_bytes: int
+    topics: list[TopicRow]
+    imus: list[str]
+    skeletons: list[str]
+    poses: list[str]
+    imu: str = ""
+    skeleton: str = ""
+    side: str = ""
+    joints: list[str] = field(default_factory=list)
+    imu_rate_hz: float | None = None
+    camera_rate_hz: float | None = None
+    camera_frame: str | None = None
+    clocks: dict[str, dict[str, float]] = field(default_factory=dict)
+    duration_s: float | None = None
+    gaps: int | None = None
+    gap_total_s: float | None = None
+    gap_longest_s: float | None = None
+    missing: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values, fit for JSON."""
+        return asdict(self)
+
+
+def describe(
+    path: str | os.PathLike[str],
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+) -> RecordingInfo:
+    """Describe an MCAP file; options as in `read_recording`.
+
+    A file that cannot be smoothed is described all the same: what is wrong stands under
+    `missing["smooth"]`.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, empty or not MCAP.
+    """
+    file = open_recording(path)
+    info = RecordingInfo(
+        path=str(file.path),
+        size_bytes=Path(path).stat().st_size,
+        topics=[
+            TopicRow(
+                topic.name, topic.schema, topic.count, _finite(topic.rate_hz), round(topic.duration_s, 3)
+            )
+            for topic in file.topics
+        ],
+        imus=[
+            f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'not said what on'}"
+            + (f", {at}" if (at := named_side(stream.topic, stream.frame_id)) else "")
+            + (", magnetometer" if stream.mag is not None else "")
+            for stream in file.imus
+        ],
+        skeletons=[
+            f"{arm.label}: {len(arm.stamp_ns)} frames, forearm tracked in {arm.tracked}" for arm in file.arms
+        ],
+        poses=[f"{poses.topic}: {len(poses.stamp_ns)} poses" for poses in file.poses],
+        camera_frame=None if file.camera_frame is None else str(file.camera_frame),
+        clocks=_clocks(file),
+        notes=list(file.notes),
+    )
+    recording = None
+    try:
+        recording = select_recording(file, imu=imu, skeleton=skeleton, side=side, body=body)
+    except RecordingError as error:
+        info.missing["smooth"] = str(error)
+    if recording is not None:
+        _take(info, recording)
+    info.missing |= _missing(file, recording)
+    return info
+
+
+def _take(info: RecordingInfo, recording: Recording) -> None:
+    arm, imu = recording.arm, recording.imu
+    info.imu, info.skeleton, info.side = imu.name, arm.name, recording.side
+    info.joints = list(arm.present)
+    info.imu_rate_hz, info.camera_rate_hz = _finite(imu.rate_hz), _finite(arm.rate_hz)
+    info.camera_frame = None if recording.camera_frame is None else str(recording.camera_frame)
+    info.notes = list(recording.notes)
+    start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
+    info.duration_s = round(float(end - start), 3)
+    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
+    info.gaps = len(gaps)
+    info.gap_total_s = round(sum(gap.length_s for gap in gaps), 3)
+    info.gap_longest_s = round(max((gap.length_s for gap in gaps), default=0.0), 3)
+
+
+def _missing(file: RecordingFile, recording: Recording | None) -> dict[str, str]:
+    """What keeps a step from working, or from working well, by step."""
+    missing = {}
+    if RESULT not in "".join(file.metadata):
+        missing["validate, export"] = "the file holds no result yet; run `unocclude smooth` first."
+    else:
+        missing["smooth again"] = "nothing; the file is a result and carries its recording."
+    if not file.poses:
+        missing["validate, compare"] = "no truth in the file; give one with --truth, or use `unocclude gaps`."
+    if not any(topic.schema in _DEPTH for topic in file.topics):
+        missing["calibrate panel"] = "no images or depth in the file."
+    if recording is None:
+        return missing
+    present = recording.arm.present
+    lacking = [joint for joint in ("shoulder", "elbow", "wrist") if joint not in present]
+    if lacking:
+        missing["whole arm"] = (
+            f"{' and '.join(lacking)} never tracked; the IMU's path is recovered all the same."
+        )
+    if recording.imu.mag is None:
+        missing["calibrate magnetometer"] = "no magnetometer; none is needed to smooth."
+    if recording.base_imu is None:
+        missing["calibrate world"] = "no IMU on the camera; gravity is solved with the motion."
+    if recording.camera_frame is None and recording.gravity_hint is None:
+        missing["start of the solution"] = (
+            f"the file does not say how the camera's axes lie (metadata {METADATA}); gravity is found from motion."
+        )
+    return missing
+
+
+def _clocks(file: RecordingFile) -> dict[str, dict[str, float]]:
+    clocks = {}
+    streams = [
+        *((stream.topic, stream.stamp_ns, stream.log_shift_ns) for stream in file.imus),
+        *((arm.topic, arm.stamp_ns, None) for arm in file.arms),
+        *((poses.topic, poses.stamp_ns, None) for poses in file.poses),
+    ]
+    for topic, stamp, shift in streams:
+        clock = {"first_s": float(stamp.min()) / 1e9, "last_s": float(stamp.max()) / 1e9}
+        if shift is not None:
+            clock["log_time_behind_s"] = shift / 1e9
+        clocks[topic] = clock
+    return clocks
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
