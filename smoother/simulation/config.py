@@ -28,7 +28,6 @@ _CLEAN = {
     "gyroscope_walk": 0.0,
 }
 _REALISTIC = {
-    "noise_m": 0.005,
     "noise_depth_m": 0.004,
     "noise_correlated_m": 0.008,
     "noise_correlated_s": 0.3,
