@@ -65,10 +65,9 @@ def _recording(folder: Path) -> tuple[Path, ArmCalibration | None]:
         calibration_file = data / "demo_calibration.toml"
         if not calibration_file.is_file():
             return data / "demo.mcap", None
-        from ..io import read_recording
-        from .load import load_calibration
+        from .load import load_arm
 
-        return data / "demo.mcap", load_calibration(calibration_file, read_recording(data / "demo.mcap").side)
+        return data / "demo.mcap", load_arm(data / "demo.mcap", calibration_file)[1]
     from ..io import write_recording
     from ..simulation import ArmSimulation, simulate_arm
 

@@ -34,7 +34,7 @@ def load_arm(
         from calib.file import read_calibration
 
         calibration = read_calibration(calibration_file)
-        sides = [name for name in calibration.arms if name]
+        sides = [name for name in calibration.arms if name != "any"]
         prefer = sides[0] if len(sides) == 1 else None
     recording = read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer)
     arm = f"{recording.side} arm" if recording.side else "strap"

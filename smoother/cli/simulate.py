@@ -94,11 +94,12 @@ def preset_names() -> list[str]:
 
 
 def _write_calibration(calibration: Any, path: Path, force: bool) -> None:
-    from calib.file import write_calibration
+    from calib.file import CalibrationFile, write_calibration
 
-    if path.exists() and force:
-        path.unlink()
-    write_calibration(path, calibration)
+    from ..io import writing
+
+    with writing(path, force) as temporary:
+        write_calibration(temporary, CalibrationFile().with_arm(calibration))
 
 
 def _with_settings(command: Any) -> Any:

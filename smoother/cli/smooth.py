@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -102,10 +103,12 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     figures = recovery_figures(recovery)
     say(
         f"{recovery.name}: {figures['duration_s']:.1f} s, {len(recovery)} samples,"
-        f" {len(rows)} gaps, {figures['occluded_s']:.1f} s occluded; the camera's clock is"
-        f" {1000 * recovery.clock_offset_s:+.1f} ms +- {1000 * recovery.clock_offset_sigma_s:.1f} ms off"
-        " (IMU minus camera)"
+        f" {len(rows)} gaps, {figures['occluded_s']:.1f} s occluded"
     )
+    if math.isfinite(recovery.clock_offset_s):
+        sigma_ms = 1000 * recovery.clock_offset_sigma_s
+        known = f" +- {sigma_ms:.1f} ms" if math.isfinite(sigma_ms) else ""
+        say(f"the IMU's clock is {1000 * recovery.clock_offset_s:+.1f} ms{known} against the camera's")
     if rows:
         columns = ("gap starts, s", "length, s", "largest sigma, cm", "largest sigma, deg", "seen from")
         print_table("Gaps (sigma = one standard deviation)", columns, rows[:MOST_ROWS])

@@ -1,0 +1,66 @@
+"""The points of the arm that the report draws: the sensor and the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording import FloatArray, JointTracks, Truth
+from ..result import Recovery
+
+SENSOR = "sensor"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the arm over time.
+
+    Attributes
+    ----------
+    name : "sensor" (the IMU on the forearm) or a joint.
+    position, sigma : (N, 3) m in {K} at the recovery's times.
+    camera_t_s, camera : (F,), (F, 3) what the camera tracked, on the IMU's clock.
+    truth_t_s, truth : (M,), (M, 3) the reference, empty without one.
+    """
+
+    name: str
+    position: FloatArray
+    sigma: FloatArray
+    camera_t_s: FloatArray
+    camera: FloatArray
+    truth_t_s: FloatArray
+    truth: FloatArray
+
+
+def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
+    """The points to show, the one that the camera sees best first."""
+    found = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
+    sensor = _point(SENSOR, recovery.position, recovery.sigma_m, recovery.arm, "strap", truth, None)
+    seen = [point for point in found if len(point.camera)]
+    return [*seen[:1], sensor, *seen[1:2]]
+
+
+def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:
+    covariance = recovery.joint_covariance.get(name)
+    sigma = np.full((len(recovery), 3), np.nan)
+    if covariance is not None:
+        sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    return _point(name, recovery.joints[name], sigma, recovery.arm, name, truth, name)
+
+
+def _point(
+    name: str,
+    position: FloatArray,
+    sigma: FloatArray,
+    arm: JointTracks,
+    joint: str,
+    truth: Truth | None,
+    truth_joint: str | None,
+) -> Point:
+    tracked = arm.tracked(joint)
+    reference = np.zeros((0, 3))
+    if truth is not None:
+        reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
+    truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
+    return Point(name, position, sigma, arm.t_s[tracked], arm.joint(joint)[tracked], truth_t, reference)

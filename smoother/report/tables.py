@@ -1,0 +1,185 @@
+"""The report's tables, as HTML."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+
+from ..calibration import ArmCalibration
+from ..evaluation.summary import gap_summaries, recovery_figures
+from ..evaluation.validate import Validation
+from ..result import Recovery
+from .words import WEAK_M
+
+#: A longer table is cut, and says so.
+MOST_ROWS = 500
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """An HTML table; every cell is escaped."""
+    kept = list(rows)
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(_cell(value))}</td>" for value in row) + "</tr>"
+        for row in kept[:MOST_ROWS]
+    )
+    more = f"<p>{len(kept) - MOST_ROWS} rows more are left out.</p>" if len(kept) > MOST_ROWS else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def _cell(value: object) -> str:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _cm(value: float | None) -> str | None:
+    return None if value is None else f"{100 * value:.2f}"
+
+
+def overview(recovery: Recovery) -> str:
+    """What was recovered, in numbers."""
+    figures = recovery_figures(recovery)
+    sigma = figures["sigma_m"]
+    assert isinstance(sigma, dict)
+    offset = None
+    if np.isfinite(recovery.clock_offset_s):
+        offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
+        if np.isfinite(recovery.clock_offset_sigma_s):
+            offset += f" ± {1000 * recovery.clock_offset_sigma_s:.1f} ms"
+    rows = [
+        ("method", recovery.method),
+        ("arm", recovery.side or "not stated"),
+        ("samples of the forearm sensor", len(recovery)),
+        ("sample rate, Hz", figures["rate_hz"]),
+        ("samples without the camera", recovery.occluded.sum()),
+        ("samples without an answer", len(recovery) - int(np.isfinite(recovery.position).all(axis=1).sum())),
+        ("position, standard deviation while seen (median), cm", _cm(sigma["visible"]["median"])),
+        ("position, standard deviation in gaps (median), cm", _cm(sigma["occluded"]["median"])),
+        ("position, standard deviation in gaps (largest), cm", _cm(sigma["occluded"]["max"])),
+        ("sensor's clock minus camera's clock", offset),
+    ]
+    rows += [(name.replace("_", " "), _plain(value)) for name, value in recovery.figures.items()]
+    return table(("what", "value"), rows)
+
+
+def gaps(recovery: Recovery) -> str:
+    """The gaps, one a row."""
+    found = gap_summaries(recovery)
+    if not found:
+        return "<p>There is no gap.</p>"
+    rows = [
+        (
+            number,
+            f"{each.gap.start_s:.2f}",
+            f"{each.gap.length_s:.2f}",
+            _cm(each.sigma_max_m),
+            None if each.sigma_max_deg is None else f"{each.sigma_max_deg:.2f}",
+            "one side only" if each.gap.open_start or each.gap.open_end else "both sides",
+            f"{100 * each.answered:.0f} %",
+            "take with care" if _weak(each.sigma_max_m) or each.gap.open_start or each.gap.open_end else "",
+        )
+        for number, each in enumerate(found, start=1)
+    ]
+    columns = (
+        "gap",
+        "start, s",
+        "length, s",
+        "largest standard deviation, cm",
+        "of the orientation, degrees",
+        "camera saw the arm on",
+        "answered",
+        "",
+    )
+    return table(columns, rows)
+
+
+def _weak(sigma_m: float | None) -> bool:
+    return sigma_m is not None and sigma_m > WEAK_M
+
+
+def validation(found: Validation) -> str:
+    """Errors against the reference."""
+    rows = [
+        (
+            name,
+            figures.samples,
+            _cm(figures.position_rms_m),
+            _cm(figures.position_p95_m),
+            _cm(figures.position_max_m),
+            figures.orientation_rms_deg,
+            figures.orientation_max_deg,
+            figures.nees,
+            None if figures.coverage_95 is None else f"{100 * figures.coverage_95:.0f} %",
+        )
+        for name, figures in (
+            ("all samples", found.all),
+            ("in gaps", found.occluded),
+            ("while seen", found.visible),
+        )
+    ]
+    columns = (
+        "",
+        "samples",
+        "position rms, cm",
+        "95 % below, cm",
+        "largest, cm",
+        "orientation rms, degrees",
+        "largest, degrees",
+        "NEES",
+        "inside the 95 % region",
+    )
+    return table(columns, rows)
+
+
+def calibration(found: ArmCalibration | None) -> str:
+    """How the sensor sits on the arm, and the arm's measures."""
+    if found is None:
+        return "<p>This method needs none.</p>"
+    rows: list[tuple[object, ...]] = [
+        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 100), _vector(lever.sigma_m, 100), "cm")
+        for joint, lever in found.lever_arms.items()
+    ]
+    if found.upper_arm is not None:
+        length = found.upper_arm
+        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.1f}", "cm"))
+    for name, value, unit in (
+        ("accelerometer bias", found.accelerometer_bias, "m/s²"),
+        ("gyroscope bias", found.gyroscope_bias, "rad/s"),
+    ):
+        if value is not None:
+            rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))
+    if not rows:
+        return "<p>None was given, and none was needed.</p>"
+    return table(("what", "value (x, y, z)", "standard deviation", "unit"), rows)
+
+
+def _vector(value: np.ndarray, scale: float) -> str:
+    return ", ".join(f"{scale * item:.1f}" for item in value)
+
+
+def settings(config: dict[str, object]) -> str:
+    """The effective configuration, a setting a row."""
+    rows = []
+    for section, values in config.items():
+        if isinstance(values, dict):
+            rows += [(f"{section}.{name}", _plain(value)) for name, value in values.items()]
+        else:
+            rows.append((section, _plain(values)))
+    return table(("setting", "value"), rows) if rows else "<p>None is stated.</p>"
+
+
+def _plain(value: object) -> str:
+    """A setting or a figure in a cell; numbers short, the rest as JSON writes it."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(item) for item in value)
+    if isinstance(value, dict):
+        return "; ".join(f"{name} {_plain(item)}" for name, item in value.items())
+    return value if isinstance(value, str) else json.dumps(value, default=str)

@@ -1,0 +1,66 @@
+"""Fewer points for the eye: long recordings must still open, and gaps must keep their shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..recording import BoolArray, FloatArray, IntArray
+
+#: Most points of one drawn line.
+MOST_POINTS = 6000
+#: Share of them that the occluded stretches may take.
+GAP_SHARE = 0.6
+
+
+def thin(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
+    """Samples to draw: at most `most`, evenly spaced, closer together where it is important.
+
+    Parameters
+    ----------
+    important : (N,) samples that matter most (the occluded ones).
+
+    Returns
+    -------
+    (M,) indices in rising order; first and last sample are among them.
+    """
+    count = len(important)
+    if count <= most:
+        return np.arange(count)
+    wide = np.convolve(important, np.ones(21), mode="same") > 0  # with their edges
+    inside, outside = np.flatnonzero(wide), np.flatnonzero(~wide)
+    budget_inside = min(len(inside), int(GAP_SHARE * most))
+    ends = np.array([0, count - 1])
+    chosen = [_every(inside, budget_inside), _every(outside, most - budget_inside - 2), ends]
+    return np.unique(np.concatenate(chosen))
+
+
+def _every(index: IntArray, most: int) -> IntArray:
+    if len(index) <= most or most <= 0:
+        return index[: max(most, 0)]
+    return index[np.linspace(0, len(index) - 1, most).round().astype(np.int64)]
+
+
+def split_line(values: FloatArray, occluded: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """A line's visible and its occluded part (N, ...), nan where it is the other; they meet at the edges."""
+    edge = occluded.copy()
+    edge[:-1] |= occluded[1:]
+    edge[1:] |= occluded[:-1]
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    visible = np.where(occluded.reshape(shape), np.nan, values)
+    hidden = np.where(edge.reshape(shape), values, np.nan)
+    return visible, hidden
+
+
+def band(t_s: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Outline (x, y) of the area between two curves: a closed loop each stretch without nan, nan between."""
+    finite = np.isfinite(low) & np.isfinite(high) & np.isfinite(t_s)
+    x: list[FloatArray] = []
+    y: list[FloatArray] = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(int)))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        part = slice(start, stop)
+        x += [t_s[part], t_s[part][::-1], np.array([np.nan])]
+        y += [high[part], low[part][::-1], np.array([np.nan])]
+    if not x:
+        return np.zeros(0), np.zeros(0)
+    return np.concatenate(x), np.concatenate(y)

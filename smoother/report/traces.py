@@ -1,0 +1,198 @@
+"""Curves over time: coordinates, angles, uncertainty, what the camera disagrees with."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ..evaluation.summary import worst_sigma_m
+from ..evaluation.validate import sample_errors
+from ..recording import JOINTS, CameraFrame, FloatArray, Truth
+from ..result import FrameResiduals, Recovery
+from .look import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
+from .points import Point
+from .thin import band, split_line, thin
+
+_TIME = "time, s"
+
+
+def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
+    """Coordinates over time with their band of two sigmas; buttons choose the point."""
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    index = thin(recovery.occluded)
+    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    owner: list[str] = []
+    for point in shown:
+        for axis in range(3):
+            for trace in _coordinate(point, axis, t, index, occluded):
+                trace.update(visible=point is shown[0], showlegend=axis == 0)
+                figure.add_trace(trace, row=axis + 1, col=1)
+                owner.append(point.name)
+    for axis, name in enumerate(axis_names(frame)):
+        figure.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
+    figure.update_xaxes(title_text=_TIME, row=3, col=1)
+    shade(figure, recovery.gaps)
+    buttons = [
+        {
+            "label": point.name,
+            "method": "update",
+            "args": [{"visible": [name == point.name for name in owner]}],
+        }
+        for point in shown
+    ]
+    menu: dict[str, object] = {"type": "buttons", "direction": "right", "buttons": buttons}
+    menu |= {"x": 0, "xanchor": "left", "y": 1.01, "yanchor": "bottom"}
+    return dress(figure, 800, head=90, updatemenus=[menu] if len(shown) > 1 else [])
+
+
+def _coordinate(
+    point: Point, axis: int, t: FloatArray, index: np.ndarray, occluded: np.ndarray
+) -> list[go.Scatter]:
+    """Band, camera samples, line seen, line recovered and truth of one coordinate."""
+    value, sigma = point.position[index, axis], point.sigma[index, axis]
+    x, y = band(t, value - 2 * sigma, value + 2 * sigma)
+    visible, hidden = split_line(value, occluded)
+    traces = [
+        go.Scatter(
+            x=x, y=y, name="+- 2 sigma", fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip"
+        )
+    ]
+    if len(point.camera):
+        kept = thin(np.zeros(len(point.camera), bool), 3000)
+        dots = {"color": CAMERA, "size": 3}
+        traces.append(
+            go.Scatter(
+                x=point.camera_t_s[kept],
+                y=point.camera[kept, axis],
+                name="camera",
+                mode="markers",
+                marker=dots,
+            )
+        )
+    for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
+        traces.append(
+            go.Scatter(x=t, y=values, name=name, mode="lines", line={"color": colour, "width": 1.8})
+        )
+    if len(point.truth):
+        kept = thin(np.zeros(len(point.truth), bool))
+        dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
+        traces.append(
+            go.Scatter(
+                x=point.truth_t_s[kept], y=point.truth[kept, axis], name="reference", mode="lines", line=dash
+            )
+        )
+    return traces
+
+
+def angles(recovery: Recovery) -> go.Figure | None:
+    """Elbow flexion and the forearm's elevation over time, or None without elbow and wrist."""
+    rows = [(name, value) for name, value in arm_angles(recovery).items() if np.isfinite(value).any()]
+    if not rows:
+        return None
+    figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
+    index = thin(recovery.occluded)
+    t = recovery.t_s[index]
+    for row, (name, value) in enumerate(rows, start=1):
+        visible, hidden = split_line(value[index], recovery.occluded[index])
+        for label, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
+            line = go.Scatter(x=t, y=values, name=label, mode="lines", line={"color": colour, "width": 1.8})
+            line.update(showlegend=row == 1)
+            figure.add_trace(line, row=row, col=1)
+        figure.update_yaxes(title_text=f"{name}, degrees", row=row, col=1)
+    figure.update_xaxes(title_text=_TIME, row=len(rows), col=1)
+    shade(figure, recovery.gaps)
+    return dress(figure, 180 + 190 * len(rows))
+
+
+def arm_angles(recovery: Recovery) -> dict[str, FloatArray]:
+    """Angles (N,) by name, degrees: elbow flexion (0 = straight), forearm above the horizontal."""
+    joints = recovery.joints
+    if "elbow" not in joints or "wrist" not in joints:
+        return {}
+    forearm = _unit(joints["wrist"] - joints["elbow"])
+    found: dict[str, FloatArray] = {}
+    if "shoulder" in joints:
+        upper = _unit(joints["elbow"] - joints["shoulder"])
+        found["elbow flexion"] = np.degrees(np.arccos(np.clip((upper * forearm).sum(axis=1), -1, 1)))
+    if np.isfinite(recovery.gravity_direction).all():
+        rise = np.clip(-forearm @ recovery.gravity_direction, -1, 1)
+        found["forearm elevation"] = np.degrees(np.arcsin(rise))
+    return found
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return vector / np.linalg.norm(vector, axis=1, keepdims=True)
+
+
+def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
+    """Stated uncertainty over time and, with a truth, the error beside it; None without either."""
+    sigma_cm, sigma_deg = 100 * worst_sigma_m(recovery), recovery.sigma_deg
+    errors = None if truth is None else sample_errors(recovery, truth)
+    if not np.isfinite(sigma_cm).any() and errors is None:
+        return None
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
+    index = thin(recovery.occluded)
+    t = recovery.t_s[index]
+    error_cm = None if errors is None else 100 * errors.distance_m
+    error_deg = None if errors is None else errors.angle_deg
+    rows = (("position, cm", sigma_cm, error_cm), ("orientation, degrees", sigma_deg, error_deg))
+    for row, (name, sigma, error) in enumerate(rows, start=1):
+        colour = {"color": VISIBLE, "width": 1.8}
+        line = go.Scatter(x=t, y=sigma[index], name="sigma", mode="lines", line=colour, showlegend=row == 1)
+        figure.add_trace(line, row=row, col=1)
+        if error is not None:
+            dash = {"color": TRUTH, "width": 1.1}
+            line = go.Scatter(
+                x=t, y=error[index], name="error against the reference", mode="lines", line=dash
+            )
+            line.update(showlegend=row == 1)
+            figure.add_trace(line, row=row, col=1)
+        figure.update_yaxes(title_text=name, rangemode="tozero", row=row, col=1)
+    figure.update_xaxes(title_text=_TIME, row=2, col=1)
+    shade(figure, recovery.gaps)
+    return dress(figure, 480)
+
+
+def residuals(recovery: Recovery) -> go.Figure | None:
+    """Distance of each camera sample from the answer, by joint; None where the method keeps none."""
+    kept = recovery.residuals
+    if kept is None:
+        return None
+    distance_cm = 100 * np.linalg.norm(kept.residual, axis=2)
+    drawn = [i for i, _ in enumerate(JOINTS) if np.isfinite(distance_cm[:, i]).any()]
+    if not drawn:
+        return None
+    figure = make_subplots(rows=len(drawn), cols=1, shared_xaxes=True, vertical_spacing=0.03)
+    for row, i in enumerate(drawn, start=1):
+        for trace in _residual(kept, distance_cm[:, i], i):
+            figure.add_trace(trace, row=row, col=1)
+        figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
+    figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
+    figure.add_trace(_cross("set aside", np.array([None]), np.array([None])), row=1, col=1)
+    shade(figure, recovery.gaps)
+    return dress(figure, 160 + 120 * len(drawn))
+
+
+def _residual(kept: FrameResiduals, distance_cm: FloatArray, joint: int) -> list[go.Scatter]:
+    used = kept.used[:, joint] & np.isfinite(distance_cm)
+    aside = ~kept.used[:, joint] & np.isfinite(distance_cm) & (kept.reason[:, joint] != "")
+    index = np.flatnonzero(used)
+    index = index[thin(np.zeros(len(index), bool), 3000)]
+    dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
+    traces = [
+        go.Scatter(x=kept.t_s[index], y=distance_cm[index], name=JOINTS[joint], mode="markers", marker=dots)
+    ]
+    index = np.flatnonzero(aside)
+    index = index[thin(np.zeros(len(index), bool), 1000)]
+    if len(index):
+        cross = _cross("set aside", kept.t_s[index], distance_cm[index])
+        cross.update(text=kept.reason[index, joint], showlegend=False)
+        traces.append(cross)
+    return traces
+
+
+def _cross(name: str, x: np.ndarray, y: np.ndarray) -> go.Scatter:
+    marker = {"symbol": "x", "size": 6, "color": OCCLUDED}
+    return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker)
