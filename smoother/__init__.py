@@ -1,8 +1,8 @@
 """unocclude: the arm's motion where the depth camera could not see it.
 
-    from smoother import read_recording, smooth
-    recovery = smooth(read_recording("recording.mcap"))
-    arrays = recovery.to_arrays()
+from smoother import read_recording, smooth
+recovery = smooth(read_recording("recording.mcap"))
+arrays = recovery.to_arrays()
 """
 
 from __future__ import annotations

@@ -9,11 +9,12 @@ from .arrays import interpolate, rotate_covariance, skew
 from .calibration import ArmCalibration
 from .config import Config
 from .join import Motion, at_times
-from .occlusion import occluded_at
+from .occlusion import accepted_samples, occluded_at
 from .plan import Stretch
 from .prepare import lever_of
-from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointTracks, Recording
+from .recording import JOINTS, FloatArray, JointTracks, Recording
 from .result import FrameResiduals, Gap, Recovery
+from .selfcal import Knowledge
 from .window import Message
 
 
@@ -21,15 +22,14 @@ def assemble(
     recording: Recording,
     calibration: ArmCalibration,
     config: Config,
-    offset_s: float,
+    known: Knowledge,
     stretches: list[Stretch],
     motions: list[Motion],
     messages: list[Message],
-    accepted: BoolArray,
-    visible: BoolArray,
-    camera_sigma_m: dict[str, float],
 ) -> Recovery:
     """The answer at every IMU sample; nan where no stretch has one."""
+    offset_s = float(known.offset_s[0])
+    accepted = accepted_samples(recording.arm)
     imu_t, count = recording.imu.t_s, len(recording.imu)
     position, velocity = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     quaternion = np.full((count, 4), np.nan)
@@ -70,7 +70,7 @@ def assemble(
         calibration=calibration,
         gravity_direction=down / np.linalg.norm(down),
         clock_offset_s=offset_s,
-        clock_offset_sigma_s=float("nan"),
+        clock_offset_sigma_s=float(known.offset_sigma_s[0]),
         arm=_on_imu_clock(recording.arm, offset_s),
         residuals=FrameResiduals(
             recording.arm.t_s + offset_s, residual, accepted, np.full(accepted.shape, "", dtype="<U40")
@@ -81,7 +81,8 @@ def assemble(
         notes=recording.notes,
         config=config.model_dump(),
         figures={
-            "camera_sigma_m": camera_sigma_m,
+            "camera_sigma_m": {joint: noise.sample_m for joint, noise in known.noise.items()},
+            "camera_effective_sigma_m": {joint: noise.effective_m for joint, noise in known.noise.items()},
             "accelerometer_bias": np.mean([m.shared.mean[:3] for m in messages], axis=0).tolist(),
             "gyroscope_bias": np.mean([m.shared.mean[3:6] for m in messages], axis=0).tolist(),
         },
@@ -139,6 +140,3 @@ def _residuals(
 
 def _on_imu_clock(arm: JointTracks, offset_s: float) -> JointTracks:
     return JointTracks(arm.name, arm.t_s + offset_s, arm.position, arm.state)
-
-
-__all__ = ["FOREARM_JOINTS", "assemble"]

@@ -50,24 +50,41 @@ def tell(messages: list[Message], prior: Priors) -> list[Priors]:
     return [replace(prior, shared=each) for each in told]
 
 
-def _others(
-    answers: list[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
-) -> list[Gaussian]:
+def combine(messages: list[Message], prior: Priors) -> Gaussian:
+    """The constants of the arm (upper arm, lever arms) from all windows and the prior together."""
+    part = prior.layout.constants
+    answers = [_part(message.shared, part) for message in messages]
+    start, widened, _ = _heard(answers, _part(prior.shared, part))
+    total = start
+    for each in widened:
+        total = total + each
+    return total.gaussian()
+
+
+def _part(whole: Gaussian, part: slice) -> Gaussian:
+    return Gaussian(whole.mean[part], whole.covariance[part, part])
+
+
+def _heard(answers: list[Gaussian], prior: Gaussian) -> tuple[_Information, list[_Information], FloatArray]:
+    """The prior, each window's own data widened by the spread between windows, and that spread."""
+    before = np.linalg.inv(prior.covariance)
+    own = []
+    for answer in answers:  # take the prior out of each answer
+        matrix = np.linalg.inv(answer.covariance)
+        own.append(_Information(_positive(matrix - before), matrix @ answer.mean - before @ prior.mean))
+    spread = _excess(own, len(prior.mean))
+    start = _Information(before, before @ prior.mean)
+    return start, [_widen(each, np.diag(spread)) for each in own], spread
+
+
+def _others(answers: list[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray) -> list[Gaussian]:
     """For each window, what the prior and all other windows say.
 
     Forward and backward filter in information form over the windows, each component wandering by
     `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
     """
     size = len(prior.mean)
-    before = np.linalg.inv(prior.covariance)
-    own = []
-    for answer in answers:  # take the prior out of each answer
-        matrix = np.linalg.inv(answer.covariance)
-        data = _positive(matrix - before)
-        own.append(_Information(data, matrix @ answer.mean - before @ prior.mean))
-    spread = _excess(own, size)
-    widened = [_widen(each, np.diag(spread)) for each in own]
-    start = _Information(before, before @ prior.mean)
+    start, widened, spread = _heard(answers, prior)
     nothing = _Information(np.zeros((size, size)), np.zeros(size))
 
     def sweep(order: range) -> list[_Information]:

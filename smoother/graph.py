@@ -94,8 +94,13 @@ def shared_keys(window: Window, biases: IntArray) -> list[int]:
 
 
 def shared_jacobian(layout: Layout, down: Unit3) -> FloatArray:
-    """Shared vector's change for a change of GTSAM's own coordinates (they differ for gravity alone)."""
+    """Shared vector's change for a change of GTSAM's own coordinates.
+
+    They differ for gravity (its tangent basis) and for the upper arm: the range factor's error is
+    range + U - length, so the length falls as U grows.
+    """
     jacobian = np.eye(layout.size)
+    jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
     jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
     return jacobian
 

@@ -58,7 +58,13 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
             (pose, solution.pose_covariance),
             (velocity, solution.velocity_covariance),
             (bias, solution.bias),
-            (gravity, np.tile(window.priors.layout.down(solution.message.shared.mean) * window.gravity_magnitude, (len(window.t), 1))),
+            (
+                gravity,
+                np.tile(
+                    window.priors.layout.down(solution.message.shared.mean) * window.gravity_magnitude,
+                    (len(window.t), 1),
+                ),
+            ),
         ):
             if value is not None:
                 _mix(target, rows, value[own], share)

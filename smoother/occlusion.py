@@ -23,9 +23,18 @@ def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:
     Two accepted forearm joints make a frame visible; one is enough where the recording has no more
     (`strap` alone).
     """
+    return enough_joints(accepted, joints_needed(arm))
+
+
+def joints_needed(arm: JointTracks) -> int:
+    """How many accepted forearm joints make a frame visible."""
+    return max(min(2, len([joint for joint in arm.present if joint in FOREARM_JOINTS])), 1)
+
+
+def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
+    """Frames (F,) with so many accepted forearm joints."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    needed = min(2, len([joint for joint in arm.present if joint in FOREARM_JOINTS]))
-    return accepted[:, forearm].sum(axis=1) >= max(needed, 1)
+    return accepted[:, forearm].sum(axis=1) >= needed
 
 
 def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:

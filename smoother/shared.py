@@ -50,6 +50,11 @@ class Layout:
         """Where the upper arm's length stands."""
         return slice(8, 8 + int(self.has_upper_arm))
 
+    @property
+    def constants(self) -> slice:
+        """The part that belongs to the arm: upper arm and lever arms."""
+        return slice(8, self.size)
+
     def lever(self, joint: str) -> slice:
         """Where a joint's lever arm stands."""
         first = self.upper_arm.stop + 3 * self.joints.index(joint)

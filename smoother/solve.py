@@ -109,9 +109,7 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
     return each[np.append(biases, biases[-1])]
 
 
-def _message(
-    values: gtsam.Values, marginals: gtsam.Marginals, window: Window, biases: IntArray
-) -> Message:
+def _message(values: gtsam.Values, marginals: gtsam.Marginals, window: Window, biases: IntArray) -> Message:
     """The shared variables, jointly, in the shared vector's coordinates."""
     layout = window.priors.layout
     keys = shared_keys(window, biases)
@@ -120,7 +118,8 @@ def _message(
     mean[layout.bias] = values.atConstantBias(keys[0]).vector()
     mean[layout.gravity] = layout.gravity_axes @ down.point3()
     if layout.has_upper_arm:
-        mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] + values.atDouble(U(0))
+        # the factor's error is range + U - length: the true length is shorter by U
+        mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
     for joint in layout.joints:
         mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
     joint_marginal = marginals.jointMarginalCovariance(keys)

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from .arrays import interpolate
 from .inertial import InertialSignal
 from .recording import FloatArray
 from .window import States
@@ -27,6 +28,7 @@ ACCELERATION_HALF_S = 0.4
 #: Standard deviations of the pairs that are matched.
 POINT_SIGMA_M = 0.012
 FILTER_SIGMA_RAD = np.radians(3.0)
+ACCELERATION_SIGMA = 0.1
 HINT_SIGMA_RAD = np.radians(15.0)
 
 
@@ -79,14 +81,28 @@ def direction_pairs(
     return VectorPairs(t, along_K / length[:, None], in_E, np.full(len(t), sigma**-2))
 
 
-def acceleration_pairs(
-    t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal,
-    lever_A: FloatArray, gravity: float,
-) -> VectorPairs:
-    """A joint's acceleration from the camera and from the IMU, both by the same local quadratics.
+@dataclass(frozen=True)
+class AccelerationPairs:
+    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A), (n, ...) each."""
 
-    The camera's samples p(t_j) and the IMU's double integral plus lever go through the same linear
-    functional (the quadratic coefficient of a least-squares parabola), so that no filter differs.
+    t: FloatArray
+    in_K: FloatArray
+    in_E: FloatArray
+    turn: FloatArray
+    weight: FloatArray
+
+    def with_lever(self, lever_A: FloatArray) -> VectorPairs:
+        """Vector pairs for a joint that sits at lever_A (3,) m in {A}."""
+        return VectorPairs(self.t, self.in_K, self.in_E + self.turn @ lever_A, self.weight)
+
+
+def acceleration_pairs(
+    t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal, gravity: float
+) -> AccelerationPairs:
+    """A joint's acceleration from the camera and from the IMU, both by the same local parabolas.
+
+    The camera's samples p(t_j), the IMU's double integral and the lever's turning go through the same
+    linear functional (the quadratic coefficient of a least-squares parabola), so no filter differs.
     """
     step = 0.01
     grid = np.arange(signal.start_s, signal.end_s, step)
@@ -94,21 +110,24 @@ def acceleration_pairs(
     acc_E = attitude.at(0.5 * (grid[1:] + grid[:-1])).apply(force) - np.array([0.0, 0.0, gravity])
     velocity = np.vstack([np.zeros(3), np.cumsum(acc_E * step, axis=0)])
     path = np.vstack([np.zeros(3), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step, axis=0)])
-    inertial = np.stack([np.interp(t, grid, path[:, i]) for i in range(3)], axis=1)
-    inertial += attitude.at(t).apply(lever_A)
-    centre = np.arange(t[0] + ACCELERATION_HALF_S, t[-1] - ACCELERATION_HALF_S, 0.5 * ACCELERATION_HALF_S)
-    lo, hi = np.searchsorted(t, [centre - ACCELERATION_HALF_S, centre + ACCELERATION_HALF_S])
-    rows: list[tuple[float, FloatArray, FloatArray, float]] = []
+    inertial = interpolate(grid, path, t)
+    R_E_A = attitude.at(t).as_matrix()
+    half = ACCELERATION_HALF_S
+    centre = np.arange(t[0] + half, t[-1] - half, 0.5 * half)
+    lo, hi = np.searchsorted(t, [centre - half, centre + half])
+    rows = []
     for c, a, b in zip(centre, lo, hi, strict=True):
         u = t[a:b] - c
-        if b - a < 6 or np.diff(u).max() > 0.35 * ACCELERATION_HALF_S or np.ptp(u) < 1.6 * ACCELERATION_HALF_S:
+        if b - a < 6 or np.diff(u).max() > 0.35 * half or np.ptp(u) < 1.6 * half:
             continue
         functional = 2.0 * np.linalg.pinv(np.stack([np.ones_like(u), u, u**2], axis=1))[2]
-        variance = (POINT_SIGMA_M**2) * float(functional @ functional) + 0.1**2
-        rows.append((c, functional @ point[a:b], functional @ inertial[a:b], 1.0 / variance))
+        variance = (POINT_SIGMA_M**2) * float(functional @ functional) + ACCELERATION_SIGMA**2
+        turn = np.einsum("j,jab->ab", functional, R_E_A[a:b])
+        rows.append((c, functional @ point[a:b], functional @ inertial[a:b], turn, 1.0 / variance))
     if not rows:
-        return VectorPairs(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    return VectorPairs(*(np.array(column) for column in zip(*rows, strict=True)))
+        none = np.zeros((0, 3))
+        return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
+    return AccelerationPairs(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -169,9 +188,7 @@ def _spread(cells: FloatArray, keep: float) -> FloatArray:
     return forward + backward - cells
 
 
-def states_from_camera(
-    t: FloatArray, R: FloatArray, frame_t: FloatArray, position: FloatArray
-) -> States:
+def states_from_camera(t: FloatArray, R: FloatArray, frame_t: FloatArray, position: FloatArray) -> States:
     """Position and velocity at the nodes from the IMU's positions at visible frames.
 
     Parameters

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from .recording import FloatArray, IntArray
 from .shared import Gaussian, Layout
 

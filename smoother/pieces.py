@@ -1,0 +1,98 @@
+"""A recording taken apart at the pauses of its IMU, each piece with its inertial attitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .inertial import InertialSignal
+from .occlusion import accepted_samples, joints_needed
+from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, Recording
+from .start import InertialAttitude, inertial_attitude
+from .timing import split_at_pauses
+
+#: The inertial filter runs no faster than this, Hz.
+FILTER_RATE_HZ = 120.0
+#: A piece shorter than this is not worth a filter, samples.
+FEWEST_SAMPLES = 8
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of the recording without a pause of the IMU, as it was recorded.
+
+    Attributes
+    ----------
+    signal, attitude : the IMU, and its orientation in {E} (z up, heading drifting).
+    frame_t : (f,) camera frames on the camera's clock, s.
+    position, accepted : (f, 5, 3) m in {K}, (f, 5) samples that may take part.
+    down : (3,) rough direction of gravity in {K}; zero where nothing is known.
+    needed : accepted forearm joints that make a frame visible.
+    frames : rows of the recording's frames.
+    start_s, end_s : the part to look at, on the IMU's clock.
+    recording : which recording of several.
+    """
+
+    signal: InertialSignal
+    attitude: InertialAttitude
+    frame_t: FloatArray
+    position: FloatArray
+    accepted: BoolArray
+    down: FloatArray
+    needed: int
+    frames: slice
+    start_s: float
+    end_s: float
+    recording: int = 0
+
+    def between(self, start_s: float, end_s: float) -> Piece:
+        """The same piece, of which only a part (IMU clock) is looked at."""
+        return replace(self, start_s=max(start_s, self.start_s), end_s=min(end_s, self.end_s))
+
+
+def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Piece]:
+    """The pieces of a recording that hold at least two frames with a forearm joint.
+
+    Parameters
+    ----------
+    slack_s : clock offset that frames at the ends are kept for, s.
+    number : which recording of several.
+    """
+    accepted = accepted_samples(recording.arm)
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    pieces = []
+    for samples in split_at_pauses(recording.imu):
+        imu = recording.imu.select(samples)
+        if len(imu) < FEWEST_SAMPLES:
+            continue
+        first, last = np.searchsorted(recording.arm.t_s, [imu.t_s[0] - slack_s, imu.t_s[-1] + slack_s])
+        frames = slice(int(first), int(last))
+        if accepted[frames][:, forearm].any(axis=1).sum() < 2:
+            continue
+        signal = InertialSignal(imu)
+        pieces.append(
+            Piece(
+                signal=signal,
+                attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
+                frame_t=recording.arm.t_s[frames],
+                position=recording.arm.position[frames],
+                accepted=accepted[frames],
+                down=down_hint(recording),
+                needed=joints_needed(recording.arm),
+                frames=frames,
+                start_s=float(imu.t_s[0]),
+                end_s=float(imu.t_s[-1]),
+                recording=number,
+            )
+        )
+    return pieces
+
+
+def down_hint(recording: Recording) -> FloatArray:
+    """Rough direction of gravity in {K}: the hint, or a camera that stands level."""
+    if recording.gravity_hint is not None:
+        return recording.gravity_hint / np.linalg.norm(recording.gravity_hint)
+    if recording.camera_frame is not None:
+        return recording.camera_frame.down
+    return np.zeros(3)

@@ -1,0 +1,93 @@
+"""What a window is told before anything was solved: from calibration, configuration and start values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .calibration import ArmCalibration, Length, LeverArm
+from .config import Config
+from .pieces import Piece
+from .plan import Stretch
+from .recording import JOINTS, FloatArray
+from .shared import Gaussian, Layout, axes_across
+from .start import Alignment
+from .window import Noise, Priors
+
+#: How well gravity's direction is known from the start values, rad.
+GRAVITY_SIGMA_RAD = 0.2
+
+
+def first_priors(
+    stretches: list[Stretch],
+    alignments: list[Alignment],
+    pieces: list[Piece],
+    calibration: ArmCalibration,
+    config: Config,
+) -> Priors:
+    """The same priors for every window of a first pass."""
+    longest = int(np.argmax([len(stretch.t) for stretch in stretches]))
+    down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
+    seen_shoulder = any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches)
+    layout = Layout(
+        joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
+        has_upper_arm=seen_shoulder and "elbow" in calibration.lever_arms,
+        gravity_axes=axes_across(down),
+    )
+    mean, variance = np.zeros(layout.size), np.ones(layout.size)
+    mean[:3] = 0.0 if calibration.accelerometer_bias is None else calibration.accelerometer_bias
+    mean[3:6] = pieces[longest].attitude.gyroscope_bias
+    variance[:3], variance[3:6] = (
+        config.imu.accelerometer_bias_sigma**2,
+        config.imu.gyroscope_bias_sigma**2,
+    )
+    variance[layout.gravity] = GRAVITY_SIGMA_RAD**2
+    if layout.has_upper_arm:
+        known = calibration.upper_arm or upper_arm_seen(pieces, config)
+        mean[layout.upper_arm], variance[layout.upper_arm] = known.value_m, known.sigma_m**2
+    for joint in layout.joints:
+        lever = calibration.lever_arms[joint]
+        mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
+    walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
+    return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
+
+
+def upper_arm_seen(pieces: list[Piece], config: Config) -> Length:
+    """Median distance from shoulder to elbow while both are seen; the configured length without any."""
+    shoulder, elbow = JOINTS.index("shoulder"), JOINTS.index("elbow")
+    lengths = [
+        np.linalg.norm(piece.position[both, elbow] - piece.position[both, shoulder], axis=1)
+        for piece in pieces
+        if (both := piece.accepted[:, shoulder] & piece.accepted[:, elbow]).any()
+    ]
+    if not lengths:
+        return Length(config.arm.upper_arm_m, config.arm.upper_arm_sigma_m)
+    return Length(float(np.median(np.concatenate(lengths))), config.arm.upper_arm_sigma_m)
+
+
+def noise_of(config: Config) -> Noise:
+    """The configuration's densities and losses as the graph takes them."""
+    return Noise(
+        accelerometer_density=config.imu.accelerometer_density,
+        gyroscope_density=config.imu.gyroscope_density,
+        huber=config.camera.huber,
+        upper_arm_sigma_m=config.arm.upper_arm_flex_m,
+        shoulder_walk=config.arm.shoulder_walk,
+    )
+
+
+def calibration_from(
+    found: Gaussian, layout: Layout, before: ArmCalibration, gyroscope_bias: FloatArray | None = None
+) -> ArmCalibration:
+    """The arm's calibration from the constants' Gaussian (`firstpass.combine`)."""
+    sigma = np.sqrt(np.diag(found.covariance))
+    start = layout.constants.start
+    levers = dict(before.lever_arms)
+    for joint in layout.joints:
+        rows = slice(layout.lever(joint).start - start, layout.lever(joint).stop - start)
+        levers[joint] = LeverArm(found.mean[rows], sigma[rows])
+    upper_arm = before.upper_arm
+    if layout.has_upper_arm:
+        upper_arm = Length(float(found.mean[0]), float(sigma[0]))
+    return ArmCalibration(
+        before.side, levers, upper_arm, before.R_F_A, before.accelerometer_bias, gyroscope_bias
+    )

@@ -1,0 +1,176 @@
+"""Self-calibration: what nobody measured, solved from the visible motion before the recovery.
+
+The mounting starts in closed form (`mounting`). Then a few rounds on a choice of blocks of the
+recordings: window graphs with the lever arms and the upper arm as variables, their answers combined,
+the camera's noise measured from the residuals, and the clock offset moved along the slope of the loss
+(secant steps). Recordings share the arm; each has its own clock offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .calibration import ArmCalibration, LeverArm
+from .config import Config
+from .errors import CalibrationError
+from .firstpass import combine
+from .mounting import find_mounting
+from .pieces import Piece
+from .plan import cut, cut_times
+from .pool import Pool
+from .prepare import GRAVITY, prepare
+from .priors import calibration_from, first_priors, noise_of, upper_arm_seen
+from .recording import JOINTS, FloatArray
+from .residuals import JointNoise, OffsetSlope, joint_noise, offset_slope, sigma_by_joint
+
+#: Blocks that the calibration looks at: so long each, and so much in all, s.
+BLOCK_S = 20.0
+BLOCKS_S = 80.0
+ROUNDS = 4
+#: An offset step is never longer than this, s.
+LONGEST_STEP_S = 0.06
+#: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
+LARGEST_OFFSET_S = 0.4
+OFFSET_SIGMA_S = 0.15
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the recovery starts from.
+
+    Attributes
+    ----------
+    calibration : lever arms and upper arm with sigmas.
+    start : the same values as a prior for solving them again: as uncertain as before.
+    offset_s, offset_sigma_s : clock offset of each recording, t_imu = t_camera + offset.
+    noise : of each forearm joint, by name.
+    sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
+    """
+
+    calibration: ArmCalibration
+    start: ArmCalibration
+    offset_s: FloatArray
+    offset_sigma_s: FloatArray
+    noise: dict[str, JointNoise]
+    sigma_m: FloatArray
+
+
+def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> Knowledge:
+    """Find what the calibration lacks, and each recording's clock offset.
+
+    Parameters
+    ----------
+    pieces : of one or several recordings of one person and mounting.
+    known : what is given; its sigmas are believed.
+    """
+    blocks = choose_blocks(pieces)
+    mounting = find_mounting(blocks, known)
+    calibration, offset_s = mounting.calibration, mounting.offset_s.copy()
+    if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
+        calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
+    given = calibration
+    sigma_m = np.full(len(JOINTS), config.camera.joint_sigma_m)
+    secant = _Secant(len(offset_s))
+    for _ in range(ROUNDS):
+        ready = [(piece, prepare(piece, calibration, offset_s[piece.recording], sigma_m)) for piece in blocks]
+        ready = [(piece, each) for piece, each in ready if each is not None]
+        if not ready:
+            raise CalibrationError("at no time do the IMU and a visible forearm come together")
+        stretches = [each[0] for _, each in ready]
+        prior = first_priors(
+            stretches, [each[1] for _, each in ready], [piece for piece, _ in ready], calibration, config
+        )
+        windows, owner = [], []
+        for (piece, _), stretch in zip(ready, stretches, strict=True):
+            cuts = cut(
+                stretch,
+                prior,
+                noise_of(config),
+                cut_times(stretch, config.windows.length_s),
+                config.windows.margin_s,
+                GRAVITY,
+            )
+            windows += cuts
+            owner += [piece.recording] * len(cuts)
+        answers = pool.solve(windows, False, lambda share: None)
+        found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given)
+        noise = joint_noise(windows, answers)
+        sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
+        offset_s = secant.step(offset_s, offset_slope(windows, answers), np.array(owner))
+        calibration = _recentred(found, given, known)
+    return Knowledge(found, calibration, offset_s, secant.sigma_s(), noise, sigma_m)
+
+
+def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:
+    """The next round's prior: what was found, as uncertain as before; what was given stays."""
+    levers = {
+        joint: known.lever_arms[joint]
+        if joint in known.lever_arms
+        else LeverArm(lever.position_m, start.lever_arms[joint].sigma_m)
+        for joint, lever in found.lever_arms.items()
+    }
+    upper_arm = known.upper_arm
+    if upper_arm is None and found.upper_arm is not None and start.upper_arm is not None:
+        upper_arm = replace(found.upper_arm, sigma_m=start.upper_arm.sigma_m)
+    return replace(start, lever_arms=levers, upper_arm=upper_arm)
+
+
+def choose_blocks(pieces: list[Piece]) -> list[Piece]:
+    """Parts of the recordings that tell most: forearm visible and turning, spread over the whole."""
+    total = sum(piece.end_s - piece.start_s for piece in pieces)
+    if total <= 1.5 * BLOCKS_S:
+        return pieces
+    blocks: list[tuple[float, Piece]] = []
+    for piece in pieces:
+        count = max(int(round((piece.end_s - piece.start_s) / BLOCK_S)), 1)
+        edges = np.linspace(piece.start_s, piece.end_s, count + 1)
+        blocks += [
+            (_worth(piece.between(a, b)), piece.between(a, b))
+            for a, b in zip(edges[:-1], edges[1:], strict=True)
+        ]
+    wanted = max(int(BLOCKS_S / BLOCK_S), 1)
+    groups = np.array_split(np.arange(len(blocks)), min(wanted, len(blocks)))
+    return [blocks[max(group, key=lambda k: blocks[k][0])][1] for group in groups]
+
+
+def _worth(piece: Piece) -> float:
+    """Visible time (s) times how much the sensor turns (rad/s, up to 1)."""
+    forearm = piece.accepted[:, 1:].sum(axis=1) >= piece.needed
+    seen = piece.frame_t[forearm & (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)]
+    if len(seen) < 3:
+        return 0.0
+    edges = np.arange(piece.start_s, piece.end_s, 0.1)
+    turning = np.linalg.norm(piece.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
+    return float(len(seen) * np.median(np.diff(seen)) * np.minimum(turning, 1.0).mean())
+
+
+class _Secant:
+    """Root of the loss's slope over the clock offset, for each recording."""
+
+    def __init__(self, count: int) -> None:
+        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._curvature = np.zeros(count)
+
+    def step(self, offset_s: FloatArray, found: OffsetSlope, owner: FloatArray) -> FloatArray:
+        """The next offsets."""
+        count = len(offset_s)
+        slope = np.bincount(owner, weights=found.slope, minlength=count)
+        bound = np.maximum(np.bincount(owner, weights=found.bound, minlength=count), 1e-9)
+        curvature = 0.5 * bound
+        if self._last is not None:
+            moved = offset_s - self._last[0]
+            change = self._last[1] - slope
+            usable = np.abs(moved) > 1e-5
+            curvature = np.where(usable, change / np.where(usable, moved, 1.0), self._curvature)
+        curvature = np.clip(curvature, 0.05 * bound, bound)
+        self._last, self._curvature = (offset_s.copy(), slope), curvature + OFFSET_SIGMA_S**-2
+        newton = (slope - offset_s / OFFSET_SIGMA_S**2) / self._curvature
+        return np.clip(
+            offset_s + np.clip(newton, -LONGEST_STEP_S, LONGEST_STEP_S), -LARGEST_OFFSET_S, LARGEST_OFFSET_S
+        )
+
+    def sigma_s(self) -> FloatArray:
+        """Standard deviation of each offset from the curvature of the loss, s."""
+        return 1.0 / np.sqrt(np.maximum(self._curvature, 1e-9))
