@@ -229,7 +229,7 @@ def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
     if both.sum() >= 20:
         good = both
         along = arm.position[:, wrist] - arm.position[:, elbow]
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
     else:
         point = max(("wrist", "strap", "hand", "elbow"), key=lambda joint: tracked(joint).sum())
         good = tracked(point)

@@ -111,7 +111,7 @@ def import_utd_mhad(inertial_mat: str | os.PathLike[str], skeleton_mat: str | os
             "UTD-MHAD's (N, 6) and (20, 3, n)."
         )
     samples, frames = len(inertial), skeleton.shape[2]
-    t_s: FloatArray = (np.arange(samples) + 0.5) / _UTD_RATE_HZ
+    t_s = np.asarray((np.arange(samples) + 0.5) / _UTD_RATE_HZ, np.float64)
     frame_s = (np.arange(frames) + 0.5) * (samples / _UTD_RATE_HZ / frames)
     joints, state = _empty_tracks(frames)
     for joint, row in _UTD_ROWS.items():

@@ -41,21 +41,20 @@ class Decoder:
         log_ns = np.fromiter((message.log_ns for message in messages), np.uint64, len(messages))
         for index, block, layout in self.grouper.groups(payloads):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamp = self.stamps(block, layout)
             log = log_ns[index].astype(np.int64)
-            columns = self.columns(block, layout)
-            self.parts.append((index + self._fed, np.where(stamp == 0, log, stamp), log, *columns))
+            stamp = self.stamps(block, layout, log)
+            self.parts.append((index + self._fed, stamp, log, *self.columns(block, layout)))
         self._fed += len(messages)
 
     _fed: int = 0
 
-    def stamps(self, block: Block, layout: Layout) -> IntArray:
-        """Header stamps (rows,), ns."""
-        if self.is_cdr:
-            seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-            return seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
-        seconds = layout.integer(block, "timestamp.seconds")
-        return seconds * _BILLION + layout.integer(block, "timestamp.nanos")
+    def stamps(self, block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
+        """Stamps (rows,), ns; log times where they are zero."""
+        if not self.is_cdr:
+            return proto.stamps(block, layout, log_ns)
+        seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
+        stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+        return np.where(stamp == 0, log_ns, stamp)
 
     def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
         """What the messages carry, an array (rows, ...) each."""

@@ -138,7 +138,7 @@ def _take(info: RecordingInfo, recording: Recording) -> None:
     info.duration_s = round(float(end - start), 3)
     gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
     info.gaps = len(gaps)
-    info.gap_total_s = round(sum(gap.length_s for gap in gaps), 3)
+    info.gap_total_s = round(sum((gap.length_s for gap in gaps), 0.0), 3)
     info.gap_longest_s = round(max((gap.length_s for gap in gaps), default=0.0), 3)
 
 
@@ -147,8 +147,6 @@ def _missing(file: RecordingFile, recording: Recording | None) -> dict[str, str]
     missing = {}
     if RESULT not in "".join(file.metadata):
         missing["validate, export"] = "the file holds no result yet; run `unocclude smooth` first."
-    else:
-        missing["smooth again"] = "nothing; the file is a result and carries its recording."
     if not file.poses:
         missing["validate, compare"] = "no truth in the file; give one with --truth, or use `unocclude gaps`."
     if not any(topic.schema in _DEPTH for topic in file.topics):
@@ -167,7 +165,8 @@ def _missing(file: RecordingFile, recording: Recording | None) -> dict[str, str]
         missing["calibrate world"] = "no IMU on the camera; gravity is solved with the motion."
     if recording.camera_frame is None and recording.gravity_hint is None:
         missing["start of the solution"] = (
-            f"the file does not say how the camera's axes lie (metadata {METADATA}); gravity is found from motion."
+            f"the file does not say how the camera's axes lie (metadata {METADATA}); "
+            "gravity is found from motion."
         )
     return missing
 

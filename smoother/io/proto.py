@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from .layout import Layout
+from ..recording import IntArray
+from .layout import Block, Layout
 
 
 def walk(data: bytes, message: Any) -> Layout:
@@ -22,6 +23,18 @@ def walk(data: bytes, message: Any) -> Layout:
     layout = Layout.of(data)
     _walk(data, 0, len(data), message.DESCRIPTOR, "", layout)
     return layout
+
+
+def stamps(block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
+    """Stamps (rows,) of the field `timestamp`, ns; log times where it is zero.
+
+    A zero that is spelled out, as `write_recording` does, is meant; one left out is a stamp that
+    the recorder never set.
+    """
+    if not {"timestamp.seconds", "timestamp.nanos"} & layout.varints.keys():
+        return log_ns
+    seconds = layout.integer(block, "timestamp.seconds")
+    return seconds * 1_000_000_000 + layout.integer(block, "timestamp.nanos")
 
 
 def _walk(data: bytes, position: int, stop: int, descriptor: Any, path: str, layout: Layout) -> None:

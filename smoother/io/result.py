@@ -41,9 +41,9 @@ def write_recovery(
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
     axes; an answer without orientation has body_frame_id = frame_id, one without position is left
     out), `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
-    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded), `/unocclude/gaps` (Event),
-    `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
-    (FrameTransforms), `/unocclude/camera` (the camera's joints on the IMU's clock),
+    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded),
+    `/unocclude/gaps` (Event), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight),
+    `/unocclude/tf` (FrameTransforms), `/unocclude/camera` (the camera's joints on the IMU's clock),
     `/unocclude/residuals`. With several arms each topic ends in the arm's side. The metadata record
     `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
     gives the same bytes.

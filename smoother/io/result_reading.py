@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..recording import JOINTS, FloatArray, IntArray, JointTracks
 from ..result import FrameResiduals, Recovery
+from . import proto
 from .container import Container, Message, Topic
 from .decode import proto_grouper
 from .layout import Block, Grouper, Layout
@@ -184,8 +185,7 @@ class _Table:
 
     def feed(self, messages: list[Message]) -> None:
         for index, block, layout in self.grouper.groups([bytes(message.data) for message in messages]):
-            stamp = layout.integer(block, "timestamp.seconds") * 1_000_000_000
-            stamp += layout.integer(block, "timestamp.nanos")
+            stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
             self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
         self.fed += len(messages)
 

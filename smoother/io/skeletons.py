@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
-from . import cdr
+from . import cdr, proto
 from .container import Message, Topic
 from .decode import proto_grouper
 from .layout import Block, Grouper, Layout
@@ -95,9 +95,7 @@ class SkeletonDecoder:
         read = np.zeros(len(messages), bool)
         for index, block, layout in self.grouper.groups([bytes(message.data) for message in messages]):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamp = layout.integer(block, "timestamp.seconds") * _BILLION
-            stamp += layout.integer(block, "timestamp.nanos")
-            stamp = np.where(stamp == 0, log_ns[index], stamp)
+            stamp = proto.stamps(block, layout, log_ns[index])
             stamps[index], read[index] = stamp, True
             self._joints(stamp, block, layout)
         self.rows.frames.append(stamps[read])

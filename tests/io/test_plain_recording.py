@@ -1,0 +1,169 @@
+"""Folders of plain files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_recordings import make, plain_texts
+
+from smoother.errors import RecordingError
+from smoother.io import import_csv, open_csv, read_recording, write_recording
+from smoother.io.table import read_table
+from smoother.recording import CameraFrame
+
+Folder = Callable[..., Path]
+
+
+def test_a_plain_recording(plain_folder: Folder, tmp_path: Path) -> None:
+    made, found = make(), import_csv(plain_folder())
+    assert (found.side, found.camera_frame, found.origin_ns) == ("right", CameraFrame.KINECT, 0)
+    np.testing.assert_array_equal(found.gravity_hint, [0, -1, 0])
+    np.testing.assert_allclose(found.imu.t_s, made.imu.t_s, atol=1e-9)
+    np.testing.assert_allclose(found.imu.acc, made.imu.acc, atol=1e-8)
+    np.testing.assert_allclose(found.arm.position, made.arm.position, atol=1e-8)
+    np.testing.assert_array_equal(found.arm.state, made.arm.state)
+    assert found.truth is not None
+    assert np.isnan(found.truth.quaternion[0]).all() and found.truth.quaternion[1, 0] == 1
+    write_recording(open_csv(plain_folder()), tmp_path / "a.mcap")
+    again = read_recording(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(again.imu.t_s, found.imu.t_s)
+    np.testing.assert_array_equal(again.arm.position, found.arm.position)
+    assert again.origin_ns == 0
+
+
+def test_windows_ends_marks_spaces_and_blank_lines(plain_folder: Folder) -> None:
+    texts = plain_texts()
+    plain = import_csv(plain_folder())
+    dressed = {
+        "imu": "\ufeff" + texts["imu"].replace(",", ", ").replace("\n", "\r\n") + "\r\n",
+        "skeleton": "\ufeff" + texts["skeleton"].replace("\n", " \r\n"),
+        "recording": "\ufeff" + texts["recording"].replace("\n", "\r\n"),
+    }
+    found = import_csv(plain_folder(**dressed))
+    np.testing.assert_array_equal(found.imu.acc, plain.imu.acc)
+    np.testing.assert_array_equal(found.arm.position, plain.arm.position)
+
+
+def test_units_are_converted(plain_folder: Folder) -> None:
+    texts = plain_texts()
+    described = texts["recording"].replace('"skeleton.csv"', '"skeleton.csv"\nposition_unit = "mm"')
+    described = described.replace(
+        '"imu.csv"', '"imu.csv"\naccelerometer_unit = "g"\ngyroscope_unit = "deg/s"'
+    )
+    imu = "t_s,ax,ay,az,gx,gy,gz,mx,my,mz\n" + "".join(
+        f"{i / 100},0,1,0,0,0,{90 * np.sin(i / 20)},1,2,{i}\n" for i in range(800)
+    )
+    rows = [line.split(",") for line in texts["skeleton"].splitlines()]
+    for row in rows[1:]:
+        row[2:5] = [str(float(cell) * 1000) if cell else "" for cell in row[2:5]]
+    skeleton = "\n".join(",".join(row) for row in rows) + "\n"
+    found = import_csv(plain_folder(recording=described, imu=imu, skeleton=skeleton))
+    np.testing.assert_allclose(found.imu.acc[:, 1], 9.80665)
+    assert np.abs(found.imu.gyro[:, 2]).max() == pytest.approx(np.pi / 2, rel=1e-3)
+    assert found.imu.mag is not None and found.imu.mag[5].tolist() == [1, 2, 5]
+    assert np.nanmax(found.arm.position) == pytest.approx(2.0)
+
+
+def test_several_bodies_and_sides(plain_folder: Folder) -> None:
+    lines = plain_texts()["skeleton"].splitlines()
+    rows = [lines[0] + ",body"]
+    for line in lines[1:]:
+        rows.append(line + ",0")
+        t, joint, *rest = line.split(",")
+        rows.append(",".join([t, joint.replace("right", "left"), *rest, "0"]))
+        if float(t) > 1:
+            rows.append(line + ",7")
+    folder = plain_folder(skeleton="\n".join(rows) + "\n")
+    arms = {(arm.body, arm.side): arm for arm in open_csv(folder).arms}
+    assert set(arms) == {(0, "right"), (0, "left"), (7, "right")}
+    # A frame in which a joint has no row is one in which it is not tracked.
+    assert not arms[7, "right"].state[:30].any()
+    assert len(arms[7, "right"].stamp_ns) == len(arms[0, "left"].stamp_ns)
+    assert import_csv(folder, body=0).side == "right"
+    with pytest.raises(RecordingError, match="choose with --body"):
+        import_csv(folder)
+
+
+def change(old: str, new: str, stem: str = "recording") -> tuple[str, str, str]:
+    return stem, old, new
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (change('"imu.csv"', '"no.csv"'), r"no\.csv does not exist"),
+        (change('"kinect"', '"kinnect"'), r"camera\.frame is 'kinnect'"),
+        (change("[truth]", "[truht]"), "truht is not known here"),
+        (change('frame = "kinect"\n', ""), r"camera\.frame is missing"),
+        (change("gravity = [0, -2, 0]", "gravity = [0, 0, 0]"), "gravity is zero"),
+        (change("gravity = [0, -2, 0]", "gravity = [0, 0]"), r"camera\.gravity is"),
+        (change("[camera]", "[camera"), "not readable TOML"),
+        (change('file = "imu.csv"', 'file = "imu.csv"\ngyroscope_unit = "deg"'), "gyroscope_unit is 'deg'"),
+        (change("t_s,ax,ay", "t_s,ax,b", "imu"), r"has no column ay; its columns are t_s, ax, b, az"),
+        (
+            change("0.013000000,", "0.013000000,x", "imu"),
+            r"imu\.csv, line 3: 'x.* in column ax is not a number",
+        ),
+        (change("0.013000000,", ",", "imu"), r"imu\.csv, line 3: column t_s is empty"),
+        (
+            change("0.013000000,", "0.013000000,1,", "imu"),
+            r"imu\.csv, line 3: 8 cells where the header has 7",
+        ),
+        (change(",", ";", "imu"), "separated by semicolons"),
+        (change("elbow_right", "elbo_right", "skeleton"), r"line 3: joint 'elbo_right' is not known"),
+        (change("not_tracked", "lost", "skeleton"), r"line \d+: state 'lost' is not known"),
+        (change("0.1,1,2,3", "nan,1,2,3", "truth"), "no time in seconds"),
+    ],
+)
+def test_what_is_wrong_is_named(plain_folder: Folder, edit: tuple[str, str, str], said: str) -> None:
+    stem, old, new = edit
+    text = plain_texts()[stem]
+    assert old in text
+    with pytest.raises(RecordingError, match=said) as caught:
+        import_csv(plain_folder(**{stem: text.replace(old, new)}))
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_empty_files(tmp_path: Path, plain_folder: Folder) -> None:
+    with pytest.raises(RecordingError, match="the folder does not exist"):
+        import_csv(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match=r"recording\.toml does not exist"):
+        import_csv(tmp_path)
+    with pytest.raises(RecordingError, match="is empty; its first line must be"):
+        import_csv(plain_folder(imu=""))
+    with pytest.raises(RecordingError, match="a header and no rows"):
+        import_csv(plain_folder(imu="t_s,ax,ay,az,gx,gy,gz\n\n"))
+
+
+cells = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(cells, cells, st.none() | cells, st.sampled_from(["a", "bc"])), min_size=1, max_size=20
+    ),
+    st.sampled_from(["\n", "\r\n"]),
+    st.sampled_from([",", ", ", " ,"]),
+    st.booleans(),
+)
+def test_any_table(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[object, ...]], end: str, comma: str, bom: bool
+) -> None:
+    path = tmp_path_factory.mktemp("table") / "t.csv"
+    lines = [comma.join(("x", "y", "z", "word", "more"))]
+    lines += [
+        comma.join((repr(x), repr(y), "" if z is None else repr(z), word, "?")) for x, y, z, word in rows
+    ]
+    path.write_text(("\ufeff" if bom else "") + end.join(lines) + end, encoding="utf-8", newline="")
+    numbers, texts = read_table(path, ("x", "y", "word"), ("z", "absent"), words=("word",), empty=("z",))
+    assert numbers["x"].tolist() == [row[0] for row in rows]
+    assert numbers["y"].tolist() == [row[1] for row in rows]
+    assert [None if np.isnan(z) else z for z in numbers["z"].tolist()] == [row[2] for row in rows]
+    assert texts["word"] == [row[3] for row in rows]
+    assert "absent" not in numbers

@@ -1,0 +1,69 @@
+"""Recordings that others made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.errors import RecordingError
+from smoother.io import import_broad, import_utd_mhad, read_recording, write_recording
+from smoother.recording import CameraFrame, JointState
+
+pytestmark = pytest.mark.real
+
+
+def test_broad(datasets: Path, tmp_path: Path) -> None:
+    trial = sorted((datasets / "broad").glob("*.mat"))[0]
+    made = import_broad(trial)
+    assert made.arm.present == ("strap",) and made.camera_frame is CameraFrame.ZUP
+    assert made.imu.rate_hz == pytest.approx(285.714, abs=0.01) and made.arm.rate_hz == pytest.approx(30)
+    rest = np.linalg.norm(made.imu.acc, axis=1)
+    assert 9.7 < np.median(rest) < 10
+    assert made.truth is not None and made.truth.score.any() and not made.truth.score.all()
+    seen = made.arm.tracked("strap")
+    truth = np.stack(
+        [np.interp(made.arm.t_s, made.truth.t_s, axis) for axis in made.truth.position.T], axis=1
+    )
+    error = (made.arm.joint("strap") - truth)[seen]
+    assert np.nanstd(error) == pytest.approx(0.008, rel=0.05)
+    assert made.arm.state[~seen].max(initial=0) == JointState.NOT_TRACKED
+    write_recording(made, tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(found.imu.acc, made.imu.acc)
+    np.testing.assert_array_equal(found.arm.position, made.arm.position)
+    assert found.truth is not None
+    np.testing.assert_array_equal(found.truth.score, made.truth.score)
+    again = import_broad(trial, seed=1)
+    assert np.nanmax(np.abs(again.arm.position - made.arm.position)) > 0
+
+
+def test_utd_mhad(datasets: Path, tmp_path: Path) -> None:
+    inertial = datasets / "utd_mhad" / "Inertial" / "a1_s1_t1_inertial.mat"
+    skeleton = datasets / "utd_mhad" / "Skeleton" / "a1_s1_t1_skeleton.mat"
+    made = import_utd_mhad(inertial, skeleton)
+    assert made.side == "right" and made.arm.present == ("shoulder", "elbow", "wrist", "hand")
+    assert made.imu.rate_hz == pytest.approx(50)
+    # Both streams cover the same interval, each sample at the centre of its own.
+    half = 0.5 * (made.arm.t_s[1] - made.arm.t_s[0])
+    assert made.arm.t_s[0] == pytest.approx(half)
+    assert made.arm.t_s[-1] + half == pytest.approx(len(made.imu) / 50)
+    assert 8 < np.median(np.linalg.norm(made.imu.acc, axis=1)) < 12
+    forearm = np.linalg.norm(made.arm.joint("wrist") - made.arm.joint("elbow"), axis=1)
+    assert 0.15 < np.median(forearm) < 0.35
+    write_recording(made, tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert (found.side, found.camera_frame) == ("right", CameraFrame.KINECT)
+    np.testing.assert_array_equal(found.arm.position, made.arm.position)
+
+
+def test_other_files_are_refused(datasets: Path, tmp_path: Path) -> None:
+    skeleton = datasets / "utd_mhad" / "Skeleton" / "a1_s1_t1_skeleton.mat"
+    with pytest.raises(RecordingError, match="no trial of BROAD"):
+        import_broad(skeleton)
+    with pytest.raises(RecordingError, match=r"lacks d_iner"):
+        import_utd_mhad(skeleton, skeleton)
+    (tmp_path / "x.mat").write_text("nothing")
+    with pytest.raises(RecordingError, match="cannot be read as a Matlab file"):
+        import_broad(tmp_path / "x.mat")

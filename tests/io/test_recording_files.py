@@ -1,0 +1,253 @@
+"""Recordings written and read back, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_recordings import make, swing
+from mcap.reader import make_reader
+
+from smoother.errors import RecordingError, UnoccludeError
+from smoother.io import describe, open_recording, read_recording, select_recording, write_recording
+from smoother.io.choose import motion_agreement
+from smoother.io.clean import increasing
+from smoother.io.schemas import message_class
+from smoother.io.writing import as_file
+from smoother.recording import ImuStream, JointState, JointTracks, Recording
+
+
+def assert_same(found: Recording, made: Recording) -> None:
+    assert found.origin_ns == made.origin_ns
+    assert (found.side, found.camera_frame) == (made.side, made.camera_frame)
+    for one, other in ((found.imu, made.imu), (found.base_imu, made.base_imu)):
+        assert one is not None and other is not None
+        # To the nanosecond, which is all that a stamp holds.
+        np.testing.assert_array_equal(np.rint(one.t_s * 1e9), np.rint(other.t_s * 1e9))
+        np.testing.assert_array_equal(one.acc, other.acc)
+        np.testing.assert_array_equal(one.gyro, other.gyro)
+    np.testing.assert_array_equal(found.imu.mag, made.imu.mag)
+    np.testing.assert_array_equal(np.rint(found.arm.t_s * 1e9), np.rint(made.arm.t_s * 1e9))
+    np.testing.assert_array_equal(found.arm.position, made.arm.position)
+    np.testing.assert_array_equal(found.arm.state, made.arm.state)
+    assert found.truth is not None and made.truth is not None
+    for name in ("position", "quaternion", "score"):
+        np.testing.assert_array_equal(getattr(found.truth, name), getattr(made.truth, name))
+    np.testing.assert_array_equal(found.truth.joints["elbow"], made.truth.joints["elbow"])
+    np.testing.assert_array_equal(found.gravity_hint, made.gravity_hint)
+    assert set(made.notes) <= set(found.notes)
+
+
+@pytest.mark.parametrize("origin_ns", [0, 1_700_000_000 * 10**9])
+def test_round_trip(tmp_path: Path, origin_ns: int) -> None:
+    made = make(origin_ns=origin_ns)
+    write_recording(made, tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert_same(found, made)
+    assert found.name == "a.mcap"
+    write_recording(found, tmp_path / "b.mcap")
+    assert_same(read_recording(tmp_path / "b.mcap"), made)
+
+
+def test_negative_stamps_survive(tmp_path: Path) -> None:
+    made = make(origin_ns=-4_500_000_000)
+    write_recording(made, tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert found.origin_ns == 0
+    np.testing.assert_allclose(found.imu.t_s, made.imu.t_s - 4.5, atol=1e-9)
+    np.testing.assert_array_equal(found.arm.position, made.arm.position)
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path, recording: Recording) -> None:
+    write_recording(recording, tmp_path / "a.mcap")
+    write_recording(recording, tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    with pytest.raises(UnoccludeError, match="--force"):
+        write_recording(recording, tmp_path / "a.mcap")
+
+
+def test_foxglove_can_decode_what_is_written(tmp_path: Path, recording: Recording) -> None:
+    write_recording(recording, tmp_path / "a.mcap")
+    with open(tmp_path / "a.mcap", "rb") as file:
+        times = []
+        for schema, channel, message in make_reader(file).iter_messages():
+            decoded = message_class(schema.name)()
+            decoded.ParseFromString(message.data)
+            times.append(message.log_time)
+            if channel.topic == "/skeleton":
+                assert [joint.name for joint in decoded.joints][:2] == ["shoulder_right", "elbow_right"]
+    assert times == sorted(times)
+
+
+def test_two_arms_share_a_file(tmp_path: Path) -> None:
+    right, left = make(side="right"), make(side="left", rate=1.6)
+    write_recording([right, left], tmp_path / "both.mcap")
+    for made in (right, left):
+        found = read_recording(tmp_path / "both.mcap", side=made.side)
+        assert found.imu.name == f"/imu/forearm_{made.side}"
+        np.testing.assert_array_equal(found.imu.gyro, made.imu.gyro)
+        np.testing.assert_array_equal(found.arm.position, made.arm.position)
+        assert found.truth is not None and made.truth is not None
+        np.testing.assert_array_equal(found.truth.position, made.truth.position)
+    assert read_recording(tmp_path / "both.mcap", prefer_side="left").side == "left"
+
+
+def test_motion_tells_whose_an_unnamed_imu_is(tmp_path: Path) -> None:
+    right, left = make(20, side="right"), make(20, side="left", rate=1.6)
+    file = as_file([right, left])
+    file.imus = [replace(file.imus[-1], topic="/imu/a", frame_id="")]
+    recording = select_recording(file)
+    assert recording.side == "left"
+    assert any("motion agrees best" in note for note in recording.notes)
+    still = replace(file.imus[0], gyro=np.zeros_like(file.imus[0].gyro))
+    file.imus = [still]
+    with pytest.raises(RecordingError, match="choose with --side"):
+        select_recording(file)
+
+
+def test_motion_agreement_finds_a_shifted_clock() -> None:
+    file = as_file(make(20))
+    assert motion_agreement(file.imus[0], file.arms[0]) > 0.95
+    late = replace(file.imus[0], stamp_ns=file.imus[0].stamp_ns + 400_000_000)
+    assert motion_agreement(late, file.arms[0]) > 0.95
+
+
+def broken(made: Recording, **changes: object) -> Recording:
+    return replace(made, imu=replace(made.imu, **changes))
+
+
+def refused(made: Recording, tmp_path: Path) -> str:
+    write_recording(made, tmp_path / "bad.mcap", force=True)
+    with pytest.raises(RecordingError) as caught:
+        read_recording(tmp_path / "bad.mcap")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(1 / 9.81, "looks like g;"), (1000, "mm/s"), (1000 / 9.81, "milli-g"), (0.01, "gravity")],
+)
+def test_accelerometer_units(recording: Recording, tmp_path: Path, factor: float, unit: str) -> None:
+    said = refused(broken(recording, acc=recording.imu.acc * factor), tmp_path)
+    assert "bad.mcap" in said and "/imu/forearm_right" in said and unit in said
+
+
+def test_gyroscope_in_degrees(recording: Recording, tmp_path: Path) -> None:
+    said = refused(broken(recording, gyro=np.degrees(recording.imu.gyro)), tmp_path)
+    assert "looks like deg/s" in said
+
+
+def test_skeleton_in_millimetres(recording: Recording, tmp_path: Path) -> None:
+    arm = replace(recording.arm, position=recording.arm.position * 1000)
+    assert "millimetres" in refused(replace(recording, arm=arm), tmp_path)
+
+
+def test_nothing_visible(recording: Recording, tmp_path: Path) -> None:
+    everywhere = np.ones(len(recording.arm), bool)
+    said = refused(replace(recording, arm=recording.arm.hide(everywhere)), tmp_path)
+    assert "no forearm joint is tracked" in said
+    nothing = JointTracks("x", recording.arm.t_s, recording.arm.position * np.nan, recording.arm.state * 0)
+    assert "no forearm joint is tracked" in refused(replace(recording, arm=nothing), tmp_path)
+
+
+def test_clocks_that_do_not_overlap(recording: Recording, tmp_path: Path) -> None:
+    arm = replace(recording.arm, t_s=recording.arm.t_s + 100)
+    said = refused(replace(recording, arm=arm, truth=None), tmp_path)
+    assert "do not overlap" in said and "92.0" in said
+
+
+def test_streams_that_are_not_there(recording: Recording, tmp_path: Path) -> None:
+    file = as_file(recording)
+    file.imus, imus = [], file.imus
+    write_recording(file, tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=r"a\.mcap has no IMU .*it has /skeleton"):
+        read_recording(tmp_path / "a.mcap")
+    file.imus, file.arms = imus, []
+    write_recording(file, tmp_path / "b.mcap")
+    with pytest.raises(RecordingError, match=r"b\.mcap has no skeleton"):
+        read_recording(tmp_path / "b.mcap")
+    assert "no skeleton" in describe(tmp_path / "b.mcap").missing["smooth"]
+
+
+def test_files_that_are_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("t_s,ax\n")
+    for name, said in [
+        ("empty", r"empty \(0 bytes\)"),
+        ("text", "is not an MCAP"),
+        ("none", "does not exist"),
+    ]:
+        with pytest.raises(RecordingError, match=said):
+            open_recording(tmp_path / f"{name}.mcap")
+    with pytest.raises(RecordingError, match="is a folder"):
+        open_recording(tmp_path)
+
+
+def test_isolated_bad_samples_are_dropped_and_counted(recording: Recording, tmp_path: Path) -> None:
+    t, acc = recording.imu.t_s.copy(), recording.imu.acc.copy()
+    t[100], t[200], acc[300, 1] = t[99], t[150], np.nan
+    write_recording(broken(recording, t_s=t, acc=acc), tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert len(found.imu) == len(t) - 3
+    assert any("3 of 800" in note and "1 not finite" in note for note in found.notes)
+    assert (np.diff(found.imu.t_s) > 0).all()
+    acc[:60] = np.nan
+    assert "61 not finite" in refused(broken(recording, acc=acc), tmp_path)
+
+
+def test_joints_that_are_not_numbers(recording: Recording, tmp_path: Path) -> None:
+    position = recording.arm.position.copy()
+    position[3, 2] = np.nan
+    write_recording(replace(recording, arm=replace(recording.arm, position=position)), tmp_path / "a.mcap")
+    found = read_recording(tmp_path / "a.mcap")
+    assert found.arm.state[3, 2] == JointState.NOT_TRACKED
+    position[:100, 2] = np.nan
+    said = refused(replace(recording, arm=replace(recording.arm, position=position)), tmp_path)
+    assert "not numbers" in said
+
+
+def test_a_stamp_that_jumps_ahead_costs_one_sample() -> None:
+    stamps = np.arange(100)
+    stamps[50] = 1000
+    assert increasing(stamps).sum() == 99
+    stamps = np.arange(100)
+    stamps[50] = 3
+    assert increasing(stamps).sum() == 99
+
+
+def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None:
+    write_recording(recording, tmp_path / "a.mcap")
+    info = describe(tmp_path / "a.mcap")
+    assert (info.imu, info.side, info.gaps) == ("/imu/forearm_right", "right", 2)
+    assert "calibrate panel" in info.missing and "validate, compare" not in info.missing
+    assert json.loads(json.dumps(info.to_dict()))["topics"][0]["count"] > 0
+
+
+def test_importing_is_light() -> None:
+    code = (
+        "import sys, smoother.io; from smoother.io import read_recording, write_recovery\n"
+        "assert not {'gtsam', 'open3d', 'cv2', 'plotly'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_long_recording(tmp_path: Path) -> None:
+    """Fifty thousand samples and ten thousand frames; no object a sample."""
+    t, frames = np.arange(50_000) / 100, np.arange(15_000) / 30
+    elbow, wrist, _ = swing(frames)
+    position = np.full((len(frames), 5, 3), np.nan)
+    position[:, 1], position[:, 2] = elbow, wrist
+    state = np.zeros((len(frames), 5), np.int8)
+    state[:, 1:3] = JointState.TRACKED
+    made = Recording(
+        ImuStream("/imu/wrist", t, np.tile([0, 0, 9.81], (len(t), 1)), swing(t)[2]),
+        JointTracks("/skeleton", frames, position, state),
+    )
+    write_recording(made, tmp_path / "a.mcap")
+    assert len(read_recording(tmp_path / "a.mcap").imu) == 50_000

@@ -1,0 +1,275 @@
+"""Recoveries written, read back and exported."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_bags as ros
+from made_recordings import make
+from mcap.reader import make_reader
+
+from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.errors import RecordingError, UnoccludeError
+from smoother.io import export_csv, read_recording, read_recovery, write_recording, write_recovery
+from smoother.io.result import elbow_flexion
+from smoother.io.schemas import message_class
+from smoother.recording import JOINTS, JointTracks
+from smoother.result import FrameResiduals, Gap, Recovery
+
+ZERO = 1_700_000_000 * 10**9
+
+
+def recovery(count: int = 400, seed: int = 0, side: str = "right", origin_ns: int = ZERO) -> Recovery:
+    rng = np.random.default_rng(seed)
+    t = np.rint((0.1234567 + np.arange(count) / 100) * 1e9) / 1e9
+    frames = np.rint(np.arange(0, t[-1], 1 / 30) * 1e9) / 1e9
+    quaternion = rng.normal(size=(count, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    root = rng.normal(size=(count, 6, 6))
+    covariance = 1e-4 * root @ root.transpose(0, 2, 1)
+    position, velocity = rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
+    # No answer in samples 5 to 8, no orientation from 20 to 29, no stated uncertainty in 40.
+    nothing = slice(5, 9)
+    for values in (position, velocity, quaternion, covariance):
+        values[nothing] = np.nan
+    quaternion[20:30], covariance[20:30, 3:], covariance[20:30, :, 3:] = np.nan, np.nan, np.nan
+    covariance[40] = np.nan
+    velocity[50] = np.nan
+    speed = covariance[:, :3, :3].copy()
+    speed[50] = np.nan
+    camera = rng.normal(size=(len(frames), len(JOINTS), 3))
+    state = rng.integers(0, 3, (len(frames), len(JOINTS))).astype(np.int8)
+    camera[state == 0] = np.nan
+    residual, used = rng.normal(size=camera.shape), rng.random(state.shape) > 0.5
+    reason = np.where(rng.random(state.shape) > 0.9, "far from the arm", "")
+    residual[:, 4], used[:, 4], reason[:, 4] = np.nan, False, ""
+    joints = {joint: rng.normal(size=(count, 3)) for joint in JOINTS[:4]}
+    joints["hand"][7:20] = np.nan
+    return Recovery(
+        method="graph",
+        t_s=t,
+        occluded=(t % 2) < 0.7,
+        position=position,
+        quaternion=quaternion,
+        velocity=velocity,
+        pose_covariance=covariance,
+        velocity_covariance=speed,
+        joints=joints,
+        joint_covariance={joint: 0.5 * covariance[:, :3, :3] for joint in joints},
+        gaps=(Gap(0.1, 0.7, open_start=True), Gap(2.0, 2.7)),
+        calibration=ArmCalibration(
+            side,
+            {"elbow": LeverArm(np.array([0.0, -0.2, 0.0]), np.full(3, 0.01))},
+            Length(0.3, 0.01),
+            np.eye(3),
+            None,
+            np.array([1e-3, 0, 0]),
+        ),
+        gravity_direction=np.array([0.0, -1.0, 0.0]),
+        clock_offset_s=-0.04,
+        clock_offset_sigma_s=float("nan"),
+        arm=JointTracks("/body", frames, camera, state),
+        residuals=FrameResiduals(frames, residual, used, reason),
+        origin_ns=origin_ns,
+        side=side,
+        name="rec.mcap",
+        notes=("A note.",),
+        config={"camera": {"joint_sigma_m": 0.01}},
+        figures={"biases": [1.0, 2.0], "rounds": 3},
+    )
+
+
+def assert_same(one: object, other: object, name: str = "") -> None:
+    if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray)
+        assert one.shape == other.shape, name
+        if one.dtype.kind == "f":
+            exact = name.split(".")[-1] in ("t_s", "position", "quaternion", "pose_covariance", "residual")
+            np.testing.assert_allclose(other, one, rtol=0 if exact else 1e-12, atol=0 if exact else 1e-14)
+        else:
+            np.testing.assert_array_equal(one, other, err_msg=name)
+    elif is_dataclass(one):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{name}.{field.name}")
+    elif isinstance(one, dict):
+        assert isinstance(other, dict) and list(one) == list(other), name
+        for key in one:
+            assert_same(one[key], other[key], f"{name}.{key}")
+    elif isinstance(one, tuple | list):
+        assert isinstance(other, tuple | list) and len(one) == len(other), name
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b, name)
+    elif isinstance(one, float) and np.isnan(one):
+        assert np.isnan(other)  # type: ignore[call-overload]
+    else:
+        assert one == other, name
+
+
+@pytest.mark.parametrize("origin_ns", [ZERO, 0, -(10**9)])
+def test_round_trip(tmp_path: Path, origin_ns: int) -> None:
+    made = recovery(origin_ns=origin_ns)
+    write_recovery(made, tmp_path / "a.mcap")
+    (found,) = read_recovery(tmp_path / "a.mcap")
+    assert_same(made, found)
+
+
+def test_several_arms(tmp_path: Path) -> None:
+    made = [recovery(seed=1, side="right"), recovery(300, seed=2, side="left")]
+    write_recovery(made, tmp_path / "a.mcap")
+    for one, other in zip(made, read_recovery(tmp_path / "a.mcap"), strict=True):
+        assert_same(one, other)
+    with open(tmp_path / "a.mcap", "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {"/unocclude/forearm/left", "/unocclude/forearm/right"} <= topics
+
+
+def test_a_method_with_little_to_say(tmp_path: Path) -> None:
+    made = recovery()
+    nothing = np.full((len(made), 3), np.nan)
+    made = replace(
+        made,
+        quaternion=np.full((len(made), 4), np.nan),
+        velocity=nothing,
+        pose_covariance=np.full((len(made), 6, 6), np.nan),
+        velocity_covariance=np.full((len(made), 3, 3), np.nan),
+        joints={},
+        joint_covariance={},
+        calibration=None,
+        residuals=None,
+        gaps=(),
+    )
+    write_recovery(made, tmp_path / "a.mcap")
+    assert_same(made, read_recovery(tmp_path / "a.mcap")[0])
+
+
+def test_every_message_decodes(tmp_path: Path) -> None:
+    made = recovery()
+    write_recovery(made, tmp_path / "a.mcap")
+    counts: dict[str, int] = {}
+    odometry = None
+    with open(tmp_path / "a.mcap", "rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None and channel.message_encoding == "protobuf"
+            decoded = message_class(schema.name)()
+            decoded.ParseFromString(message.data)
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+            if channel.topic == "/unocclude/forearm" and odometry is None:
+                odometry = decoded
+            if channel.topic == "/unocclude/arm":
+                assert len(decoded.entities) == 1 and decoded.entities[0].frame_id == "camera"
+            if channel.topic == "/unocclude/joints":
+                assert decoded.joints[0].name == "elbow_flexion_right"
+    assert counts["/unocclude/forearm"] == len(made) - 4
+    assert counts["/unocclude/skeleton"] == counts["/unocclude/joints"] == len(made)
+    assert counts["/unocclude/gaps"] == 2
+    assert odometry is not None
+    assert odometry.timestamp.ToNanoseconds() == ZERO + 123456700
+    assert odometry.body_frame_id == "forearm_imu"
+    np.testing.assert_array_equal(np.reshape(odometry.pose_covariance, (6, 6)), made.pose_covariance[0])
+    speed = np.linalg.norm([getattr(odometry.linear_velocity, axis) for axis in "xyz"])
+    assert speed == pytest.approx(np.linalg.norm(made.velocity[0]))
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in "ab":
+        write_recovery(recovery(), tmp_path / f"{name}.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    with pytest.raises(UnoccludeError, match="--force"):
+        write_recovery(recovery(), tmp_path / "a.mcap")
+
+
+def test_the_recording_is_carried_over(tmp_path: Path) -> None:
+    recording = make()
+    write_recording(recording, tmp_path / "rec.mcap")
+    write_recovery(recovery(), tmp_path / "out.mcap", source=tmp_path / "rec.mcap")
+    again = read_recording(tmp_path / "out.mcap")
+    np.testing.assert_array_equal(again.arm.position, recording.arm.position)
+    np.testing.assert_array_equal(again.imu.acc, recording.imu.acc)
+    assert again.camera_frame == recording.camera_frame
+    # A result made from a result holds one result.
+    write_recovery(recovery(300), tmp_path / "twice.mcap", source=tmp_path / "out.mcap")
+    assert len(read_recovery(tmp_path / "twice.mcap")[0]) == 300
+
+
+@pytest.mark.parametrize("wanted", [False, True])
+def test_images_stay_behind_unless_asked_for(tmp_path: Path, wanted: bool) -> None:
+    with ros.Bag(tmp_path / "rec.mcap") as bag:
+        for i in range(20):
+            # A sensor that counts from its own start, recorded on a computer's clock.
+            ns, log = i * 10**7, ZERO + i * 10**7
+            bag.imu("/wrist", ns, "w", np.array([0, 0, 9.8]), np.zeros(3), log)
+            image = {"header": ros.header(ns, "rgb"), "height": 1, "width": 1, "encoding": "mono8"}
+            image |= {"is_bigendian": 0, "step": 1, "data": b"\1"}
+            bag.write("/rgb", "sensor_msgs/msg/Image", ros.IMAGE, image, log)
+    made = recovery(origin_ns=0)
+    write_recovery(made, tmp_path / "out.mcap", source=tmp_path / "rec.mcap", passthrough_images=wanted)
+    with open(tmp_path / "out.mcap", "rb") as file:
+        messages = [
+            (channel.topic, message.log_time) for _, channel, message in make_reader(file).iter_messages()
+        ]
+    topics = [topic for topic, _ in messages]
+    assert topics.count("/wrist") == 20
+    assert topics.count("/rgb") == (20 if wanted else 0)
+    # The result lies on the same time line as what it was made from.
+    assert min(time for _, time in messages) >= ZERO
+    assert_same(made, read_recovery(tmp_path / "out.mcap")[0])
+
+
+def test_a_file_without_result(tmp_path: Path) -> None:
+    write_recording(make(), tmp_path / "rec.mcap")
+    with pytest.raises(RecordingError, match="holds no result"):
+        read_recovery(tmp_path / "rec.mcap")
+
+
+HEADER = (
+    "t_s,occluded,imu_x,imu_y,imu_z,imu_qw,imu_qx,imu_qy,imu_qz,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z,"
+    "shoulder_x,shoulder_y,shoulder_z,sigma_x,sigma_y,sigma_z,sigma_deg,wrist_sigma_x,wrist_sigma_y,wrist_sigma_z"
+)
+
+
+@pytest.mark.parametrize(("origin_ns", "first"), [(ZERO, "1700000000.123456700"), (-(10**9), "-0.876543300")])
+def test_csv(tmp_path: Path, origin_ns: int, first: str) -> None:
+    made = recovery(origin_ns=origin_ns)
+    export_csv(made, tmp_path / "a.csv")
+    text = (tmp_path / "a.csv").read_text()
+    assert text.startswith(HEADER) and "nan" not in text
+    rows = list(csv.DictReader(text.splitlines()))
+    assert len(rows) == len(made) and rows[0]["t_s"] == first
+    assert rows[6]["imu_x"] == rows[6]["imu_qw"] == rows[6]["sigma_x"] == ""
+    assert [row["occluded"] for row in rows] == [str(int(flag)) for flag in made.occluded]
+    for name, values in (
+        ("imu_x", made.position[:, 0]),
+        ("sigma_deg", made.sigma_deg),
+        ("vy", made.velocity[:, 1]),
+    ):
+        found = np.array([float(row[name] or "nan") for row in rows])
+        np.testing.assert_allclose(found, values, atol=1e-9)
+
+
+def test_csv_of_a_strap(tmp_path: Path) -> None:
+    export_csv(replace(recovery(), joints={}, joint_covariance={}), tmp_path / "a.csv")
+    (row, *_) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    assert row["wrist_x"] == row["shoulder_sigma_x"] == "" and row["imu_x"]
+
+
+def test_elbow_flexion_counts_from_straight() -> None:
+    at = {"shoulder": np.zeros((3, 3)), "elbow": np.tile([1.0, 0, 0], (3, 1))}
+    at["wrist"] = np.array([[2.0, 0, 0], [1.0, 1, 0], [0.0, 0, 0]])
+    np.testing.assert_allclose(elbow_flexion(at), [0, np.pi / 2, np.pi])
+    assert elbow_flexion({}) is None
+
+
+def test_the_metadata_is_json(tmp_path: Path) -> None:
+    write_recovery(recovery(), tmp_path / "a.mcap")
+    with open(tmp_path / "a.mcap", "rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    assert record.name == "unocclude.result"
+    values = {key: json.loads(text) for key, text in record.metadata.items()}
+    assert values["method"] == "graph" and values["gaps"][1]["start_s"] == 2.0
