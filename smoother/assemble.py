@@ -17,6 +17,9 @@ from .result import FrameResiduals, Gap, Recovery
 from .selfcal import Knowledge
 from .window import Message
 
+#: Part of a joint bias's variance that all joints share in the answer and that no residual shows.
+COMMON_BIAS_SHARE = 0.6
+
 
 def assemble(
     recording: Recording,
@@ -47,6 +50,7 @@ def assemble(
         position[rows], velocity[rows] = states.p, states.v
         quaternion[rows] = Rotation.from_matrix(states.R).as_quat()[:, [3, 0, 1, 2]]
         pose[rows] = interpolate(motion.t, motion.pose_covariance, t)
+        pose[rows, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
         velocity_covariance[rows] = interpolate(motion.t, motion.velocity_covariance, t)
         occluded[rows] = occluded_at(t, stretch.gaps)
         gaps.extend(stretch.gaps)
@@ -83,6 +87,10 @@ def assemble(
         figures={
             "camera_sigma_m": {joint: noise.sample_m for joint, noise in known.noise.items()},
             "camera_effective_sigma_m": {joint: noise.effective_m for joint, noise in known.noise.items()},
+            "joint_bias_m": {
+                joint: known.bias.found_m[JOINTS.index(joint)].tolist() for joint in known.bias.joints
+            },
+            "joint_bias_sigma_m": known.bias.sigma_m,
             "accelerometer_bias": np.mean([m.shared.mean[:3] for m in messages], axis=0).tolist(),
             "gyroscope_bias": np.mean([m.shared.mean[3:6] for m in messages], axis=0).tolist(),
         },

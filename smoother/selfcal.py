@@ -16,6 +16,7 @@ from .calibration import ArmCalibration, LeverArm
 from .config import Config
 from .errors import CalibrationError
 from .firstpass import combine
+from .jointbias import JointBias
 from .mounting import find_mounting
 from .pieces import Piece
 from .plan import cut, cut_times
@@ -47,6 +48,7 @@ class Knowledge:
     offset_s, offset_sigma_s : clock offset of each recording, t_imu = t_camera + offset.
     noise : of each forearm joint, by name.
     sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
+    bias : the camera's constant errors, joint by joint.
     """
 
     calibration: ArmCalibration
@@ -55,6 +57,7 @@ class Knowledge:
     offset_sigma_s: FloatArray
     noise: dict[str, JointNoise]
     sigma_m: FloatArray
+    bias: JointBias
 
 
 def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> Knowledge:
@@ -72,7 +75,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
     given = calibration
     sigma_m = np.full(len(JOINTS), config.camera.joint_sigma_m)
-    secant = _Secant(len(offset_s))
+    secant, bias, seen = _Secant(len(offset_s)), JointBias(), blocks
     for _ in range(ROUNDS):
         ready = [(piece, prepare(piece, calibration, offset_s[piece.recording], sigma_m)) for piece in blocks]
         ready = [(piece, each) for piece, each in ready if each is not None]
@@ -98,9 +101,11 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given)
         noise = joint_noise(windows, answers)
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
+        bias.step(windows, answers)
+        blocks = bias.corrected(seen)
         offset_s = secant.step(offset_s, offset_slope(windows, answers), np.array(owner))
         calibration = _recentred(found, given, known)
-    return Knowledge(found, calibration, offset_s, secant.sigma_s(), noise, sigma_m)
+    return Knowledge(found, calibration, offset_s, secant.sigma_s(), noise, sigma_m, bias)
 
 
 def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:

@@ -63,6 +63,7 @@ def smooth(
         say(0.0, "calibrating")
         known = self_calibrate(pieces, calibration, config, pool)
         offset_s = float(known.offset_s[0])
+        pieces = known.bias.corrected(pieces)
         # what is occluded, start values
         ready = [(piece, prepare(piece, known.start, offset_s, known.sigma_m)) for piece in pieces]
         ready = [(piece, each) for piece, each in ready if each is not None]

@@ -1,0 +1,164 @@
+"""The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd [options]`.
+
+`broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
+from smoother.evaluation import evaluate_gaps, validate
+from smoother.io import import_broad
+from smoother.recording import Recording
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.smoothing import smooth
+
+LENGTHS_S = (0.5, 1.0, 2.0, 3.0)
+
+
+class Tally:
+    """Squared errors summed over recordings, by gap length or part."""
+
+    def __init__(self) -> None:
+        self._sums: dict[object, np.ndarray] = {}
+        self._worst: dict[object, float] = {}
+
+    def add(self, key: object, rms_m: float, worst_m: float, deg: float | None, nees: float, n: int) -> None:
+        """Take in a recording's figures over n samples."""
+        row = np.array([rms_m**2 * n, (deg or 0.0) ** 2 * n, nees * n, n])
+        self._sums[key] = self._sums.get(key, np.zeros(4)) + row
+        self._worst[key] = max(self._worst.get(key, 0.0), worst_m)
+
+    def show(self) -> None:
+        """Print one line a key."""
+        for key, (e, d, c, n) in self._sums.items():
+            print(
+                f"  {key!s:>10}: rms {100 * np.sqrt(e / n):5.2f} cm  max {100 * self._worst[key]:5.2f} cm"
+                f"  orientation {np.sqrt(d / n):5.2f} deg  squared error / sigma^2 {c / n:5.2f}"
+            )
+
+
+def datasets() -> Path:
+    """The folder of recordings that others made."""
+    folder = os.environ.get("UNOCCLUDE_DATASETS")
+    if not folder:
+        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
+    return Path(folder)
+
+
+def broad(options: argparse.Namespace) -> None:
+    """BROAD: the strap alone at 30 Hz with 8 mm of noise, gaps at random."""
+    tally, config = Tally(), Config()
+    for path in sorted((datasets() / "broad").glob(f"*{options.only}*.mat")):
+        line, began = [], time.perf_counter()
+        for length in LENGTHS_S:
+            own = Tally()
+            for seed in options.seeds:
+                recording = import_broad(path, seed=seed)
+                table = evaluate_gaps(recording, [length], {"graph": lambda r: smooth(r, None, config)}, seed=seed)
+                figures = table.lengths[length]["graph"].figures
+                for each in (own, tally):
+                    each.add(
+                        f"{length:g} s",
+                        figures.position_rms_m,
+                        figures.position_max_m,
+                        figures.orientation_rms_deg,
+                        figures.nees,
+                        figures.samples,
+                    )
+            e, _, c, n = own._sums[f"{length:g} s"]
+            line.append(f"{100 * np.sqrt(e / n):5.2f} ({c / n:4.1f})")
+        runs = len(LENGTHS_S) * len(options.seeds)
+        print(f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run", flush=True)
+    tally.show()
+
+
+def arm(options: argparse.Namespace) -> None:
+    """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
+    tally, config = Tally(), Config()
+    changes = dict(pair.split("=", 1) for pair in options.set)
+    for seed in options.seeds:
+        simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes), seed=seed)
+        calibration = simulated.calibration if options.calibrated else None
+        blind: Recording = replace(simulated.recording, truth=None)
+        began = time.perf_counter()
+        recovery = smooth(blind, calibration, config)
+        spent = time.perf_counter() - began
+        assert simulated.recording.truth is not None
+        figures = validate(recovery, simulated.recording.truth)
+        for part in ("occluded", "visible"):
+            each = figures.to_dict()[part]
+            tally.add(
+                part,
+                each["position_rms_m"],
+                each["position_max_m"],
+                each["orientation_rms_deg"],
+                each["nees"],
+                each["samples"],
+            )
+        print(f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s", flush=True)
+    tally.show()
+
+
+def _parts(figures: dict) -> str:
+    return "  ".join(
+        f"{part} {100 * figures[part]['position_rms_m']:5.2f} / {100 * figures[part]['position_max_m']:5.2f} cm"
+        f" {figures[part]['orientation_rms_deg']:5.2f} deg ({figures[part]['nees']:5.2f})"
+        for part in ("occluded", "visible")
+    )
+
+
+def _found(recovery: Recovery, simulated: object) -> str:
+    """Errors of what was calibrated, and the largest in sigmas."""
+    truth: ArmCalibration = simulated.calibration  # type: ignore[attr-defined]
+    found = recovery.calibration
+    assert found is not None
+    worst, sigmas = 0.0, 0.0
+    for joint, lever in found.lever_arms.items():
+        error = lever.position_m - truth.lever_arms[joint].position_m
+        worst = max(worst, float(np.linalg.norm(error)))
+        sigmas = max(sigmas, float(np.max(np.abs(error) / lever.sigma_m)))
+    offset = recovery.clock_offset_s - simulated.parameters["clock_offset_s"]  # type: ignore[attr-defined]
+    a, b = found.forearm_direction, truth.forearm_direction
+    turn = np.degrees(np.arccos(min(1.0, float(a @ b)))) if a is not None and b is not None else np.nan
+    upper = found.upper_arm.value_m - truth.upper_arm.value_m if found.upper_arm and truth.upper_arm else np.nan
+    return (
+        f"| offset {1e3 * offset:5.1f} ms ({offset / recovery.clock_offset_sigma_s:4.1f} sigma)"
+        f" levers {1e3 * worst:4.1f} mm ({sigmas:3.1f} sigma) upper arm {1e3 * upper:5.1f} mm"
+        f" direction {turn:3.1f} deg |"
+    )
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("broad", help=broad.__doc__)
+    one.add_argument("--only", default="", help="trials whose name holds this")
+    two = commands.add_parser("arm", help=arm.__doc__)
+    two.add_argument("--preset", default="white")
+    two.add_argument("--calibrated", action="store_true", help="give the true calibration")
+    two.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset")
+    for each in (one, two):
+        each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
+    options = parser.parse_args()
+    {"broad": broad, "arm": arm}[options.command](options)
+
+
+def _seeds(text: str) -> range:
+    first, _, last = text.partition(":")
+    return range(int(first), int(last)) if last else range(int(first))
+
+
+if __name__ == "__main__":
+    main()
