@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
+from .info import print_topics
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, print_notes, print_table, say, write_json
+from .output import check_outputs, print_notes, write_json
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
@@ -93,23 +94,5 @@ def _finish(recording: Recording | RecordingFile, output: Path, json_file: Path 
     write_recording(recording, output, force=force)
     about = describe(output)
     write_json(json_file, about.to_dict(), force)
-    print_table("Imported", *about_table(about.to_dict()))
+    print_topics(about)
     print_notes(recording.notes)
-    say(f"written: {output}")
-
-
-def about_table(about: dict[str, object]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
-    """Columns and rows of a recording's topics."""
-    topics = about.get("topics") or []
-    assert isinstance(topics, list)
-    rows: list[tuple[object, ...]] = [
-        (
-            topic.get("name"),
-            topic.get("schema"),
-            topic.get("count"),
-            f"{topic.get('rate_hz') or float('nan'):.1f}",
-            f"{topic.get('duration_s') or float('nan'):.1f}",
-        )
-        for topic in topics
-    ]
-    return ("topic", "schema", "messages", "rate, Hz", "length, s"), rows

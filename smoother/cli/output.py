@@ -61,16 +61,26 @@ def plain(value: Any) -> Any:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table; all columns but the first are numbers and stand to the right."""
+    """Print a table; columns of numbers stand to the right."""
     from rich.table import Table
     from rich.text import Text
 
+    cells = [[cell(value) for value in row] for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
     for place, column in enumerate(columns):
-        table.add_column(column, justify="left" if place == 0 else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*[Text(cell(value)) for value in row])
+        numbers = all(_is_number(row[place]) for row in cells)
+        table.add_column(column, justify="right" if numbers else "left", overflow="fold")
+    for row in cells:
+        table.add_row(*[Text(text) for text in row])
     console().print(table)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.strip("-+ ") or 0)
+    except ValueError:
+        return False
+    return True
 
 
 def print_notes(notes: Iterable[str]) -> None:

@@ -96,7 +96,7 @@ def preset_names() -> list[str]:
 def _write_calibration(calibration: Any, path: Path, force: bool) -> None:
     from calib.file import CalibrationFile, write_calibration
 
-    from ..io import writing
+    from ..io.atomic import writing
 
     with writing(path, force) as temporary:
         write_calibration(temporary, CalibrationFile().with_arm(calibration))

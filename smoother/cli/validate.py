@@ -76,4 +76,13 @@ def print_validation(found: Validation) -> None:
         for name, figures in (("all", found.all), ("occluded", found.occluded), ("visible", found.visible))
     ]
     print_table("Error against the truth (NEES: 1 = the stated sigma is honest)", columns, rows)
+    joints = [
+        (
+            name,
+            *[centimetres(part.joint_rms_m.get(name)) for part in (found.all, found.occluded, found.visible)],
+        )
+        for name in found.all.joint_rms_m
+    ]
+    if joints:
+        print_table("Joints, position rms, cm", ("joint", "all", "occluded", "visible"), joints)
     print_notes(found.notes)

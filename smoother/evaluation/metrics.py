@@ -6,7 +6,7 @@ without a reference is nan in every function here and left out of the summaries.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -114,6 +114,7 @@ class Figures:
     coverage_95 : part of the samples inside the stated 95 % region.
     samples : samples with a reference and an answer.
     unanswered : samples with a reference where the method gave no position.
+    joint_rms_m : rms of the position error of each joint that the reference has, m.
     """
 
     position_rms_m: float | None
@@ -126,8 +127,9 @@ class Figures:
     position_p95_m: float | None = None
     coverage_95: float | None = None
     unanswered: int = 0
+    joint_rms_m: dict[str, float | None] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, float | int | None]:
+    def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
         return asdict(self)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..errors import RecordingError
 from ..recording import BoolArray, FloatArray, Truth
 from ..result import Recovery
 from .align import truth_at
-from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise
+from .metrics import Figures, orientation_error_deg, position_error, rms, squared_sigmas, summarise
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class SampleErrors:
     distance_m : (N,) position error, m.
     angle_deg : (N,) orientation error, degrees of rotation.
     squared_sigmas : (N,) squared position error in sigmas.
+    joint_distance_m : by joint, (N,) position error of the joints that the reference has, m.
     """
 
     reference: Truth
@@ -31,13 +32,16 @@ class SampleErrors:
     distance_m: FloatArray
     angle_deg: FloatArray
     squared_sigmas: FloatArray
+    joint_distance_m: dict[str, FloatArray]
 
     def figures(self, chosen: BoolArray) -> Figures:
         """The figures of the chosen samples (N,)."""
         unanswered = int((chosen & self.scored & ~np.isfinite(self.distance_m)).sum())
-        return summarise(
+        figures = summarise(
             self.distance_m[chosen], self.angle_deg[chosen], self.squared_sigmas[chosen], unanswered
         )
+        joints = {name: rms(distance[chosen]) for name, distance in self.joint_distance_m.items()}
+        return replace(figures, joint_rms_m=joints)
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Validation:
     visible: Figures
     notes: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, dict[str, float | int | None]]:
+    def to_dict(self) -> dict[str, dict[str, object]]:
         """The three sets of figures by name, as `--json` writes them."""
         return {
             "all": self.all.to_dict(),
@@ -75,6 +79,11 @@ def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
         distance_m=np.linalg.norm(difference, axis=1),
         angle_deg=np.where(reference.score, angle, np.nan),
         squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
+        joint_distance_m={
+            name: np.where(reference.score, position_error(recovery.joints[name], position), np.nan)
+            for name, position in reference.joints.items()
+            if name in recovery.joints
+        },
     )
 
 

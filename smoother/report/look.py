@@ -55,16 +55,8 @@ def dress(figure: go.Figure, height: int, head: int = 50, **layout: Any) -> go.F
 
 def shade(figure: go.Figure, gaps: tuple[Gap, ...]) -> None:
     """Shade the gaps over the whole height; the longest ones if there are very many."""
-    for gap in sorted(gaps, key=lambda gap: -gap.length_s)[:MOST_SHADES]:
-        figure.add_shape(
-            type="rect",
-            xref="x",
-            yref="paper",
-            x0=gap.start_s,
-            x1=gap.end_s,
-            y0=0,
-            y1=1,
-            fillcolor=SHADE,
-            line={"width": 0},
-            layer="below",
-        )
+    longest = sorted(gaps, key=lambda gap: -gap.length_s)[:MOST_SHADES]
+    plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+    plain |= {"fillcolor": SHADE, "line": {"width": 0}}
+    # all at once: plotly checks every shape again whenever one is added
+    figure.update_layout(shapes=[{**plain, "x0": gap.start_s, "x1": gap.end_s} for gap in longest])

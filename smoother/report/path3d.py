@@ -41,7 +41,7 @@ def path_in_space(recovery: Recovery, truth: Truth | None, frame: CameraFrame | 
             "xaxis": {"title": {"text": x}},
             "yaxis": {"title": {"text": y}},
             "zaxis": {"title": {"text": z}},
-            "camera": {"up": _xyz(up), "eye": _xyz(_eye(recovery, up, frame)), "center": _xyz(-0.2 * up)},
+            "camera": {"up": _xyz(up), "eye": _xyz(_eye(recovery, up, frame)), "center": _xyz(-0.1 * up)},
         }
     )
     dress(figure, 680, head=30)
@@ -142,7 +142,7 @@ def _eye(recovery: Recovery, up: FloatArray, frame: CameraFrame | None) -> Float
     back = back - up * (back @ up)
     length = np.linalg.norm(back)
     back = back / length if length > 1e-9 else np.cross(up, [0.3, 0.5, 0.8])
-    return 1.9 * back + 0.6 * up + 0.9 * np.cross(up, back)
+    return 2.3 * back + 0.7 * up + 1.1 * np.cross(up, back)
 
 
 def _xyz(vector: FloatArray) -> dict[str, float]:

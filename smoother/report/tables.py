@@ -132,7 +132,12 @@ def validation(found: Validation) -> str:
         "NEES",
         "inside the 95 % region",
     )
-    return table(columns, rows)
+    parts = (found.all, found.occluded, found.visible)
+    joints = [(name, *[_cm(part.joint_rms_m.get(name)) for part in parts]) for name in found.all.joint_rms_m]
+    if not joints:
+        return table(columns, rows)
+    heads = ("joint", "all samples, rms, cm", "in gaps, cm", "while seen, cm")
+    return table(columns, rows) + table(heads, joints)
 
 
 def calibration(found: ArmCalibration | None) -> str:

@@ -106,3 +106,14 @@ def test_errors_are_sentences(recovery):
         validate(recovery, blank)
     with pytest.raises(RecordingError, match="to be scored"):
         validate(recovery, replace(make_truth(t), score=np.zeros(len(t), bool)))
+
+
+def test_joints_that_the_truth_has_are_compared(recovery):
+    t = np.arange(0, 20, 0.01)
+    truth = make_truth(t)
+    wrist = np.column_stack([np.interp(t, recovery.t_s, column) for column in recovery.joints["wrist"].T])
+    found = validate(
+        recovery, replace(truth, joints={"wrist": wrist + np.array([0.03, 0, 0]), "nose": wrist})
+    )
+    assert found.all.joint_rms_m == {"wrist": pytest.approx(0.03, rel=0.2)}
+    assert found.to_dict()["all"]["joint_rms_m"]["wrist"] == found.all.joint_rms_m["wrist"]
