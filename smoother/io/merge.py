@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
 import numpy as np
-from mcap.records import Schema
-from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from ..recording import IntArray
+from .chunks import ChunkedFile
 from .container import Message, Topic
 from .schemas import schema_data
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 _SLICE = 4096
-_LIBRARY = "unocclude"
+#: Messages carried over are written at the latest when they hold so many bytes.
+_HELD_BYTES = 1 << 23
+_END = int(np.iinfo(np.int64).max)
 
 
 @dataclass
@@ -38,9 +41,8 @@ class Outgoing:
 
     def __post_init__(self) -> None:
         # Log times must not run back, or slices could not be cut; stamps inside stay as they are.
-        self.time_ns = (
-            np.maximum(np.maximum.accumulate(self.time_ns), 0) if len(self.time_ns) else self.time_ns
-        )
+        if len(self.time_ns):
+            self.time_ns = np.maximum(np.maximum.accumulate(self.time_ns), 0)
 
 
 class Output:
@@ -48,110 +50,121 @@ class Output:
 
     def __init__(self, path: Path):
         self._path = path
-        self._file: IO[bytes] | None = None
-        self._channels: dict[str, int] = {}
+        self._open: IO[bytes] | None = None
+        self._channels: dict[tuple[str, str, str], int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._sequence: dict[int, int] = {}
 
     def __enter__(self) -> Output:
-        self._file = open(self._path, "wb")
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(library=_LIBRARY)
+        self._open = open(self._path, "wb")
+        self._file = ChunkedFile(self._open)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._file is not None
-        with self._file:
+        assert self._open is not None
+        with self._open:
             if kind is None:
-                self._writer.finish()
+                self._file.finish()
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
-        self._writer.add_metadata(name, values)
+        self._file.metadata(name, values)
 
     def channel(self, topic: str, schema: str) -> int:
         """Number of a topic of protobuf messages by the schema's full name."""
-        if topic not in self._channels:
-            number = self._schema(Schema(data=schema_data(schema), encoding="protobuf", id=0, name=schema))
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", number)
-        return self._channels[topic]
+        return self._channel(Topic(topic, schema, "protobuf", schema_data(schema), "protobuf"))
 
-    def carried(self, topic: Topic) -> int:
-        """Number of a topic that is carried over as it is."""
-        key = f"{topic.name}\0{topic.encoding}\0{topic.schema}"
+    def _channel(self, topic: Topic) -> int:
+        key = (topic.name, topic.encoding, topic.schema)
         if key not in self._channels:
             schema = 0
             if topic.schema:
-                schema = self._schema(
-                    Schema(data=topic.schema_data, encoding=topic.schema_encoding, id=0, name=topic.schema)
-                )
-            self._channels[key] = self._writer.register_channel(
-                topic.name, topic.encoding, schema, topic.metadata
-            )
+                its = (topic.schema, topic.schema_encoding, topic.schema_data)
+                if its not in self._schemas:
+                    self._schemas[its] = self._file.schema(*its)
+                schema = self._schemas[its]
+            self._channels[key] = self._file.channel(topic.name, topic.encoding, schema, topic.metadata)
         return self._channels[key]
 
     def write(self, outgoing: Sequence[Outgoing], passed: Iterable[Message] = ()) -> None:
-        """Write streams, and messages of another file between them, merged by log time.
+        """Write streams, and messages of another file between them, by log time.
 
         Parameters
         ----------
         outgoing : streams to encode.
         passed : messages carried over as they are, about in the order of their log times.
         """
-        sequence: dict[int, int] = {}
         carried = iter(passed)
         waiting = next(carried, None)
-        add = self._writer.add_message
-        for time, channel, data in _merged(outgoing):
-            while waiting is not None and waiting.log_ns <= time:
-                self._carry(waiting)
+        for edge, batch in _slices(outgoing):
+            held = 0
+            while waiting is not None and (waiting.log_ns < edge or edge == _END):
+                data = bytes(waiting.data)
+                batch.add(self._channel(waiting.topic), waiting, data)
+                held += len(data)
                 waiting = next(carried, None)
-            number = sequence.get(channel, 0)
-            sequence[channel] = number + 1
-            add(channel, time, data, time, number)
-        while waiting is not None:
-            self._carry(waiting)
-            waiting = next(carried, None)
+                if held > _HELD_BYTES:
+                    self._write(batch)
+                    batch, held = _Batch(), 0
+            self._write(batch)
 
-    def _carry(self, message: Message) -> None:
-        self._writer.add_message(
-            self.carried(message.topic),
-            message.log_ns,
-            bytes(message.data),
-            message.publish_ns,
-            message.sequence,
-        )
-
-    def _schema(self, schema: Schema) -> int:
-        key = (schema.name, schema.encoding, schema.data)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        return self._schemas[key]
+    def _write(self, batch: _Batch) -> None:
+        channel, sequence, log_ns, publish_ns, data = batch.sorted()
+        if not data:
+            return
+        # Our own messages are numbered here; those carried over keep their numbers.
+        for number in np.unique(channel[sequence < 0]).tolist():
+            mine = (channel == number) & (sequence < 0)
+            first = self._sequence.get(number, 0)
+            sequence[mine] = first + np.arange(mine.sum())
+            self._sequence[number] = first + int(mine.sum())
+        self._file.messages(channel, sequence, log_ns, publish_ns, data)
 
 
-def _merged(outgoing: Sequence[Outgoing]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield time, channel and data of all messages by time; equal times in the streams' order."""
+class _Batch:
+    """Messages to be sorted and written together."""
+
+    def __init__(self) -> None:
+        self._encoded: list[tuple[int, IntArray, list[bytes]]] = []
+        self._carried: list[tuple[int, int, int, int]] = []
+        self._carried_data: list[bytes] = []
+
+    def extend(self, channel: int, time_ns: IntArray, data: list[bytes]) -> None:
+        self._encoded.append((channel, time_ns, data))
+
+    def add(self, channel: int, message: Message, data: bytes) -> None:
+        self._carried.append((channel, message.sequence, message.log_ns, message.publish_ns))
+        self._carried_data.append(data)
+
+    def sorted(self) -> tuple[IntArray, IntArray, IntArray, NDArray, list[bytes]]:
+        """Channel, sequence (-1: to be numbered), log time, publish time, data; by log time."""
+        parts = [np.array(self._carried, np.uint64).reshape(-1, 4).astype(np.int64)]
+        for channel, time_ns, _ in self._encoded:
+            part = np.full((len(time_ns), 4), -1, np.int64)
+            part[:, 0] = channel
+            part[:, 2] = part[:, 3] = time_ns
+            parts.append(part)
+        table = np.concatenate(parts)
+        data = list(chain(self._carried_data, *(part for _, _, part in self._encoded)))
+        order = np.argsort(table[:, 2], kind="stable")
+        table = table[order]
+        return table[:, 0], table[:, 1], table[:, 2], table[:, 3], [data[i] for i in order.tolist()]
+
+
+def _slices(outgoing: Sequence[Outgoing]) -> Iterator[tuple[int, _Batch]]:
+    """Yield runs of time: where each ends, and the messages of all streams in it."""
     streams = [stream for stream in outgoing if len(stream.time_ns)]
-    if not streams:
-        return
-    longest = max(streams, key=lambda stream: len(stream.time_ns))
-    edges = [*longest.time_ns[_SLICE::_SLICE].tolist(), np.iinfo(np.int64).max]
+    longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
     starts = [0] * len(streams)
-    for edge in edges:
-        times, rows, data = [], [], []
+    for edge in [*longest[_SLICE::_SLICE].tolist(), _END]:
+        batch = _Batch()
         for i, stream in enumerate(streams):
-            stop = int(np.searchsorted(stream.time_ns, edge))
+            stop = int(np.searchsorted(stream.time_ns, edge)) if edge != _END else len(stream.time_ns)
             # A stream may be far denser here than the longest is: encode it in pieces all the same.
             for start in range(starts[i], stop, _SLICE):
                 part = slice(start, min(start + _SLICE, stop))
-                data += stream.encode(part)
-                times.append(stream.time_ns[part])
-                rows.append(np.full(part.stop - part.start, stream.channel))
+                batch.extend(stream.channel, stream.time_ns[part], stream.encode(part))
             starts[i] = stop
-        if not times:
-            continue
-        time, channel = np.concatenate(times), np.concatenate(rows)
-        order = np.argsort(time, kind="stable")
-        for row in zip(time[order].tolist(), channel[order].tolist(), order.tolist(), strict=True):
-            yield row[0], row[1], data[row[2]]
+        yield edge, batch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import warnings
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
@@ -46,6 +47,10 @@ def read_table(
     """
     path = Path(path)
     try:
+        if not words:
+            numbers = _read_numbers(path, required, optional)
+            if numbers is not None:
+                return numbers, {}
         with open(path, encoding="utf-8-sig", newline="") as file:
             return _read(file, path, required, optional, words, empty)
     except FileNotFoundError:
@@ -55,6 +60,26 @@ def read_table(
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise RecordingError(f"{path} cannot be read as comma-separated text: {reason}.") from error
+
+
+def _read_numbers(
+    path: Path, required: Sequence[str], optional: Sequence[str]
+) -> dict[str, FloatArray] | None:
+    """The columns of a file that holds numbers and nothing else, some times faster; None for others."""
+    with open(path, encoding="utf-8-sig") as file:
+        header = [cell.strip() for cell in file.readline().split(",")]
+        if not set(required) <= set(header):
+            return None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # a file without rows is only warned of
+                table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2)
+        except (ValueError, UserWarning):
+            return None  # the slow way finds the place
+    if table.shape[1] != len(header):
+        return None
+    names = [name for name in (*required, *optional) if name in header]
+    return {name: np.ascontiguousarray(table[:, header.index(name)]) for name in names}
 
 
 def _read(

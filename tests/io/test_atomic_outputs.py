@@ -53,12 +53,12 @@ def test_a_full_disk(tmp_path: Path, recording: Recording, monkeypatch: pytest.M
 def test_a_failure_in_the_middle_of_writing(
     tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mcap.writer import Writer
+    from smoother.io.chunks import ChunkedFile
 
     def fail(*_: object, **__: object) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(Writer, "add_message", fail)
+    monkeypatch.setattr(ChunkedFile, "messages", fail)
     with pytest.raises(UnoccludeError, match="Input/output error"):
         write_recording(recording, tmp_path / "out.mcap")
     assert os.listdir(tmp_path) == []

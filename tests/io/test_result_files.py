@@ -155,7 +155,7 @@ def test_every_message_decodes(tmp_path: Path) -> None:
     counts: dict[str, int] = {}
     odometry = None
     with open(tmp_path / "a.mcap", "rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert schema is not None and channel.message_encoding == "protobuf"
             decoded = message_class(schema.name)()
             decoded.ParseFromString(message.data)
