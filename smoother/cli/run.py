@@ -14,6 +14,9 @@ import typer
 from ..errors import UnoccludeError
 
 OK, FAILED, WRONG_USE = 0, 1, 2
+#: What typer returns after Ctrl-C.
+INTERRUPTED = 130
+STOPPED = "interrupted; no output is left half written"
 #: Set to 1 to see where an error comes from.
 DEBUG = "UNOCCLUDE_DEBUG"
 
@@ -32,9 +35,9 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = app(list(arguments), prog_name="unocclude", standalone_mode=False)
         sys.stdout.flush()
-        return int(code or OK)
+        return _fail(STOPPED, FAILED) if code == INTERRUPTED else int(code or OK)
     except KeyboardInterrupt:
-        return _fail("interrupted; no output was changed", FAILED)
+        return _fail(STOPPED, FAILED)
     except BrokenPipeError:
         # the reader of our output went away (| head): nothing to tell anyone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -53,7 +56,7 @@ def debugging() -> bool:
 def explain(error: BaseException) -> tuple[str, int]:
     """One sentence for an error, and the exit code."""
     if isinstance(error, typer.Abort):
-        return "interrupted; no output was changed", FAILED
+        return STOPPED, FAILED
     if hasattr(error, "format_message"):  # typer's errors of use
         return _usage(error), WRONG_USE
     if isinstance(error, UnoccludeError):

@@ -136,7 +136,7 @@ def _option(name: str, field: FieldInfo) -> Any:
     kind: Any = str
     if isinstance(default, int):
         kind = int
-    elif isinstance(default, float) or float in get_args(field.annotation):
+    elif isinstance(default, float) or (default is None and float in get_args(field.annotation)):
         kind = float
     metavar = "|".join(_choices(field)) or {int: "N", float: "X", str: "X,X,.."}[kind]
     return Annotated[kind | None, typer.Option(flag, metavar=metavar, help=about, show_default=False)]

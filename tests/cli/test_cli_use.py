@@ -1,0 +1,273 @@
+"""Help, wrong use, and errors: exit codes and one sentence on stderr, with nothing written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from smoother.cli.run import explain, run
+from smoother.config import Config
+from smoother.io import write_recording
+from smoother.simulation import ArmSimulation, simulate_arm
+
+COMMANDS = [
+    ["demo"],
+    ["info"],
+    ["smooth"],
+    ["validate"],
+    ["gaps"],
+    ["import", "csv"],
+    ["import", "broad"],
+    ["import", "utd-mhad"],
+    ["export"],
+    ["simulate", "arm"],
+    ["config"],
+    ["doctor"],
+]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("good") / "good.mcap"
+    write_recording(simulate_arm(ArmSimulation(repetitions=1), 1).recording, path)
+    return path
+
+
+def failed(capsys, arguments: list[object], code: int, sentence: str) -> None:
+    """Run a command that must fail, and check what it says."""
+    assert run([str(argument) for argument in arguments]) == code
+    captured = capsys.readouterr()
+    assert captured.err.startswith("unocclude: ")
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    assert sentence in captured.err, captured.err
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_with_an_example(capsys, command):
+    assert run([*command, "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"Example: unocclude {' '.join(command)}" in text
+    assert "--json FILE" in text
+
+
+def test_no_arguments_show_help(capsys):
+    assert run([]) in (0, 2)
+    assert "Commands:" in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["frobnicate"], "No such command"),
+        (["smooth"], "Missing argument"),
+        (["smooth", "a.mcap"], "Missing option"),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--frob"], "No such option"),
+        (
+            ["smooth", "a.mcap", "-o", "b.mcap", "--method", "magic"],
+            "there is no method 'magic'; methods: graph",
+        ),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--side", "up"], "--side is left or right, not 'up'"),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--processes", "-1"], "--processes"),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--max-sigma-m", "0"], "above zero"),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--body", "one"], "valid integer"),
+        (["validate", "a.mcap"], "--truth"),
+        (["gaps", "a.mcap", "--lengths", "0.5,long"], "--lengths takes seconds"),
+        (["gaps", "a.mcap", "--lengths", "-1"], "--lengths takes seconds"),
+        (["gaps", "a.mcap", "--methods", "graph,magic"], "there is no method 'magic'"),
+        (["export", "a.mcap", "--format", "trc", "-o", "b.trc"], "'trc' is not available; formats: csv"),
+        (["simulate", "arm", "-o", "a.mcap", "--preset", "ugly"], "no preset 'ugly'; presets: clean, white"),
+        (["simulate", "arm", "-o", "a.mcap", "--imu-rate-hz", "1"], "imu_rate_hz"),
+        (["simulate", "arm", "-o", "a.mcap", "--occlusion-lengths-s", "1,x"], "takes numbers"),
+        (["simulate", "arm", "-o", "a.mcap", "--protocol", "dance"], "protocol"),
+        (["simulate", "leg", "-o", "a.mcap"], "No such command"),
+        (["import", "broad", "a.mat", "-o", "a.mcap", "--noise-m", "-3"], "--noise-m is between"),
+    ],
+)
+def test_wrong_use_is_2(capsys, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    failed(capsys, arguments, 2, sentence)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["info", "missing.mcap"], "missing.mcap"),
+        (["smooth", "missing.mcap", "-o", "out.mcap"], "missing.mcap"),
+        (["smooth", "text.mcap", "-o", "out.mcap"], "text.mcap"),
+        (["smooth", "empty.mcap", "-o", "out.mcap"], "empty.mcap"),
+        (["smooth", "folder", "-o", "out.mcap"], "folder"),
+        (["smooth", "text.mcap", "-o", "nowhere/out.mcap"], "nowhere does not exist"),
+        (["smooth", "text.mcap", "-o", "text.mcap", "--force"], "is read by this command"),
+        (["smooth", "text.mcap", "-o", "a.mcap", "--report", "a.mcap"], "two outputs"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "missing.toml"], "missing.toml"),
+        (
+            ["smooth", "text.mcap", "-o", "out.mcap", "--config", "broken.toml"],
+            "broken.toml: not a TOML file",
+        ),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "unknown.toml"], "no setting 'camera.frob'"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "range.toml"], "'camera.huber' = -1"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "binary.toml"], "no UTF-8 text"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--calibration", "missing.toml"], "missing.toml"),
+        (["validate", "text.mcap", "--truth", "t.csv"], "text.mcap"),
+        (["gaps", "text.mcap"], "text.mcap"),
+        (["export", "text.mcap", "--format", "csv", "-o", "out.csv"], "text.mcap"),
+        (["import", "csv", "folder", "-o", "out.mcap"], "recording.toml"),
+        (["import", "broad", "missing.mat", "-o", "out.mcap"], "missing.mat"),
+        (["import", "utd-mhad", "a_inertial.mat", "-o", "out.mcap"], "no skeleton file was found beside it"),
+        (["config", "--config", "unknown.toml"], "no setting 'camera.frob'"),
+        (["config", "--json", "nowhere/c.json"], "nowhere does not exist"),
+        (["doctor", "--json", "text.mcap"], "exists already"),
+    ],
+)
+def test_what_cannot_be_done_is_1(capsys, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    Path("text.mcap").write_text("this is no recording\n" * 10)
+    Path("empty.mcap").touch()
+    Path("folder").mkdir()
+    Path("broken.toml").write_text("[camera\n")
+    Path("unknown.toml").write_text("[camera]\nfrob = 1\n")
+    Path("range.toml").write_text("[camera]\nhuber = -1\n")
+    Path("binary.toml").write_bytes(b"\xff\xfe\x00")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    failed(capsys, arguments, 1, sentence)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("option", ["-o", "--report", "--json"])
+def test_existing_output_is_refused_before_the_work(capsys, tmp_path, good, monkeypatch, option):
+    import smoother.cli.smooth as command
+
+    monkeypatch.setattr(command, "load_arm", lambda *_, **__: pytest.fail("the work began"))
+    there = tmp_path / "there"
+    there.write_text("mine")
+    options = {"-o": tmp_path / "o.mcap", "--report": tmp_path / "r.html", "--json": tmp_path / "j.json"}
+    options[option] = there
+    arguments = [part for pair in options.items() for part in pair]
+    failed(capsys, ["smooth", good, *arguments], 1, "--force")
+    assert there.read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+@pytest.mark.parametrize("lacking", ["imu", "skeleton", "forearm"])
+def test_a_recording_that_lacks_something(capsys, tmp_path, good, lacking):
+    from smoother.io import open_recording
+
+    file = open_recording(good)
+    if lacking == "imu":
+        file.imus = []
+    elif lacking == "skeleton":
+        file.arms = []
+    else:
+        for arm in file.arms:
+            arm.state[:] = 0
+    path = tmp_path / "part.mcap"
+    write_recording(file, path)
+    assert run(["smooth", str(path), "-o", str(tmp_path / "out.mcap")]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "unexpected" not in captured.err
+    assert not (tmp_path / "out.mcap").exists()
+    assert run(["info", str(path)]) == 0  # a recording that cannot be smoothed can still be looked at
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "x.mcap"), "x.mcap: no space left on the disk"),
+        (PermissionError(errno.EACCES, "Permission denied", "x"), "x: permission denied"),
+        (FileNotFoundError(errno.ENOENT, "No such file", "x"), "x: there is no such file"),
+        (MemoryError(), "memory does not suffice"),
+        (ZeroDivisionError("division\nby zero"), "unexpected error, ZeroDivisionError"),
+    ],
+)
+def test_errors_have_sentences(error, sentence):
+    text, code = explain(error)
+    assert sentence in text
+    assert code == 1
+
+
+def test_full_disk_leaves_nothing(capsys, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    output = tmp_path / "sim.mcap"
+    failed(capsys, ["simulate", "arm", "-o", output, "--repetitions", 1], 1, "no space left on the disk")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupt_is_one_line(capsys, monkeypatch, tmp_path):
+    import smoother.simulation as simulation
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulation, "simulate_arm", stopped)
+    failed(capsys, ["simulate", "arm", "-o", tmp_path / "a.mcap"], 1, "interrupted")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(capsys, monkeypatch):
+    monkeypatch.setenv("UNOCCLUDE_DEBUG", "1")
+    assert run(["info", "missing.mcap"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_config_is_toml_that_reads_back(capsys, tmp_path):
+    assert run(["config", "--json", str(tmp_path / "c.json")]) == 0
+    text = capsys.readouterr().out
+    assert Config.model_validate(tomllib.loads(text)) == Config()
+    assert "# white noise of a joint, m an axis" in text
+    assert json.loads((tmp_path / "c.json").read_text()) == Config().model_dump(mode="json")
+    changed = tmp_path / "c.toml"
+    changed.write_text("[windows]\nmargin_s = 2.5\n")
+    assert run(["config", "--config", str(changed)]) == 0
+    assert tomllib.loads(capsys.readouterr().out)["windows"]["margin_s"] == 2.5
+
+
+def test_doctor(capsys, tmp_path):
+    assert run(["doctor", "--json", str(tmp_path / "d.json")]) == 0
+    found = json.loads((tmp_path / "d.json").read_text())
+    assert found["solver"]["ok"]
+    assert found["point clouds"]["ok"]
+    assert {"python", "gtsam", "numpy", "cores", "memory"} <= set(found)
+
+
+def test_doctor_names_what_is_missing(capsys, monkeypatch):
+    import smoother.cli.doctor as doctor
+
+    monkeypatch.setattr(doctor, "PACKAGES", ("no-such-package",))
+    monkeypatch.setattr(doctor, "use_open3d", lambda: "skipped")
+    assert run(["doctor"]) == 1
+    assert "no-such-package" in capsys.readouterr().err
+
+
+def test_version(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("unocclude 0.")
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from smoother.cli.run import run; run(['--help']);"
+        "heavy = {'gtsam', 'scipy', 'plotly', 'numpy', 'open3d', 'cv2'} & set(sys.modules);"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_reader_that_goes_away_is_no_error(tmp_path):
+    command = f"{sys.executable} -c 'from smoother.cli import main; main()' config | head -n 1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr
+    assert "Exception" not in done.stderr
