@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..errors import RecordingError
 from ..recording import JOINTS, FloatArray, JointState
+from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
@@ -70,6 +71,10 @@ def choose(
     RecordingError
         Nothing fits, or more than one pair does; the message lists what the file has.
     """
+    notes: list[str] = []
+    if body is None:
+        arms, notes = join_bodies(file.arms)
+        file = replace(file, arms=arms)
     arms = _arms(file, skeleton, side, body)
     imus = _imus(file, imu)
     pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
@@ -81,7 +86,6 @@ def choose(
     if prefer_side and not side:
         preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
         pairs = preferred or pairs
-    notes = []
     if len(pairs) > 1:
         pair, why = _by_motion(file, pairs)
         notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")

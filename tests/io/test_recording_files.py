@@ -15,9 +15,11 @@ from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_recording, read_recording, select_recording, write_recording
+from smoother.io.bodies import join_bodies
 from smoother.io.choose import motion_agreement
 from smoother.io.clean import increasing
 from smoother.io.schemas import message_class
+from smoother.io.streams import ArmFrames
 from smoother.io.writing import as_file
 from smoother.recording import ImuStream, JointState, JointTracks, Recording
 
@@ -115,6 +117,29 @@ def test_motion_agreement_finds_a_shifted_clock() -> None:
     assert motion_agreement(file.imus[0], file.arms[0]) > 0.95
     late = replace(file.imus[0], stamp_ns=file.imus[0].stamp_ns + 400_000_000)
     assert motion_agreement(late, file.arms[0]) > 0.95
+
+
+def test_a_body_that_is_numbered_anew() -> None:
+    file = as_file(make(20))
+    (arm,) = file.arms
+    frames = np.arange(len(arm.stamp_ns))
+
+    def only(keep: np.ndarray, body: int, moved: float = 0.0) -> ArmFrames:
+        position, state = arm.position + moved, arm.state.copy()
+        state[~keep], position[~keep] = JointState.NOT_TRACKED, np.nan
+        return replace(arm, body=body, position=position, state=state)
+
+    first, second = only(frames < 200, 1), only(frames > 260, 4)
+    file.arms = [first, second]
+    found = select_recording(file)
+    assert any("numbered it anew" in note for note in found.notes)
+    assert found.arm.tracked("shoulder")[:200].all() and found.arm.tracked("shoulder")[261:].all()
+    assert not found.arm.tracked("shoulder")[200:261].any()
+    assert not select_recording(file, body=4).arm.tracked("shoulder")[:200].any()
+    # Somebody elsewhere, or at the same time, is somebody else.
+    for other in (only(frames > 260, 4, moved=1.0), only(frames > 190, 4)):
+        arms, notes = join_bodies([first, other])
+        assert len(arms) == 2 and not notes
 
 
 def broken(made: Recording, **changes: object) -> Recording:
