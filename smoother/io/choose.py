@@ -95,7 +95,7 @@ def choose(
             notes.append(f"IMU {pair[0].topic} and skeleton {pair[1].label} were taken.")
     chosen_side = _side(*pair) or side or ""
     base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
-    truth, truth_notes = _truth(file, chosen_side)
+    truth, truth_notes = choose_truth(file, chosen_side)
     return Choice(pair[0], pair[1], chosen_side, base, truth, notes + truth_notes)
 
 
@@ -252,7 +252,9 @@ def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
     return stamp[usable].astype(float), moved[usable]
 
 
-def _truth(file: RecordingFile, side: str) -> tuple[PoseSamples | None, list[str]]:
+def choose_truth(file: RecordingFile, side: str) -> tuple[PoseSamples | None, list[str]]:
+    """The poses that are the truth of an arm, or None and why."""
+
     def other_side(name: str) -> bool:
         return bool(side) and named_side(name) not in ("", side)
 

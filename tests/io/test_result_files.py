@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import export_csv, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.result import elbow_flexion
+from smoother.io.recovery_streams import elbow_flexion
 from smoother.io.schemas import message_class
 from smoother.recording import JOINTS, JointTracks
 from smoother.result import FrameResiduals, Gap, Recovery

@@ -11,11 +11,12 @@ import ros_bags as ros
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_recordings import swing
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from smoother.errors import RecordingError
 from smoother.io import cdr, open_recording, read_recording
+from smoother.io.choose import choose_truth
 from smoother.io.layout import Grouper
 from smoother.recording import CameraFrame, JointState
 
@@ -220,3 +221,41 @@ def test_deleting_markers_are_not_joints(tmp_path: Path) -> None:
     recording = read_recording(path)
     assert (recording.arm.state[:25, 1:4] == JointState.TRACKED).all()
     assert (recording.arm.state[25:] == JointState.NOT_TRACKED).all()
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_file_without_chunks_and_a_truth_of_ros(tmp_path: Path, cut: bool) -> None:
+    path = tmp_path / "plain.mcap"
+    pose_bytes = serialize_dynamic("geometry_msgs/msg/PoseStamped", ros.POSE)["geometry_msgs/msg/PoseStamped"]
+    with open(path, "wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        channels = []
+        for topic, kind, text in (
+            ("/arm/imu", "sensor_msgs/msg/Imu", ros.IMU),
+            ("/vicon/forearm", "geometry_msgs/msg/PoseStamped", ros.POSE),
+            ("/robot/goal", "geometry_msgs/msg/PoseStamped", ros.POSE),
+        ):
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            channels.append(writer.register_channel(topic, "cdr", schema))
+        for i in range(200):
+            ns = ZERO + i * 10**7
+            writer.add_message(
+                channels[0], ns, IMU_BYTES(ros.imu_message(ns, "a", np.ones(3), np.ones(3))), ns
+            )
+            turn = {"x": 0.1, "y": 0.2, "z": 0.3, "w": 0.9}
+            pose = {"position": ros.xyz(np.arange(3.0) + i), "orientation": turn}
+            for channel in channels[1:]:
+                data = pose_bytes({"header": ros.header(ns, "camera"), "pose": pose})
+                writer.add_message(channel, ns, data, ns)
+        writer.finish()
+    if cut:
+        path.write_bytes(path.read_bytes()[:60_000])
+    found = open_recording(path)
+    assert bool(found.notes) == cut
+    count = len(found.imus[0].stamp_ns)
+    assert 50 < count < 200 if cut else count == 200
+    truth = next(poses for poses in found.poses if poses.topic == "/vicon/forearm")
+    np.testing.assert_array_equal(truth.position[7], [7, 8, 9])
+    np.testing.assert_array_equal(truth.quaternion[7], [0.9, 0.1, 0.2, 0.3])
+    assert choose_truth(found, "")[0] is truth
