@@ -97,7 +97,8 @@ def parse_lengths(text: str) -> list[float]:
 
 def print_gaps(table: GapTable) -> None:
     """Print error against gap length."""
-    reference = next((row.reference for row in table.rows if row.reference), "nothing")
+    reference = next((row.reference for row in table.rows if row.reference), "truth")
+    against = "truth" if reference == "truth" else f"camera's hidden samples of the {reference}"
     rows = []
     for length, methods in table.lengths.items():
         for name, result in methods.items():
@@ -119,4 +120,4 @@ def print_gaps(table: GapTable) -> None:
                 )
             )
     columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
-    print_table(f"Error in hidden gaps against the {reference}", columns, rows)
+    print_table(f"Error in hidden gaps against the {against}", columns, rows)

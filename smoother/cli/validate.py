@@ -51,7 +51,7 @@ def validate(
 def print_validation(found: Validation) -> None:
     """Print the figures of a validation."""
     columns = (
-        "samples",
+        "part",
         "position rms, cm",
         "95 %, cm",
         "max, cm",
@@ -59,7 +59,7 @@ def print_validation(found: Validation) -> None:
         "max, deg",
         "NEES",
         "inside 95 %",
-        "count",
+        "samples",
     )
     rows = [
         (

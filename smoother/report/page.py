@@ -104,11 +104,13 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             " closer together in the gaps."
         )
     reference = " The dashed black line is the reference." if truth is not None else ""
+    arms = " The thick lines are the arm (shoulder, elbow, wrist, hand) at a few instants."
+    directions = ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""
     yield _figure(
         "The path in space",
-        f"Path of the sensor on the forearm, {_SEEN}, {_RECOVERED}.{reference} The thick lines are the arm"
-        " (shoulder, elbow, wrist, hand) at a few instants. Drag to turn, scroll to come closer. Axes are"
-        f" the camera's: left, right and away are as seen from it.{thinned}",
+        f"Path of the sensor on the forearm, {_SEEN}, {_RECOVERED}.{reference}"
+        f"{arms if len(recovery.joints) > 1 else ''} Drag to turn, scroll to come closer. Axes are the"
+        f" camera's{directions}.{thinned}",
         path_in_space(recovery, truth, frame),
     )
     yield _figure(
@@ -116,13 +118,14 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
         "The same path in two flat views, to the same scale.",
         flat_views(recovery, truth, frame),
     )
+    shown = points(recovery, truth)
+    buttons = " Buttons choose the point: a joint, or the sensor itself." if len(shown) > 1 else ""
     yield _figure(
         "Coordinates over time",
         f"Curves are {_SEEN} and {_RECOVERED}; gaps are shaded. Grey dots are the camera's own samples. The"
         " pale blue band is two standard deviations (sigma) to either side: 95 of 100 true values should lie"
-        f" in it.{reference} Buttons choose the point: a joint, or the sensor itself. Drag over a"
-        " stretch to enlarge it, double-click to come back.",
-        coordinates(recovery, points(recovery, truth), frame),
+        f" in it.{reference}{buttons} Drag over a stretch to enlarge it, double-click to come back.",
+        coordinates(recovery, shown, frame),
     )
     yield _figure(
         "Angles of the arm",
