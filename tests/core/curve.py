@@ -69,7 +69,7 @@ class Curve:
 
     def imu(self, rate_hz: float, duration_s: float) -> ImuStream:
         """Samples that are exact means over their intervals (Gauss-Legendre, 10 points: rounding only)."""
-        t = (np.arange(int(duration_s * rate_hz)) + 0.5) / rate_hz
+        t: FloatArray = (np.arange(int(duration_s * rate_hz), dtype=np.float64) + 0.5) / rate_hz
         x, w = np.polynomial.legendre.leggauss(10)
         fine = (t[:, None] + 0.5 * x / rate_hz).ravel()
         acc, gyro = (

@@ -48,7 +48,7 @@ def zero_order_hold(imu: ImuStream, start_s: float, end_s: float, held_from: str
 
 
 @pytest.mark.parametrize("rate_hz", [40.0, 100.0, 285.714])
-def test_means_over_the_samples_are_the_samples(rate_hz):
+def test_means_over_the_samples_are_the_samples(rate_hz: float) -> None:
     """The cumulative sum goes through the edges, so a sample's own interval gives the sample back."""
     imu = Curve(1).imu(rate_hz, 3.0)
     half = 0.5 / rate_hz
@@ -57,7 +57,7 @@ def test_means_over_the_samples_are_the_samples(rate_hz):
     np.testing.assert_allclose(mean, np.hstack([imu.acc, imu.gyro]), atol=1e-9)
 
 
-def test_uneven_stamps_keep_the_integral():
+def test_uneven_stamps_keep_the_integral() -> None:
     imu = Curve(2).imu(80.0, 2.0)
     rng = np.random.default_rng(0)
     uneven = ImuStream("", imu.t_s + rng.uniform(-0.003, 0.003, len(imu)), imu.acc, imu.gyro)
@@ -69,7 +69,7 @@ def test_uneven_stamps_keep_the_integral():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_equivalent_samples_are_exact_in_gtsam(seed):
+def test_equivalent_samples_are_exact_in_gtsam(seed: int) -> None:
     """Six unknowns for six numbers: only rounding may remain, also for wild motion."""
     rng = np.random.default_rng(seed)
     motion = Preintegration(
@@ -87,7 +87,7 @@ def test_equivalent_samples_are_exact_in_gtsam(seed):
         np.testing.assert_allclose(pim.deltaPij(), motion.delta_p[k], atol=1e-12)
 
 
-def test_equivalent_samples_without_rotation_and_at_rest():
+def test_equivalent_samples_without_rotation_and_at_rest() -> None:
     motion = Preintegration(np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.array([0.03]))
     acc, gyro, h = equivalent_samples(motion)
     assert not acc.any()
@@ -95,7 +95,7 @@ def test_equivalent_samples_without_rotation_and_at_rest():
     assert h[0] == pytest.approx(0.015)
 
 
-def test_blocks_chained_in_gtsam_give_the_whole_interval():
+def test_blocks_chained_in_gtsam_give_the_whole_interval() -> None:
     """The longest intervals, 0.1 s, are three blocks: GTSAM's sum of them against one fine integration.
 
     GTSAM chains rotations to first order in its tangent space. At up to 8 rad/s that may cost 5e-4 rad an
@@ -120,7 +120,7 @@ def test_blocks_chained_in_gtsam_give_the_whole_interval():
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("rate_hz", [80.0, 200.0])
-def test_integrate_against_the_closed_form(seed, rate_hz):
+def test_integrate_against_the_closed_form(seed: int, rate_hz: float) -> None:
     """One second of free integration of exact means, at up to 8 rad/s and 12 m/s^2.
 
     Midpoint steps of h leave a coning error of h^2 / 12 of the integral of |w x dw/dt|: 1.6e-4 rad here.
@@ -136,7 +136,7 @@ def test_integrate_against_the_closed_form(seed, rate_hz):
     assert np.abs(found.delta_p - p).max() < 6e-4
 
 
-def test_integrate_is_of_second_order(monkeypatch):
+def test_integrate_is_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
     """Halving the step quarters the error: a wrong coefficient anywhere would leave first order."""
     curve, t = Curve(1), np.array([0.7, 1.7, 2.7])
     signal, errors = InertialSignal(curve.imu(400.0, 4.0)), []
@@ -146,10 +146,10 @@ def test_integrate_is_of_second_order(monkeypatch):
         found = integrate(signal, t, NO_BIAS)
         distances = (found.delta_v - v, found.delta_p - p)
         errors.append([angle_rad(found.delta_R, R).max(), *(np.abs(each).max() for each in distances)])
-    np.testing.assert_allclose(np.divide(*errors), 4.0, rtol=0.1)
+    np.testing.assert_allclose(np.divide(errors[0], errors[1]), 4.0, rtol=0.1)
 
 
-def test_integrate_against_an_ode_solver_with_bias():
+def test_integrate_against_an_ode_solver_with_bias() -> None:
     """The same signal, less a bias, by scipy at rtol 1e-10: what the steps cost, without the sampling."""
     signal = InertialSignal(Curve(5).imu(100.0, 3.0))
     bias = np.array([0.2, -0.3, 0.1, 0.02, -0.03, 0.01])
@@ -171,17 +171,17 @@ def test_integrate_against_an_ode_solver_with_bias():
     np.testing.assert_allclose(found.delta_p[0], end[12:], atol=1e-5)
 
 
-def test_integrate_with_a_bias_an_interval_is_the_same_as_one_for_all():
+def test_integrate_with_a_bias_an_interval_is_the_same_as_one_for_all() -> None:
     signal = InertialSignal(Curve(6).imu(80.0, 3.0))
     t = np.array([0.3, 0.31, 0.4, 0.52, 1.0])
-    bias = np.arange(6) * 0.01
+    bias = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.05])
     one, each = integrate(signal, t, bias), integrate(signal, t, np.tile(bias, (4, 1)))
     np.testing.assert_array_equal(one.delta_p, each.delta_p)
     np.testing.assert_array_equal(one.delta_R, each.delta_R)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_sample_is_centred_on_its_stamp(seed):
+def test_a_sample_is_centred_on_its_stamp(seed: int) -> None:
     """At 40 Hz, holding a sample from its stamp is a shift of 12.5 ms: it must cost far more than we do."""
     curve = Curve(seed, fastest_hz=1.0)
     imu = curve.imu(40.0, 4.0)
@@ -199,7 +199,7 @@ def test_a_sample_is_centred_on_its_stamp(seed):
 
 
 @pytest.mark.parametrize("rate_hz", [80.0, 120.0, 285.714])
-def test_smooth_motion_is_no_knock(rate_hz):
+def test_smooth_motion_is_no_knock(rate_hz: float) -> None:
     """Brisk smooth motion must not widen the accelerometer's noise: 0.02 m/s^2/sqrt(Hz) is the default."""
     imu = Curve(7).imu(rate_hz, 10.0)
     t = np.arange(0.1, 9.9, 1 / 30)
@@ -208,7 +208,7 @@ def test_smooth_motion_is_no_knock(rate_hz):
     assert np.median(density) < 0.005
 
 
-def test_sensor_noise_is_no_knock():
+def test_sensor_noise_is_no_knock() -> None:
     """White noise of an ordinary MEMS accelerometer at rest stays far below the default density."""
     rng = np.random.default_rng(0)
     imu = Curve(7).imu(100.0, 10.0)
@@ -217,7 +217,7 @@ def test_sensor_noise_is_no_knock():
     assert (InertialSignal(noisy).velocity_error(t) / np.sqrt(np.diff(t))).max() < 0.02
 
 
-def test_a_knock_is_felt_where_it_is():
+def test_a_knock_is_felt_where_it_is() -> None:
     imu = Curve(7).imu(100.0, 10.0)
     acc = imu.acc.copy()
     acc[500] += [40.0, 0.0, 0.0]  # one sample at 5.005 s: an impulse of 0.4 m/s

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +22,7 @@ def stream(t: np.ndarray) -> ImuStream:
 
 
 @given(starts, steps)
-def test_thin_keeps_times_apart_and_no_fewer_than_needed(start, gaps):
+def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: list[float]) -> None:
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
     keep = thin(t)
     kept = t[keep]
@@ -31,13 +33,15 @@ def test_thin_keeps_times_apart_and_no_fewer_than_needed(start, gaps):
         assert dropped - before < CLOSEST_S + EPS
 
 
-def test_thin_of_nothing_and_one():
+def test_thin_of_nothing_and_one() -> None:
     assert thin(np.zeros(0)).tolist() == []
     assert thin(np.array([3.0])).tolist() == [True]
 
 
 @given(starts, steps, st.floats(0.1, 50.0), st.floats(0.0, 1.0))
-def test_nodes_increase_are_close_enough_and_keep_the_given_times(start, gaps, length, shift):
+def test_nodes_increase_are_close_enough_and_keep_the_given_times(
+    start: float, gaps: list[float], length: float, shift: float
+) -> None:
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
     t = t[thin(t)]
     start_s = start + shift
@@ -55,7 +59,7 @@ def test_nodes_increase_are_close_enough_and_keep_the_given_times(start, gaps, l
 
 
 @given(starts, steps)
-def test_nodes_are_no_more_than_needed(start, gaps):
+def test_nodes_are_no_more_than_needed(start: float, gaps: list[float]) -> None:
     """Between two given times the fewest evenly spaced nodes."""
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
     t = t[thin(t)]
@@ -63,7 +67,7 @@ def test_nodes_are_no_more_than_needed(start, gaps):
     nodes = fill(t, t[0], end)
     inner = t[(t > t[0] + CLOSEST_S) & (t < end - CLOSEST_S)]
     given_times = np.concatenate(([t[0]], inner, [end]))
-    for a, b in zip(given_times[:-1], given_times[1:], strict=True):
+    for a, b in itertools.pairwise(given_times):
         inside = nodes[(nodes >= a) & (nodes <= b)]
         assert len(inside) - 1 == max(1, int(np.ceil((b - a) / GAP_NODE_S - 1e-9)))
         np.testing.assert_allclose(np.diff(inside), (b - a) / (len(inside) - 1), atol=EPS)
@@ -71,7 +75,7 @@ def test_nodes_are_no_more_than_needed(start, gaps):
 
 @given(st.lists(st.integers(2, 30), min_size=1, max_size=5), st.sampled_from([20.0, 40.0, 100.0, 285.0]))
 @settings(max_examples=50)
-def test_pauses_split_the_stream(lengths, rate):
+def test_pauses_split_the_stream(lengths: list[int], rate: float) -> None:
     """Runs of samples a second apart come back as they were made."""
     t, at = [], 0.0
     for n in lengths:
@@ -84,7 +88,7 @@ def test_pauses_split_the_stream(lengths, rate):
     assert [joined[piece].tolist() for piece in pieces] == [each.tolist() for each in t]
 
 
-def test_a_lost_sample_or_four_are_no_pause():
+def test_a_lost_sample_or_four_are_no_pause() -> None:
     """Five sample periods are bridged where they are longer than a tenth of a second."""
     for rate in (20.0, 100.0, 285.0):
         t = np.arange(200) / rate
@@ -94,6 +98,6 @@ def test_a_lost_sample_or_four_are_no_pause():
         assert len(split_at_pauses(stream(t[keep]))) == 1
 
 
-def test_short_streams():
+def test_short_streams() -> None:
     assert split_at_pauses(stream(np.zeros(0))) == [slice(0, 0)]
     assert split_at_pauses(stream(np.array([1.0]))) == [slice(0, 1)]
