@@ -15,7 +15,7 @@ class CameraNoise(_Section):
     """What the camera's joints are believed to be worth before the recording tells."""
 
     joint_sigma_m: float = Field(0.010, gt=0, description="white noise of a joint, m an axis; start value")
-    huber: float = Field(1.345, gt=0, description="where the robust loss turns linear, in sigmas")
+    huber: float = Field(2.8, gt=0, description="length of a residual, in sigmas, where the robust loss turns linear")
 
 
 class ImuNoise(_Section):

@@ -74,7 +74,9 @@ def smooth(
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
         first = _cut(stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config)
         answers = _solve(pool, first, False, lambda share: say(0.2 + 0.35 * share, "first pass"))
-        told = tell([answer.message for each in answers for answer in each], prior)
+        heard = [answer.message for each in answers for answer in each]
+        told = tell(heard, prior)
+        found = calibration_from(combine(heard, prior), prior.layout, known.start)
         better = [
             replace(stretch, start=join(stretch.t, windows, solutions).states)
             for stretch, windows, solutions in zip(stretches, first, answers, strict=True)
@@ -87,7 +89,6 @@ def smooth(
         for stretch, windows, solutions in zip(stretches, second, answers, strict=True)
     ]
     messages = [answer.message for each in answers for answer in each]
-    found = calibration_from(combine(messages, prior), prior.layout, known.start)
     say(1.0, "done")
     return assemble(recording, found, config, known, stretches, motions, messages)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.calibration import ArmCalibration
-from smoother.config import Config
+from smoother.cli.config_file import read_config
 from smoother.evaluation import evaluate_gaps, validate
 from smoother.io import import_broad
 from smoother.recording import Recording
@@ -58,7 +58,7 @@ def datasets() -> Path:
 
 def broad(options: argparse.Namespace) -> None:
     """BROAD: the strap alone at 30 Hz with 8 mm of noise, gaps at random."""
-    tally, config = Tally(), Config()
+    tally, config = Tally(), read_config(options.config)
     for path in sorted((datasets() / "broad").glob(f"*{options.only}*.mat")):
         line, began = [], time.perf_counter()
         for length in LENGTHS_S:
@@ -85,7 +85,7 @@ def broad(options: argparse.Namespace) -> None:
 
 def arm(options: argparse.Namespace) -> None:
     """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
-    tally, config = Tally(), Config()
+    tally, config = Tally(), read_config(options.config)
     changes = dict(pair.split("=", 1) for pair in options.set)
     for seed in options.seeds:
         simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes), seed=seed)
@@ -150,6 +150,7 @@ def main() -> None:
     two.add_argument("--calibrated", action="store_true", help="give the true calibration")
     two.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset")
     for each in (one, two):
+        each.add_argument("--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them")
         each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
     options = parser.parse_args()
     {"broad": broad, "arm": arm}[options.command](options)
