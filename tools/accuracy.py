@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.motion import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
 from smoother.evaluation import evaluate_gaps, validate
-from smoother.io import import_broad
+from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -139,6 +140,72 @@ def _found(recovery: Recovery, simulated: object) -> str:
     )
 
 
+def utd(options: argparse.Namespace) -> None:
+    """UTD-MHAD: calibrated on a subject's first trials, a gap in the middle of every other one."""
+    folder, config = datasets() / "utd_mhad", read_config(options.config)
+    rows: list[tuple[float, int, bool, np.ndarray, np.ndarray, float]] = []
+    for subject in options.subjects:
+        trials = {
+            (a, t): import_utd_mhad(inertial, folder / "Skeleton" / inertial.name.replace("inertial", "skeleton"))
+            for a in range(1, 22)
+            for t in range(1, 5)
+            if (inertial := folder / "Inertial" / f"a{a}_s{subject}_t{t}_inertial.mat").exists()
+        }
+        first = [recording for (_, t), recording in trials.items() if t == 1]
+        found = calibrate_motion(first, None, config)
+        print(f"subject {subject}: {found.calibration}", flush=True)
+        for (action, trial), recording in trials.items():
+            if trial == 1:
+                continue
+            for length in (0.5, 1.0):
+                middle = 0.5 * (recording.arm.t_s[0] + recording.arm.t_s[-1])
+                hidden = np.abs(recording.arm.t_s - middle) <= 0.5 * length
+                seen = recording.arm.tracked("wrist") & hidden
+                copy = replace(recording, arm=recording.arm.hide(hidden))
+                recovery = smooth(copy, found.calibration, config)
+                t = recording.arm.t_s[seen] + recovery.clock_offset_s
+                path, truth = recovery.joints["wrist"], recording.arm.joint("wrist")[seen]
+                answer = np.stack([np.interp(t, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
+                sigma = np.sqrt(np.trace(recovery.joint_covariance["wrist"], axis1=1, axis2=2))
+                kept = recording.arm.tracked("wrist") & ~hidden
+                line = np.stack(
+                    [
+                        np.interp(recording.arm.t_s[seen], recording.arm.t_s[kept], recording.arm.joint("wrist")[kept, i])
+                        for i in range(3)
+                    ],
+                    axis=1,
+                )
+                moved = float(np.sum(np.linalg.norm(np.diff(truth, axis=0), axis=1)))
+                rows.append(
+                    (
+                        length,
+                        action,
+                        moved < 0.30,
+                        np.linalg.norm(answer - truth, axis=1),
+                        np.linalg.norm(line - truth, axis=1),
+                        float(np.nanmax(np.interp(t, recovery.t_s, sigma))),
+                    )
+                )
+    for length in (0.5, 1.0):
+        for name, pick in (("all", lambda r: True), ("slow", lambda r: r[2]), ("fast", lambda r: not r[2])):
+            _show_utd(f"{length:g} s {name}", [r for r in rows if r[0] == length and pick(r)])
+    for action in sorted({r[1] for r in rows}):
+        _show_utd(f"1 s action {action}", [r for r in rows if r[0] == 1.0 and r[1] == action])
+
+
+def _show_utd(title: str, rows: list) -> None:
+    if not rows:
+        return
+    graph, line = (np.concatenate([r[k] for r in rows]) for k in (3, 4))
+    trial = [(np.sqrt(np.mean(r[3] ** 2)), np.sqrt(np.mean(r[4] ** 2))) for r in rows]
+    print(
+        f"  {title:15}: graph rms {100 * np.sqrt(np.mean(graph**2)):5.1f} median {100 * np.median(graph):5.1f} cm"
+        f"   interpolation rms {100 * np.sqrt(np.mean(line**2)):5.1f} median {100 * np.median(line):5.1f} cm"
+        f"   graph nearer in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}"
+        f"   median sigma {100 * np.median([r[5] for r in rows]):4.1f} cm"
+    )
+
+
 def main() -> None:
     """Read the options and run."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -149,11 +216,13 @@ def main() -> None:
     two.add_argument("--preset", default="white")
     two.add_argument("--calibrated", action="store_true", help="give the true calibration")
     two.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset")
-    for each in (one, two):
+    three = commands.add_parser("utd", help=utd.__doc__)
+    three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
+    for each in (one, two, three):
         each.add_argument("--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them")
         each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
     options = parser.parse_args()
-    {"broad": broad, "arm": arm}[options.command](options)
+    {"broad": broad, "arm": arm, "utd": utd}[options.command](options)
 
 
 def _seeds(text: str) -> range:
