@@ -28,8 +28,7 @@ def info(
     write_json(json_file, about.to_dict(), force)
     print_topics(about)
     print_arm(about)
-    for step, reason in about.missing.items():
-        say(f"{step}: {reason}")
+    print_missing(about)
     print_notes(about.notes)
 
 
@@ -63,3 +62,19 @@ def print_arm(about: RecordingInfo) -> None:
         lag = "" if behind is None else f", logged {1000 * behind:.1f} ms later"
         rows.append((f"clock of {topic}", f"{clock['first_s']:.3f} to {clock['last_s']:.3f} s{lag}"))
     print_table("Streams", ("what", "found"), rows)
+
+
+def print_missing(about: RecordingInfo) -> None:
+    """Print what is missing for recovering first, then in short what it can do without."""
+    if "smooth" in about.missing:
+        say(f"cannot be recovered: {about.missing['smooth']}")
+    elif about.result:
+        say("holds a result: validate and export read it")
+    else:
+        say("ready for `unocclude smooth`")
+    for step, reason in about.missing.items():
+        if step != "smooth":
+            say(f"{step}: {reason}")
+    if about.optional:
+        lacks = ", ".join(f"{what} ({use})" for what, use in about.optional.items())
+        say(f"not in the file, not needed to recover: {lacks}")

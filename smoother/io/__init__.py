@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from .reading import open_recording as open_recording
     from .reading import read_recording as read_recording
     from .reading import select_recording as select_recording
+    from .recording_writing import write_recording as write_recording
     from .result import write_recovery as write_recovery
     from .result_reading import read_recovery as read_recovery
     from .streams import RecordingFile as RecordingFile
-    from .writing import write_recording as write_recording
 
 _HOMES = {
     "RecordingFile": "streams",
@@ -37,7 +37,7 @@ _HOMES = {
     "read_recording": "reading",
     "read_recovery": "result_reading",
     "select_recording": "reading",
-    "write_recording": "writing",
+    "write_recording": "recording_writing",
     "write_recovery": "result",
     "writing": "atomic",
 }

@@ -44,7 +44,9 @@ class RecordingInfo:
     clocks : per stream, first and last stamp (s) and how far log times lie behind stamps.
     duration_s : time that IMU and camera share.
     gaps : number of occluded stretches; gap_total_s, gap_longest_s : their length together and the longest.
-    missing : by step, what is missing for it, one sentence.
+    missing : by step, what is missing for it, one sentence; without `smooth` it can be recovered.
+    optional : what the file lacks and recovering does not need, with what it would be good for.
+    result : the file holds a recovery already.
     notes : what was dropped, decided or wrong.
     """
 
@@ -67,6 +69,8 @@ class RecordingInfo:
     gap_total_s: float | None = None
     gap_longest_s: float | None = None
     missing: dict[str, str] = field(default_factory=dict)
+    optional: dict[str, str] = field(default_factory=dict)
+    result: bool = False
     notes: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
@@ -123,7 +127,9 @@ def describe(
         info.missing["smooth"] = str(error)
     if recording is not None:
         _take(info, recording)
-    info.missing |= _missing(file, recording)
+        info.missing |= _missing(recording)
+    info.optional = _optional(file, recording)
+    info.result = any(RESULT in name for name in file.metadata)
     return info
 
 
@@ -142,33 +148,35 @@ def _take(info: RecordingInfo, recording: Recording) -> None:
     info.gap_longest_s = round(max((gap.length_s for gap in gaps), default=0.0), 3)
 
 
-def _missing(file: RecordingFile, recording: Recording | None) -> dict[str, str]:
-    """What keeps a step from working, or from working well, by step."""
+def _missing(recording: Recording) -> dict[str, str]:
+    """What keeps the recording from being recovered well, by what suffers from it."""
     missing = {}
-    if RESULT not in "".join(file.metadata):
-        missing["validate, export"] = "the file holds no result yet; run `unocclude smooth` first."
-    if not file.poses:
-        missing["validate, compare"] = "no truth in the file; give one with --truth, or use `unocclude gaps`."
-    if not any(topic.schema in _DEPTH for topic in file.topics):
-        missing["calibrate panel"] = "no images or depth in the file."
-    if recording is None:
-        return missing
     present = recording.arm.present
     lacking = [joint for joint in ("shoulder", "elbow", "wrist") if joint not in present]
     if lacking:
         missing["whole arm"] = (
             f"{' and '.join(lacking)} never tracked; the IMU's path is recovered all the same."
         )
-    if recording.imu.mag is None:
-        missing["calibrate magnetometer"] = "no magnetometer; none is needed to smooth."
-    if recording.base_imu is None:
-        missing["calibrate world"] = "no IMU on the camera; gravity is solved with the motion."
     if recording.camera_frame is None and recording.gravity_hint is None:
         missing["start of the solution"] = (
             f"the file does not say how the camera's axes lie (metadata {METADATA}); "
             "gravity is found from motion."
         )
     return missing
+
+
+def _optional(file: RecordingFile, recording: Recording | None) -> dict[str, str]:
+    """What the file does not hold and recovering does not need, with what it would be good for."""
+    optional = {}
+    if not file.poses:
+        optional["truth"] = "validate and compare; `unocclude gaps` needs none"
+    if recording is not None and recording.imu.mag is None:
+        optional["magnetometer"] = "a heading for some of the peers"
+    if recording is not None and recording.base_imu is None:
+        optional["IMU on the camera"] = "a camera that is moved"
+    if not any(topic.schema in _DEPTH for topic in file.topics):
+        optional["images or depth"] = "calibration with a panel"
+    return optional
 
 
 def _clocks(file: RecordingFile) -> dict[str, dict[str, float]]:

@@ -12,9 +12,9 @@ from ..result import FrameResiduals, Recovery
 from . import scene, wire
 from .merge import Outgoing, Output
 from .reading import RESULT_PREFIX, nanoseconds
+from .recording_writing import arm_messages
 from .schemas import message_class
 from .streams import ArmFrames
-from .writing import arm_messages
 
 Columns = Callable[[IntArray], dict[str, NDArray]]
 

@@ -12,9 +12,9 @@ from .atomic import check_output, writing
 from .container import Container, Message
 from .merge import Outgoing, Output
 from .reading import METADATA, RESULT_PREFIX, open_recording
+from .recording_writing import CAMERA
 from .recovery_streams import RecoveryStreams
 from .values import recovery_values
-from .writing import CAMERA
 
 RESULT = "unocclude.result"
 #: Schemas that show a patient.

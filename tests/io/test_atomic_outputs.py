@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import os
+import pkgutil
 from pathlib import Path
 
 import pytest
@@ -87,3 +89,11 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
         temporary.write_text("new")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "real").read_text() == "new"
+
+
+@pytest.mark.parametrize("package", ["smoother", "smoother.io"])
+def test_no_lazy_name_is_a_module(package: str) -> None:
+    """Python binds a submodule over a name that is looked up late, so the two must differ."""
+    module = importlib.import_module(package)
+    modules = {found.name for found in pkgutil.iter_modules(module.__path__)}
+    assert not modules & set(module.__all__)

@@ -18,9 +18,9 @@ from smoother.io import describe, open_recording, read_recording, select_recordi
 from smoother.io.bodies import join_bodies
 from smoother.io.choose import motion_agreement
 from smoother.io.clean import increasing
+from smoother.io.recording_writing import as_file
 from smoother.io.schemas import message_class
 from smoother.io.streams import ArmFrames
-from smoother.io.writing import as_file
 from smoother.recording import ImuStream, JointState, JointTracks, Recording
 
 
@@ -250,7 +250,8 @@ def test_info_says_what_is_missing(recording: Recording, tmp_path: Path) -> None
     write_recording(recording, tmp_path / "a.mcap")
     info = describe(tmp_path / "a.mcap")
     assert (info.imu, info.side, info.gaps) == ("/imu/forearm_right", "right", 2)
-    assert "calibrate panel" in info.missing and "validate, compare" not in info.missing
+    assert not info.missing
+    assert "images or depth" in info.optional and "truth" not in info.optional
     assert json.loads(json.dumps(info.to_dict()))["topics"][0]["count"] > 0
 
 
