@@ -1,0 +1,217 @@
+"""`smooth` from end to end on simulated recordings: accuracy, honesty, definitions."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smoother import smooth
+from smoother.calibration import ArmCalibration
+from smoother.evaluation.validate import sample_errors
+from smoother.occlusion import MISSING_FRAMES, MISSING_S
+from smoother.recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
+
+from .curve import G
+from .scenes import ALONE, Scene, arm, point, recovered
+
+#: Limits in the gaps, m. The issue asks for 1.2 and 3 cm; 10 seeds gave 0.36 and 0.7 (0.54 and 0.84 at
+#: worst), so these leave half as much again and fail long before the issue's limits do.
+GAP_RMS_M, GAP_MAX_M = 0.008, 0.016
+#: A point has one sample a frame instead of three, and gaps of up to 3 s: 0.6 and 1.3 cm at worst.
+POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
+#: Mean squared error in sigmas: 1 is honest. One gap is one draw, so the bounds are wide.
+SHYEST, BOLDEST = 0.1, 3.0
+
+
+def assert_accurate(scene: Scene, rms_m: float = GAP_RMS_M, max_m: float = GAP_MAX_M) -> None:
+    found = scene.validation
+    assert found.all.unanswered == 0
+    assert found.occluded.samples > 100
+    assert found.occluded.position_rms_m is not None
+    assert found.occluded.position_max_m is not None
+    assert found.visible.position_rms_m is not None
+    assert found.all.orientation_max_deg is not None
+    assert found.occluded.position_rms_m <= rms_m
+    assert found.occluded.position_max_m <= max_m
+    assert found.visible.position_rms_m <= 0.005  # measured 0.15 to 0.3 cm with 0.8 cm of camera noise
+    assert found.all.orientation_max_deg <= 2.5  # measured 0.5 to 1.2
+
+
+def test_gaps_are_recovered(white_arm: Scene) -> None:
+    assert len(white_arm.recovery.gaps) == 4
+    assert_accurate(white_arm)
+
+
+def test_covariances_are_honest(white_arm: Scene) -> None:
+    found = white_arm.validation
+    for figures in (found.all, found.occluded, found.visible):
+        assert figures.nees is not None
+        assert SHYEST < figures.nees < BOLDEST
+
+
+def test_orientation_covariance_is_honest(white_arm: Scene) -> None:
+    truth = white_arm.recording.truth
+    assert truth is not None
+    angle = np.radians(sample_errors(white_arm.recovery, truth).angle_deg)
+    ratio = np.mean(angle**2 / np.radians(white_arm.recovery.sigma_deg) ** 2)
+    assert 0.02 < ratio < BOLDEST  # the default gyroscope density allows for scale errors that are not here
+
+
+def test_a_point_alone(white_point: Scene) -> None:
+    assert_accurate(white_point, POINT_RMS_M, POINT_MAX_M)
+    nees = white_point.validation.all.nees
+    assert nees is not None
+    assert SHYEST < nees < BOLDEST
+    assert white_point.recovery.joints == {} or set(white_point.recovery.joints) <= {"strap"}
+
+
+def occluded_by_definition(scene: Scene) -> BoolArray:
+    """A loop: a sample is visible at, or between neighbouring, visible frames with nothing lost between."""
+    recovery = scene.recovery
+    assert recovery.residuals is not None
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    used = recovery.residuals.used[:, forearm]
+    present = (scene.recording.arm.state[:, forearm] == JointState.TRACKED).any(axis=0).sum()
+    seen = used.sum(axis=1) >= min(2, present)
+    frames = recovery.residuals.t_s
+    limit = max(MISSING_S, MISSING_FRAMES * float(np.median(np.diff(frames))))
+    answer = []
+    for t in recovery.t_s:
+        before, after = np.flatnonzero(frames <= t), np.flatnonzero(frames >= t)
+        if not len(before) or not len(after):  # before the first frame, after the last
+            end = after[0] if len(after) else before[-1]
+            answer.append(not (seen[end] and abs(frames[end] - t) <= limit))
+            continue
+        a, b = before[-1], after[0]
+        if a == b:
+            answer.append(not seen[a])
+        else:
+            answer.append(not (seen[a] and seen[b] and frames[b] - frames[a] <= limit))
+    return np.array(answer)
+
+
+def test_the_occluded_column_is_the_definition(white_arm: Scene, white_point: Scene) -> None:
+    for scene in (white_arm, white_point):
+        np.testing.assert_array_equal(scene.recovery.occluded, occluded_by_definition(scene))
+        tracked = scene.recording.arm.state == JointState.TRACKED
+        assert scene.recovery.residuals is not None
+        # white noise: hardly a tracked sample may be set aside (4 sigmas of three axes: 1 in 1000)
+        assert (scene.recovery.residuals.used & ~tracked).sum() == 0
+        assert scene.recovery.residuals.used.sum() > 0.99 * tracked.sum()
+
+
+def test_gaps_are_what_the_camera_could_not_see(white_arm: Scene) -> None:
+    """Simulated occlusions against the answer's gaps: apart by the elbow's lag and a frame at most."""
+    hidden = white_arm.recording.arm.t_s[white_arm.made.occluded]
+    inside = [((hidden > gap.start_s) & (hidden < gap.end_s)) for gap in white_arm.recovery.gaps]
+    assert np.any(inside, axis=0).mean() > 0.99
+    for a, b in itertools.pairwise(white_arm.recovery.gaps):
+        assert a.end_s < b.start_s
+
+
+def test_times_and_quaternions(white_arm: Scene) -> None:
+    recovery = white_arm.recovery
+    np.testing.assert_array_equal(recovery.t_s, white_arm.recording.imu.t_s)  # the IMU's own stamps
+    np.testing.assert_allclose(np.linalg.norm(recovery.quaternion, axis=1), 1.0, atol=1e-9)
+    arrays = recovery.to_arrays()
+    assert {"t_s", "occluded", "imu", "imu_quaternion", "sigma", "sigma_deg", "elbow", "wrist"} <= set(arrays)
+    assert all(len(values) == len(recovery) for values in arrays.values())
+
+
+def test_joints_and_their_sigmas(white_arm: Scene) -> None:
+    """Elbow, wrist and shoulder against truth, in the gaps too, and covered by their own covariance."""
+    truth, recovery = white_arm.recording.truth, white_arm.recovery
+    assert truth is not None
+    for joint, limit in (("elbow", 0.012), ("wrist", 0.010), ("shoulder", 0.020)):
+        error = recovery.joints[joint] - truth.joints[joint]
+        assert np.sqrt((error**2).sum(axis=1)[recovery.occluded].mean()) < limit
+        C = recovery.joint_covariance[joint]
+        nees = np.einsum("ni,ni->n", error, np.linalg.solve(C, error[..., None])[..., 0]).mean() / 3
+        assert 0.02 < nees < BOLDEST
+
+
+def test_velocity_is_in_the_camera_frame(white_arm: Scene) -> None:
+    recovery, truth = white_arm.recovery, white_arm.recording.truth
+    assert truth is not None
+    slope = np.gradient(truth.position, truth.t_s, axis=0)
+    assert np.sqrt(((recovery.velocity - slope)[5:-5] ** 2).sum(axis=1).mean()) < 0.03
+
+
+def test_gravity_offset_and_biases_are_found(white_arm: Scene) -> None:
+    recovery, drawn = white_arm.recovery, white_arm.made.parameters
+    down = drawn["gravity"] / np.linalg.norm(drawn["gravity"])
+    assert np.degrees(np.arccos(np.clip(recovery.gravity_direction @ down, -1, 1))) < 1.0
+    assert abs(recovery.clock_offset_s) < 0.003  # measured under 0.5 ms; a frame is 33 ms
+    bias = np.array(recovery.figures["gyroscope_bias"])
+    np.testing.assert_allclose(bias, drawn["gyroscope_bias"], atol=0.004)
+
+
+@pytest.mark.parametrize("latency_s", [-0.05, 0.1])
+def test_a_late_camera(latency_s: float) -> None:
+    """t_imu = t_camera + offset, so a camera that is late by 0.1 s has an offset of -0.1 s."""
+    scene = recovered(arm(1, latency_s=latency_s))
+    assert scene.recovery.clock_offset_s == pytest.approx(-latency_s, abs=0.003)
+    assert_accurate(scene)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param({"side": "left"}, id="left"),
+        pytest.param({"camera_frame": "optical"}, id="optical"),
+        pytest.param({"frame_rate_hz": 15.0}, id="15fps"),
+        pytest.param({"frame_rate_hz": 60.0}, id="60fps"),
+        pytest.param({"imu_rate_hz": 40.0}, id="imu40"),
+        pytest.param({"imu_rate_hz": 200.0}, id="imu200"),
+    ],
+)
+def test_sides_frames_and_rates(changes: dict[str, Any]) -> None:
+    scene = recovered(arm(1, **changes))
+    assert_accurate(scene)
+    assert scene.recovery.side == changes.get("side", "right")
+
+
+def test_nothing_calibrated_beforehand() -> None:
+    """Lever arms, upper arm and offset from the recording itself: measured 0.39 to 0.47 / 0.73 cm."""
+    made = arm(0)
+    scene = recovered(replace(made, calibration=ArmCalibration(side="right")))
+    assert_accurate(scene)
+    found = scene.recovery.calibration
+    assert found is not None
+    for joint in ("elbow", "wrist"):
+        off = found.lever_arms[joint].position_m - made.calibration.lever_arms[joint].position_m
+        assert np.linalg.norm(off) < 0.012
+
+
+@pytest.mark.parametrize("kind", ["arm", "point"])
+def test_data_without_any_error(kind: str, request: pytest.FixtureRequest) -> None:
+    """A perfect camera must not be the one that fails."""
+    if kind == "point":
+        reason = "noise found from residuals has no floor: covariances of 1e-10 make the graph singular"
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+    scene = recovered(arm(0, "clean") if kind == "arm" else point(0, "clean"))
+    assert_accurate(scene, 0.003, 0.006)
+
+
+def test_progress_is_told() -> None:
+    made, heard = point(2, duration_s=6.0, occlusion_lengths_s=()), []
+
+    def listen(fraction: float, text: str) -> None:
+        heard.append((fraction, text))
+
+    smooth(made.recording, None, ALONE, listen)
+    fractions: FloatArray = np.array([fraction for fraction, _ in heard])
+    assert len(heard) >= 3
+    assert (np.diff(fractions) >= 0).all()
+    assert fractions[0] >= 0
+    assert fractions[-1] == 1.0
+    assert all(text for _, text in heard)
+
+
+def test_gravity_magnitude_is_the_simulation_s() -> None:
+    """The tests' own gravity is the simulator's: a difference would hide in the biases."""
+    assert np.linalg.norm(arm(0, duration_s=2.0, protocol="hang").parameters["gravity"]) == pytest.approx(G)
