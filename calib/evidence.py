@@ -1,0 +1,110 @@
+"""What recordings showed that a calibration from motion can rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.pieces import Piece
+from smoother.recording import JOINTS, BoolArray, FloatArray
+
+#: Turning about the forearm's axis is measured within stretches of this length: the gyro's sum drifts, s.
+STRETCH_S = 10.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the camera saw, and how the forearm moved meanwhile.
+
+    Attributes
+    ----------
+    visible_s : time with the forearm visible.
+    frames : accepted samples by joint; `upper_arm` counts frames with shoulder and elbow.
+    turning_rad_s : rms of the IMU's angular velocity in that time; nan without any.
+    axial_rad : how far the forearm turned about its own axis within 10 s of it, at best; nan where its
+        direction is not known.
+    """
+
+    visible_s: float
+    frames: dict[str, int]
+    turning_rad_s: float
+    axial_rad: float
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """A recording's clock offset, t_imu = t_camera + offset; it belongs to that recording alone.
+
+    Attributes
+    ----------
+    recording : its name.
+    offset_s, sigma_s : mean offset and its standard deviation; nan where the recording told nothing.
+    drift_s : how far the offset wandered.
+    """
+
+    recording: str
+    offset_s: float = float("nan")
+    sigma_s: float = float("nan")
+    drift_s: float = float("nan")
+
+
+def gather(pieces: Sequence[Piece], direction: FloatArray | None) -> Evidence:
+    """The evidence of the pieces of one or several recordings.
+
+    Parameters
+    ----------
+    direction : (3,) unit vector elbow to wrist in {A}, or None where it is not known.
+    """
+    frames = {joint: sum(_count(piece, joint) for piece in pieces) for joint in JOINTS}
+    frames["upper_arm"] = sum(_count(piece, "shoulder", "elbow") for piece in pieces)
+    square, time, axial = 0.0, 0.0, 0.0
+    for piece in pieces:
+        t, rates = _rates(piece)
+        dt = np.diff(t)
+        seen = _visible(piece, 0.5 * (t[1:] + t[:-1]))
+        square += float(np.sum(dt[seen] * np.sum(rates[seen] ** 2, axis=1)))
+        time += float(dt[seen].sum())
+        if direction is not None:
+            axial = max(axial, _axial(t, np.append(0.0, np.cumsum(dt * (rates @ direction))), seen))
+    return Evidence(
+        visible_s=time,
+        frames=frames,
+        turning_rad_s=float(np.sqrt(square / time)) if time > 0 else float("nan"),
+        axial_rad=float("nan") if direction is None else axial,
+    )
+
+
+def _count(piece: Piece, *joints: str) -> int:
+    columns = [JOINTS.index(joint) for joint in joints]
+    return int(piece.accepted[:, columns].all(axis=1).sum())
+
+
+def _rates(piece: Piece) -> tuple[FloatArray, FloatArray]:
+    """Edges (n + 1,) every 20 ms or so, and the mean angular velocity (n, 3) between them, rad/s in {A}."""
+    count = max(int((piece.end_s - piece.start_s) / 0.02), 2)
+    t = np.linspace(piece.start_s, piece.end_s, count + 1)
+    return t, piece.signal.mean(t[:-1], t[1:])[:, 3:] - piece.attitude.gyroscope_bias
+
+
+def _visible(piece: Piece, t: FloatArray) -> BoolArray:
+    """(n,) whether the frame next to each time shows the forearm; clock offsets are too small to matter."""
+    seen = piece.accepted[:, 1:].sum(axis=1) >= piece.needed
+    after = np.clip(np.searchsorted(piece.frame_t, t), 1, len(piece.frame_t) - 1)
+    before = after - 1
+    nearer = t - piece.frame_t[before] < piece.frame_t[after] - t
+    nearest = np.where(nearer, before, after)
+    return seen[nearest] & (np.abs(piece.frame_t[nearest] - t) < 0.1)
+
+
+def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:
+    """Largest range of an angle (n + 1,) over visible cells (n,) within one stretch, rad."""
+    middle = 0.5 * (angle[1:] + angle[:-1])[seen]
+    when = 0.5 * (t[1:] + t[:-1])[seen]
+    best = 0.0
+    for start in np.arange(t[0], t[-1], 0.5 * STRETCH_S):
+        part = middle[(when >= start) & (when < start + STRETCH_S)]
+        if len(part):
+            best = max(best, float(np.ptp(part)))
+    return best
