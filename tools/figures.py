@@ -1,0 +1,196 @@
+"""The README's picture: `python tools/figures.py -o docs/picture.svg`.
+
+One occlusion of data/demo.mcap before and after, drawn from a real run with nothing calibrated. The SVG is
+written by hand, so that the picture needs no plotting library.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smoother import read_recording, smooth
+from smoother.recording import FloatArray, Recording
+from smoother.result import Recovery
+
+HERE = Path(__file__).parents[1]
+CHAIN = ("shoulder", "elbow", "wrist", "hand")
+SEEN, RECOVERED, TRUTH, GAP, FRAME, TEXT = "#1a6fb5", "#d9650b", "#222222", "#f3e9dc", "#bbbbbb", "#333333"
+#: Time shown around the gap, s; how often the arm is drawn, s.
+AROUND_S, EVERY_S = 1.2, 0.15
+
+
+@dataclass
+class Panel:
+    """A rectangle of the picture with its own scales."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+
+    def place(self, x: FloatArray, y: FloatArray) -> list[tuple[float, float]]:
+        """Pixels of points; y grows upwards."""
+        (x0, x1), (y0, y1) = self.x_range, self.y_range
+        across = self.left + (np.asarray(x) - x0) / (x1 - x0) * self.width
+        down = self.top + self.height - (np.asarray(y) - y0) / (y1 - y0) * self.height
+        return [(float(a), float(b)) for a, b in zip(across, down, strict=True)]
+
+    def frame(self) -> str:
+        """Its border."""
+        return (
+            f'<rect x="{self.left:g}" y="{self.top:g}" width="{self.width:g}" height="{self.height:g}" '
+            f'fill="none" stroke="{FRAME}"/>'
+        )
+
+    def box(self, x0: float, x1: float, color: str) -> str:
+        """A shaded stretch of x over the whole height."""
+        (a, _), (b, _) = self.place(np.array([x0, x1]), np.full(2, self.y_range[0]))
+        return (
+            f'<rect x="{a:.1f}" y="{self.top:g}" width="{b - a:.1f}" height="{self.height:g}" '
+            f'fill="{color}"/>'
+        )
+
+
+def line(points: Sequence[tuple[float, float]], color: str, width: float = 2.0, extra: str = "") -> str:
+    """An open line."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return (
+        f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="{width:g}" '
+        f'stroke-linejoin="round" stroke-linecap="round" {extra}/>'
+    )
+
+
+def area(points: Sequence[tuple[float, float]], color: str) -> str:
+    """A filled outline."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polygon points="{path}" fill="{color}" fill-opacity="0.25" stroke="none"/>'
+
+
+def dots(points: Iterable[tuple[float, float]], color: str, radius: float = 2.0) -> str:
+    """Small discs."""
+    return "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{color}"/>' for x, y in points)
+
+
+def text(x: float, y: float, words: str, size: int = 13, extra: str = "") -> str:
+    """A line of text."""
+    return f'<text x="{x:g}" y="{y:g}" font-size="{size}" fill="{TEXT}" {extra}>{words}</text>'
+
+
+def arms(panel: Panel, joints: dict[str, FloatArray], color: str, opacity: float) -> str:
+    """The arm from shoulder to hand at several instants: joints (n, 3) by name, nan where unknown."""
+    drawn = []
+    for k in range(len(joints["wrist"])):
+        chain = np.array([joints[joint][k] for joint in CHAIN])
+        chain = chain[np.isfinite(chain).all(axis=1)]
+        if len(chain) >= 2:
+            points = panel.place(-chain[:, 0], chain[:, 1])  # Kinect's x points left
+            drawn.append(line(points, color, 2.2, f'stroke-opacity="{opacity:g}"'))
+    return "".join(drawn)
+
+
+def picture(recording: Recording, recovery: Recovery, number: int) -> str:
+    """The picture of one gap."""
+    gap, truth = recovery.gaps[number], recording.truth
+    assert truth is not None
+    start, end = gap.start_s - AROUND_S, gap.end_s + AROUND_S
+    camera, t = recovery.arm, recovery.t_s
+    wrist, true = recovery.joints["wrist"], truth.joints["wrist"]
+    spread = np.sqrt(recovery.joint_covariance["wrist"][:, 1, 1])
+    shown = (t >= start) & (t <= end)
+    frames = (camera.t_s >= start) & (camera.t_s <= end)
+
+    instants = np.arange(start, end, EVERY_S)
+    at_frame = np.abs(camera.t_s[:, None] - instants).argmin(axis=0)
+    at_sample = np.abs(t[:, None] - instants).argmin(axis=0)
+    hidden = (instants > gap.start_s) & (instants < gap.end_s)
+    before = {
+        joint: np.where(camera.tracked(joint)[:, None], camera.joint(joint), np.nan)[at_frame]
+        for joint in CHAIN
+    }
+    before["elbow"][hidden] = np.nan
+    after = {joint: recovery.joints[joint][at_sample] for joint in CHAIN}
+
+    shoulder = after["shoulder"][:, :2].mean(axis=0)
+    everything = np.concatenate([each for each in after.values()])
+    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
+    half = 0.64 * float(np.ptp(everything[:, :2], axis=0).max())
+    wide = half * 380 / 330
+    across, up = (-middle[0] - wide, -middle[0] + wide), (middle[1] - half, middle[1] + half)
+    heights = np.concatenate([wrist[shown, 1], true[shown, 1]])
+    height = (float(heights.min()) - 0.08, float(heights.max()) + 0.08)
+
+    parts = []
+    for column, name in enumerate(("What the camera gives", "What comes out")):
+        left = 60 + 440 * column
+        view = Panel(left, 50, 380, 330, across, up)
+        plot = Panel(left, 420, 380, 170, (start, end), height)
+        parts += [text(left, 36, name, 17, 'font-weight="bold"'), view.frame()]
+        parts += [plot.box(gap.start_s, gap.end_s, GAP), plot.frame()]
+        seen = {joint: each[~hidden] for joint, each in (before if column == 0 else after).items()}
+        parts.append(arms(view, seen, SEEN, 0.75))
+        ticks = np.arange(np.ceil(height[0] * 5) / 5, height[1], 0.2)
+        for tick, (_, y) in zip(ticks, plot.place(np.full(len(ticks), start), ticks), strict=True):
+            parts.append(text(left - 6, y + 4, f"{tick:.1f}", 11, 'text-anchor="end"'))
+        for second in range(int(np.ceil(start)), int(end) + 1):
+            ((x, y),) = plot.place(np.array([second]), np.array([height[0]]))
+            parts.append(text(x, y + 16, f"{second} s", 11, 'text-anchor="middle"'))
+        rows = frames & camera.tracked("wrist")
+        if column == 0:
+            parts.append(dots(plot.place(camera.t_s[rows], camera.joint("wrist")[rows, 1]), SEEN))
+            ((x, y),) = plot.place(np.array([0.5 * (gap.start_s + gap.end_s)]), np.array([np.mean(height)]))
+            parts.append(text(x, y, "forearm hidden", 14, 'text-anchor="middle"'))
+        else:
+            parts.append(arms(view, {joint: each[hidden] for joint, each in after.items()}, RECOVERED, 0.8))
+            upper = plot.place(t[shown], wrist[shown, 1] + 2 * spread[shown])
+            lower = plot.place(t[shown], wrist[shown, 1] - 2 * spread[shown])
+            parts.append(area(upper + lower[::-1], RECOVERED))
+            occluded = shown & recovery.occluded
+            for part, color in (
+                (shown & (t <= gap.start_s), SEEN),
+                (shown & (t >= gap.end_s), SEEN),
+                (occluded, RECOVERED),
+            ):
+                parts.append(line(plot.place(t[part], wrist[part, 1]), color, 2.5))
+            inside = (truth.t_s >= start) & (truth.t_s <= end)
+            parts.append(
+                line(plot.place(truth.t_s[inside], true[inside, 1]), TRUTH, 1.2, 'stroke-dasharray="4 4"')
+            )
+        ((x, y),) = view.place(*(np.array([each]) for each in shoulder * [-1, 1]))
+        parts.append(text(x + 14, y + 14, "shoulder", 12))
+    parts.append(text(60, 406, "Height of the wrist, m", 12))
+    parts.append(text(500, 406, "Height of the wrist, m, with +- 2 sigma; dashed: truth", 12))
+    key = (
+        (60, SEEN, "arm seen, every 0.15 s, from the camera's side"),
+        (500, RECOVERED, "arm recovered while hidden"),
+    )
+    for x, color, words in key:
+        parts.append(line([(x + 8, 66), (x + 32, 66)], color, 3))
+        parts.append(text(x + 40, 70, words, 12))
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 625" font-family="sans-serif" role="img">'
+        "<title>An arm behind the head: hidden from the camera, and recovered</title>"
+        '<rect width="900" height="625" fill="white"/>' + "\n".join(parts) + "</svg>\n"
+    )
+
+
+def main() -> None:
+    """Recover the demo recording and draw one of its gaps."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=HERE / "docs" / "picture.svg")
+    parser.add_argument("--gap", type=int, default=0, help="which gap, from 0")
+    options = parser.parse_args()
+    recording = read_recording(HERE / "data" / "demo.mcap")
+    recovery = smooth(replace(recording, truth=None))
+    options.output.write_text(picture(recording, recovery, options.gap), encoding="utf-8")
+    print(f"written: {options.output}")
+
+
+if __name__ == "__main__":
+    main()
