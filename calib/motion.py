@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from smoother.calibration import ArmCalibration
+from smoother.clock import LARGEST_OFFSET_S
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.pieces import take_apart
 from smoother.pool import Pool
 from smoother.recording import Recording
-from smoother.selfcal import LARGEST_OFFSET_S, Knowledge, self_calibrate
+from smoother.selfcal import Knowledge, self_calibrate
+
+from .evidence import ClockOffset, Evidence, gather
+from .forearm_frame import ForearmFrame, forearm_frame
+from .words import clocks_not_determined, not_determined
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,19 @@ class MotionCalibration:
     calibration : lever arms, lengths and mounting with sigmas; carries over to other recordings.
     knowledge : all that was found, clock offsets (one a recording, never carried over) included.
     recordings : names in the order of the offsets.
+    offsets : clock offset of each recording.
+    frame : the forearm's axes in the IMU with their sigmas, None without elbow and wrist.
+    evidence : how long the forearm was seen, and how it moved.
+    not_determined : what the motion left open, one sentence each.
     """
 
     calibration: ArmCalibration
     knowledge: Knowledge
     recordings: tuple[str, ...]
+    offsets: tuple[ClockOffset, ...]
+    frame: ForearmFrame | None
+    evidence: Evidence
+    not_determined: tuple[str, ...]
 
 
 def calibrate_motion(
@@ -62,8 +73,32 @@ def calibrate_motion(
         raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
     with Pool(config.windows.processes, sum(len(piece.frame_t) for piece in pieces)) as pool:
         knowledge = self_calibrate(pieces, known, config, pool)
-    missing = [k for k in range(len(recordings)) if k not in {piece.recording for piece in pieces}]
-    knowledge.offset_sigma_s[missing] = np.nan
+    calibration = knowledge.calibration
+    frame = forearm_frame(calibration)
+    if calibration.R_F_A is None and frame is not None:
+        calibration = replace(calibration, R_F_A=frame.R_F_A)
+    evidence = gather(pieces, calibration.forearm_direction)
+    offsets = _offsets(recordings, {piece.recording for piece in pieces}, knowledge)
+    left_open = not_determined(calibration, frame, evidence, known) + clocks_not_determined(offsets)
     return MotionCalibration(
-        knowledge.calibration, knowledge, tuple(recording.name for recording in recordings)
+        calibration=calibration,
+        knowledge=knowledge,
+        recordings=tuple(recording.name for recording in recordings),
+        offsets=offsets,
+        frame=frame,
+        evidence=evidence,
+        not_determined=tuple(left_open),
     )
+
+
+def _offsets(
+    recordings: Sequence[Recording], used: set[int], knowledge: Knowledge
+) -> tuple[ClockOffset, ...]:
+    offsets = []
+    for number, recording in enumerate(recordings):
+        if number not in used:
+            offsets.append(ClockOffset(recording.name))
+            continue
+        clock = knowledge.clocks[number]
+        offsets.append(ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s))
+    return tuple(offsets)

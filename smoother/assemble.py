@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -31,7 +33,8 @@ def assemble(
     messages: list[Message],
 ) -> Recovery:
     """The answer at every IMU sample; nan where no stretch has one."""
-    offset_s = float(known.offset_s[0])
+    clock = known.clocks[0]
+    frame_t = recording.arm.t_s + clock.at(recording.arm.t_s)
     accepted = accepted_samples(recording.arm)
     imu_t, count = recording.imu.t_s, len(recording.imu)
     position, velocity = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
@@ -57,7 +60,7 @@ def assemble(
         for joint in names:
             place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
             joints[joint][rows], joint_covariance[joint][rows] = place, covariance
-        _residuals(residual, recording.arm, offset_s, stretch, motion, calibration)
+        _residuals(residual, recording.arm, frame_t, stretch, motion, calibration)
     down = np.mean([motion.gravity.mean(axis=0) for motion in motions], axis=0)
     return Recovery(
         method="graph",
@@ -73,12 +76,10 @@ def assemble(
         gaps=tuple(gaps),
         calibration=calibration,
         gravity_direction=down / np.linalg.norm(down),
-        clock_offset_s=offset_s,
-        clock_offset_sigma_s=float(known.offset_sigma_s[0]),
-        arm=_on_imu_clock(recording.arm, offset_s),
-        residuals=FrameResiduals(
-            recording.arm.t_s + offset_s, residual, accepted, np.full(accepted.shape, "", dtype="<U40")
-        ),
+        clock_offset_s=clock.mean_s,
+        clock_offset_sigma_s=clock.sigma_s,
+        arm=replace(recording.arm, t_s=frame_t),
+        residuals=FrameResiduals(frame_t, residual, accepted, np.full(accepted.shape, "", dtype="<U40")),
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
@@ -124,13 +125,12 @@ def _joint(
 def _residuals(
     residual: FloatArray,
     arm: JointTracks,
-    offset_s: float,
+    frame_t: FloatArray,
     stretch: Stretch,
     motion: Motion,
     calibration: ArmCalibration,
 ) -> None:
     """Camera minus answer at every frame of the stretch, seen or set aside."""
-    frame_t = arm.t_s + offset_s
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):
         return
@@ -144,7 +144,3 @@ def _residuals(
         lever = lever_of(calibration, joint)
         if lever is not None:
             residual[rows, column] = arm.position[rows, column] - states.p - states.R @ lever
-
-
-def _on_imu_clock(arm: JointTracks, offset_s: float) -> JointTracks:
-    return JointTracks(arm.name, arm.t_s + offset_s, arm.position, arm.state)

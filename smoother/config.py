@@ -15,14 +15,18 @@ class CameraNoise(_Section):
     """What the camera's joints are believed to be worth before the recording tells."""
 
     joint_sigma_m: float = Field(0.010, gt=0, description="white noise of a joint, m an axis; start value")
-    huber: float = Field(2.8, gt=0, description="length of a residual, in sigmas, where the robust loss turns linear")
+    huber: float = Field(
+        2.8, gt=0, description="length of a residual, in sigmas, where the robust loss turns linear"
+    )
 
 
 class ImuNoise(_Section):
     """The inertial sensor, errors of scale and mounting of a consumer device included."""
 
-    accelerometer_density: float = Field(0.02, gt=0, description="m/s^2/sqrt(Hz)")
-    gyroscope_density: float = Field(0.003, gt=0, description="rad/s/sqrt(Hz)")
+    accelerometer_density: float = Field(0.01, gt=0, description="m/s^2/sqrt(Hz)")
+    gyroscope_density: float = Field(0.0015, gt=0, description="rad/s/sqrt(Hz)")
+    accelerometer_share: float = Field(0.006, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)")
+    gyroscope_share: float = Field(0.002, ge=0, description="density a rad/s of turning, sqrt(s)")
     accelerometer_bias_sigma: float = Field(0.3, gt=0, description="m/s^2, before the first pass")
     gyroscope_bias_sigma: float = Field(0.05, gt=0, description="rad/s, before the first pass")
     accelerometer_bias_walk: float = Field(0.03, gt=0, description="m/s^2/sqrt(s) inside a window")

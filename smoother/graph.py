@@ -20,7 +20,7 @@ from .window import Window
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
-#: Accelerometer noise goes up in steps of this factor, so that intervals share their parameters.
+#: IMU noise goes up in steps of this factor, so that intervals share their parameters.
 DENSITY_STEP = 1.25
 
 
@@ -60,11 +60,10 @@ def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntA
     acc = inertia.acc + inertia.bias[:3]
     gyro = inertia.gyro + inertia.bias[3:]
     first = inertia.first
-    density = np.hypot(noise.accelerometer_density, inertia.velocity_error / np.sqrt(np.diff(window.t)))
-    level = np.round(np.log(density / noise.accelerometer_density) / np.log(DENSITY_STEP)).astype(int)
-    params = {step: _parameters(window, DENSITY_STEP**step) for step in np.unique(level).tolist()}
+    level = _noise_levels(window)
+    params = {each: _parameters(window, *each) for each in set(level)}
     for i in range(len(window.t) - 1):
-        pim = gtsam.PreintegratedImuMeasurements(params[int(level[i])], removed)
+        pim = gtsam.PreintegratedImuMeasurements(params[level[i]], removed)
         for block in range(first[i], first[i + 1]):
             pim.integrateMeasurement(acc[block, 0], gyro[block], inertia.h[block])
             pim.integrateMeasurement(acc[block, 1], gyro[block], inertia.h[block])
@@ -75,12 +74,30 @@ def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntA
         )
 
 
-def _parameters(window: Window, factor: float) -> gtsam.PreintegrationParams:
-    """Noise of the preintegration, the accelerometer's density times a factor."""
+def _noise_levels(window: Window) -> list[tuple[int, int]]:
+    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
+    inertia, noise = window.inertia, window.noise
+    blocks = np.diff(inertia.first)
+    force = np.linalg.norm(inertia.acc.mean(axis=1), axis=1) - window.gravity_magnitude
+    rate = np.linalg.norm(inertia.gyro, axis=1)
+    moving = np.add.reduceat(np.abs(force), inertia.first[:-1]) / blocks
+    turning = np.add.reduceat(rate, inertia.first[:-1]) / blocks
+    knocks = inertia.velocity_error / np.sqrt(np.diff(window.t))
+    acc = np.hypot(
+        np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
+        knocks / noise.accelerometer_density,
+    )
+    gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
+    steps = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
+    return [(int(a), int(g)) for a, g in steps]
+
+
+def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationParams:
+    """Noise of the preintegration at a level."""
     noise = window.noise
     params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
-    params.setAccelerometerCovariance(np.eye(3) * (factor * noise.accelerometer_density) ** 2)
-    params.setGyroscopeCovariance(np.eye(3) * noise.gyroscope_density**2)
+    params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
+    params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
     params.setIntegrationCovariance(np.eye(3) * 1e-8)
     return params
 
@@ -207,7 +224,7 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
 
 def _add_attitude(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     """`PoseRotationPrior3D`: the start orientation, weakly, at one node."""
-    R = window.start.R[window.attitude_node]
+    R = window.attitude
     covariance = R.T @ window.attitude_covariance @ R
     graph.add(gtsam.PoseRotationPrior3D(X(window.attitude_node), Rot3(R), gaussian(covariance)))
 

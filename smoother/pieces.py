@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .clock import stamps_made_up
 from .inertial import InertialSignal
 from .occlusion import accepted_samples, joints_needed
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, Recording
@@ -32,6 +33,7 @@ class Piece:
     frames : rows of the recording's frames.
     start_s, end_s : the part to look at, on the IMU's clock.
     recording : which recording of several.
+    made_up : the camera's stamps were made up (`clock.stamps_made_up`).
     """
 
     signal: InertialSignal
@@ -45,6 +47,7 @@ class Piece:
     start_s: float
     end_s: float
     recording: int = 0
+    made_up: bool = False
 
     def between(self, start_s: float, end_s: float) -> Piece:
         """The same piece, of which only a part (IMU clock) is looked at."""
@@ -84,6 +87,7 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
                 start_s=float(imu.t_s[0]),
                 end_s=float(imu.t_s[-1]),
                 recording=number,
+                made_up=stamps_made_up(recording.arm.t_s),
             )
         )
     return pieces

@@ -31,7 +31,8 @@ class Stretch:
     frame_node : (f,) node of each camera frame that has one, -1 where it has none.
     position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
     gaps : the occluded stretches inside.
-    attitude_covariance : (n, 3, 3) rad^2 in {K} of the start orientations.
+    attitude, attitude_covariance : (n, 3, 3) orientations from the inertial filter and the alignment,
+        and their covariance, rad^2 in {K}: the weak prior.
     """
 
     signal: InertialSignal
@@ -43,6 +44,7 @@ class Stretch:
     accepted: BoolArray
     sigma_m: FloatArray
     gaps: tuple[Gap, ...]
+    attitude: FloatArray
     attitude_covariance: FloatArray
 
 
@@ -74,8 +76,14 @@ def cut(
     borders: list[float],
     margin_s: float,
     gravity_magnitude: float,
+    sharing: int,
 ) -> list[Window]:
-    """The windows between the borders, each with its margins."""
+    """The windows between the borders, each with its margins.
+
+    Parameters
+    ----------
+    sharing : how many windows share the attitude prior, of all stretches.
+    """
     windows = []
     for index, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
         lo = int(np.searchsorted(stretch.t, a - margin_s, side="left"))
@@ -96,7 +104,9 @@ def cut(
                 shoulder=_shoulder(stretch, lo, hi),
                 start=start,
                 attitude_node=attitude_node,
-                attitude_covariance=stretch.attitude_covariance[lo + attitude_node],
+                attitude=stretch.attitude[lo + attitude_node],
+                # one prior for all windows together: they have its error in common
+                attitude_covariance=stretch.attitude_covariance[lo + attitude_node] * sharing,
                 priors=prior,
                 noise=noise,
                 gravity_magnitude=gravity_magnitude,

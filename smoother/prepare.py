@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .calibration import ArmCalibration
+from .clock import Clock
 from .occlusion import enough_joints, find_gaps
 from .pieces import Piece
 from .plan import Stretch
@@ -25,13 +26,13 @@ GRAVITY = 9.81
 
 
 def prepare(
-    piece: Piece, calibration: ArmCalibration, offset_s: FloatArray | float, sigma_m: FloatArray
+    piece: Piece, calibration: ArmCalibration, clock: Clock, sigma_m: FloatArray
 ) -> tuple[Stretch, Alignment] | None:
     """Nodes and start values of a piece.
 
     Parameters
     ----------
-    offset_s : t_imu = t_camera + offset, a number or one a frame (f,).
+    clock : takes the camera's times to the IMU's.
     sigma_m : (5,) noise of the camera's joints, m an axis.
 
     Returns
@@ -40,7 +41,7 @@ def prepare(
     nothing of the forearm in it.
     """
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    frame_t = piece.frame_t + offset_s
+    frame_t = piece.frame_t + clock.at(piece.frame_t)
     inside = (frame_t >= piece.start_s) & (frame_t <= piece.end_s)
     accepted = piece.accepted & inside[:, None]
     measured = accepted[:, forearm].any(axis=1)
@@ -69,6 +70,7 @@ def prepare(
         accepted=accepted[rows],
         sigma_m=np.tile(sigma_m, (len(rows), 1)),
         gaps=find_gaps(frame_t[rows], visible[rows], start_s, end_s),
+        attitude=R,
         attitude_covariance=alignment.covariance[nearest],
     )
     return stretch, alignment

@@ -69,6 +69,8 @@ def noise_of(config: Config) -> Noise:
     return Noise(
         accelerometer_density=config.imu.accelerometer_density,
         gyroscope_density=config.imu.gyroscope_density,
+        accelerometer_share=config.imu.accelerometer_share,
+        gyroscope_share=config.imu.gyroscope_share,
         huber=config.camera.huber,
         upper_arm_sigma_m=config.arm.upper_arm_flex_m,
         shoulder_walk=config.arm.shoulder_walk,

@@ -1,4 +1,4 @@
-"""What the camera's residuals tell: noise of each joint, with its memory, and a wrong clock offset."""
+"""What the camera's residuals tell: the noise of each joint, and how long it remembers."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _robust(residual: FloatArray) -> float:
 
 def _noise(residual: FloatArray, memory: _Memory) -> JointNoise:
     limit = CLIP * _robust(residual)
-    sample = float(np.sqrt(np.mean(np.clip(residual, -limit, limit) ** 2)))
+    sample = max(float(np.sqrt(np.mean(np.clip(residual, -limit, limit) ** 2))), SMALLEST_SIGMA_M)
     return JointNoise(
         sample_m=sample,
         effective_m=sample * float(np.sqrt(memory.long_run)),
@@ -85,49 +85,6 @@ def _memory(found: dict[str, list[FloatArray]], times: dict[str, list[FloatArray
     rho = rho[: ends[0]] if len(ends) else rho
     neighbours = float(np.clip(rho[:3].mean(), 0.0, 1.0)) if len(rho) >= 3 else 0.0
     return _Memory(1.0 + 2.0 * float(rho.sum()), neighbours)
-
-
-@dataclass(frozen=True)
-class OffsetSlope:
-    """How the windows' loss changes with the camera's clock offset.
-
-    Attributes
-    ----------
-    t_s : (w,) middle of each window.
-    slope : (w,) minus the derivative of half the weighted squares by the offset, 1/s.
-    bound : (w,) upper bound of the second derivative, 1/s^2: the states taken as fixed.
-    recording : (w,) which recording each belongs to.
-    """
-
-    t_s: FloatArray
-    slope: FloatArray
-    bound: FloatArray
-
-
-def offset_slope(windows: list[Window], solutions: list[Solution]) -> OffsetSlope:
-    """Derivative of the loss by t_imu - t_camera: sum of residual . velocity / sigma^2 (envelope theorem)."""
-    t, slope, bound = [], [], []
-    for window, solution in zip(windows, solutions, strict=True):
-        g = c = 0.0
-        states = solution.states
-        for sight in window.sights:
-            joints = window.priors.layout.joints
-            lever = (
-                solution.message.shared.mean[window.priors.layout.lever(sight.joint)]
-                if sight.joint in joints
-                else np.zeros(3)
-            )
-            path = states.p + states.R @ lever
-            velocity = np.gradient(path, window.t, axis=0)[sight.node]
-            residual = solution.residuals[sight.joint]
-            size = np.linalg.norm(residual, axis=1) / sight.sigma_m
-            weight = np.minimum(1.0, window.noise.huber / np.maximum(size, 1e-9)) / sight.sigma_m**2
-            g += float(np.sum(weight * np.einsum("ni,ni->n", residual, velocity)))
-            c += float(np.sum(weight * np.einsum("ni,ni->n", velocity, velocity)))
-        t.append(0.5 * (window.t[0] + window.t[-1]))
-        slope.append(g)
-        bound.append(c)
-    return OffsetSlope(np.array(t), np.array(slope), np.array(bound))
 
 
 def sigma_by_joint(noise: dict[str, JointNoise], fallback_m: float) -> FloatArray:

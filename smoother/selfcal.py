@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .calibration import ArmCalibration, LeverArm
+from .clock import Clock, ClockFit, constant
 from .config import Config
 from .errors import CalibrationError
 from .firstpass import combine
@@ -24,17 +25,12 @@ from .pool import Pool
 from .prepare import GRAVITY, prepare
 from .priors import calibration_from, first_priors, noise_of, upper_arm_seen
 from .recording import JOINTS, FloatArray
-from .residuals import JointNoise, OffsetSlope, joint_noise, offset_slope, sigma_by_joint
+from .residuals import JointNoise, joint_noise, sigma_by_joint
 
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
 BLOCK_S = 20.0
 BLOCKS_S = 80.0
 ROUNDS = 4
-#: An offset step is never longer than this, s.
-LONGEST_STEP_S = 0.06
-#: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
-LARGEST_OFFSET_S = 0.4
-OFFSET_SIGMA_S = 0.15
 
 
 @dataclass(frozen=True)
@@ -45,7 +41,7 @@ class Knowledge:
     ----------
     calibration : lever arms and upper arm with sigmas.
     start : the same values as a prior for solving them again: as uncertain as before.
-    offset_s, offset_sigma_s : clock offset of each recording, t_imu = t_camera + offset.
+    clocks : of each recording, t_imu = t_camera + offset.
     noise : of each forearm joint, by name.
     sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
     bias : the camera's constant errors, joint by joint.
@@ -53,8 +49,7 @@ class Knowledge:
 
     calibration: ArmCalibration
     start: ArmCalibration
-    offset_s: FloatArray
-    offset_sigma_s: FloatArray
+    clocks: tuple[Clock, ...]
     noise: dict[str, JointNoise]
     sigma_m: FloatArray
     bias: JointBias
@@ -70,14 +65,21 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     """
     blocks = choose_blocks(pieces)
     mounting = find_mounting(blocks, known)
-    calibration, offset_s = mounting.calibration, mounting.offset_s.copy()
+    calibration = mounting.calibration
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
     given = calibration
     sigma_m = np.full(len(JOINTS), config.camera.joint_sigma_m)
-    secant, bias, seen = _Secant(len(offset_s)), JointBias(), blocks
+    made_up = {piece.recording: piece.made_up for piece in blocks}
+    clocks = ClockFit(
+        [constant(offset) for offset in mounting.offset_s],
+        [made_up.get(number, False) for number in range(len(mounting.offset_s))],
+    )
+    bias, seen = JointBias(), blocks
     for _ in range(ROUNDS):
-        ready = [(piece, prepare(piece, calibration, offset_s[piece.recording], sigma_m)) for piece in blocks]
+        ready = [
+            (piece, prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m)) for piece in blocks
+        ]
         ready = [(piece, each) for piece, each in ready if each is not None]
         if not ready:
             raise CalibrationError("at no time do the IMU and a visible forearm come together")
@@ -86,15 +88,10 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
             stretches, [each[1] for _, each in ready], [piece for piece, _ in ready], calibration, config
         )
         windows, owner = [], []
-        for (piece, _), stretch in zip(ready, stretches, strict=True):
-            cuts = cut(
-                stretch,
-                prior,
-                noise_of(config),
-                cut_times(stretch, config.windows.length_s),
-                config.windows.margin_s,
-                GRAVITY,
-            )
+        borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
+        sharing = sum(len(border) - 1 for border in borders)
+        for (piece, _), stretch, border in zip(ready, stretches, borders, strict=True):
+            cuts = cut(stretch, prior, noise_of(config), border, config.windows.margin_s, GRAVITY, sharing)
             windows += cuts
             owner += [piece.recording] * len(cuts)
         answers = pool.solve(windows, False, lambda share: None)
@@ -103,9 +100,9 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         bias.step(windows, answers)
         blocks = bias.corrected(seen)
-        offset_s = secant.step(offset_s, offset_slope(windows, answers), np.array(owner))
+        clocks.step(windows, answers, np.array(owner))
         calibration = _recentred(found, given, known)
-    return Knowledge(found, calibration, offset_s, secant.sigma_s(), noise, sigma_m, bias)
+    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, bias)
 
 
 def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:
@@ -149,33 +146,3 @@ def _worth(piece: Piece) -> float:
     edges = np.arange(piece.start_s, piece.end_s, 0.1)
     turning = np.linalg.norm(piece.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
     return float(len(seen) * np.median(np.diff(seen)) * np.minimum(turning, 1.0).mean())
-
-
-class _Secant:
-    """Root of the loss's slope over the clock offset, for each recording."""
-
-    def __init__(self, count: int) -> None:
-        self._last: tuple[FloatArray, FloatArray] | None = None
-        self._curvature = np.zeros(count)
-
-    def step(self, offset_s: FloatArray, found: OffsetSlope, owner: FloatArray) -> FloatArray:
-        """The next offsets."""
-        count = len(offset_s)
-        slope = np.bincount(owner, weights=found.slope, minlength=count)
-        bound = np.maximum(np.bincount(owner, weights=found.bound, minlength=count), 1e-9)
-        curvature = 0.5 * bound
-        if self._last is not None:
-            moved = offset_s - self._last[0]
-            change = self._last[1] - slope
-            usable = np.abs(moved) > 1e-5
-            curvature = np.where(usable, change / np.where(usable, moved, 1.0), self._curvature)
-        curvature = np.clip(curvature, 0.05 * bound, bound)
-        self._last, self._curvature = (offset_s.copy(), slope), curvature + OFFSET_SIGMA_S**-2
-        newton = (slope - offset_s / OFFSET_SIGMA_S**2) / self._curvature
-        return np.clip(
-            offset_s + np.clip(newton, -LONGEST_STEP_S, LONGEST_STEP_S), -LARGEST_OFFSET_S, LARGEST_OFFSET_S
-        )
-
-    def sigma_s(self) -> FloatArray:
-        """Standard deviation of each offset from the curvature of the loss, s."""
-        return 1.0 / np.sqrt(np.maximum(self._curvature, 1e-9))

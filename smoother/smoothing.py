@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from .assemble import assemble
 from .calibration import ArmCalibration
+from .clock import LARGEST_OFFSET_S
 from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
@@ -18,7 +19,7 @@ from .prepare import GRAVITY, prepare
 from .priors import calibration_from, first_priors, noise_of
 from .recording import FOREARM_JOINTS, Recording
 from .result import Recovery
-from .selfcal import LARGEST_OFFSET_S, self_calibrate
+from .selfcal import self_calibrate
 from .window import Priors, Solution, Window
 
 Progress = Callable[[float, str], None]
@@ -62,10 +63,10 @@ def smooth(
         # clocks, and what the calibration lacks
         say(0.0, "calibrating")
         known = self_calibrate(pieces, calibration, config, pool)
-        offset_s = float(known.offset_s[0])
+        clock = known.clocks[0]
         pieces = known.bias.corrected(pieces)
         # what is occluded, start values
-        ready = [(piece, prepare(piece, known.start, offset_s, known.sigma_m)) for piece in pieces]
+        ready = [(piece, prepare(piece, known.start, clock, known.sigma_m)) for piece in pieces]
         ready = [(piece, each) for piece, each in ready if each is not None]
         stretches = [each[0] for _, each in ready]
         alignments = [each[1] for _, each in ready]
@@ -111,6 +112,7 @@ def _cut(
             border,
             config.windows.margin_s,
             GRAVITY,
+            len(priors),
         )
         for stretch, border in zip(stretches, borders, strict=True)
     ]

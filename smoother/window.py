@@ -96,12 +96,14 @@ class States:
 class Noise:
     """Densities and losses that all windows share.
 
-    `attitude` is the covariance (3, 3) rad^2 in {K} of the start orientation: a weak prior that
-    keeps a direction which the data leave free from being free.
+    The `..._share` grow with the motion: what scale and mounting errors of the sensor cost, as a part of
+    the specific force beyond gravity and of the angular rate, sqrt(s).
     """
 
     accelerometer_density: float
     gyroscope_density: float
+    accelerometer_share: float
+    gyroscope_share: float
     huber: float
     upper_arm_sigma_m: float
     shoulder_walk: float
@@ -109,7 +111,11 @@ class Noise:
 
 @dataclass(frozen=True)
 class Window:
-    """A piece of the recording to solve: nodes t (n,), of which [core_start_s, core_end_s] is its own."""
+    """A piece of the recording to solve: nodes t (n,), of which [core_start_s, core_end_s] is its own.
+
+    `attitude` (3, 3) and its covariance, rad^2 in {K}, are a weak prior at one node: it keeps a direction
+    which the data leave free from being free.
+    """
 
     index: int
     t: FloatArray
@@ -120,6 +126,7 @@ class Window:
     shoulder: ShoulderSight | None
     start: States
     attitude_node: int
+    attitude: FloatArray
     attitude_covariance: FloatArray
     priors: Priors
     noise: Noise

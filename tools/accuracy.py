@@ -66,7 +66,9 @@ def broad(options: argparse.Namespace) -> None:
             own = Tally()
             for seed in options.seeds:
                 recording = import_broad(path, seed=seed)
-                table = evaluate_gaps(recording, [length], {"graph": lambda r: smooth(r, None, config)}, seed=seed)
+                table = evaluate_gaps(
+                    recording, [length], {"graph": lambda r: smooth(r, None, config)}, seed=seed
+                )
                 figures = table.lengths[length]["graph"].figures
                 for each in (own, tally):
                     each.add(
@@ -80,7 +82,10 @@ def broad(options: argparse.Namespace) -> None:
             e, _, c, n = own._sums[f"{length:g} s"]
             line.append(f"{100 * np.sqrt(e / n):5.2f} ({c / n:4.1f})")
         runs = len(LENGTHS_S) * len(options.seeds)
-        print(f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run", flush=True)
+        print(
+            f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run",
+            flush=True,
+        )
     tally.show()
 
 
@@ -107,7 +112,10 @@ def arm(options: argparse.Namespace) -> None:
                 each["nees"],
                 each["samples"],
             )
-        print(f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s", flush=True)
+        print(
+            f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s",
+            flush=True,
+        )
     tally.show()
 
 
@@ -132,7 +140,9 @@ def _found(recovery: Recovery, simulated: object) -> str:
     offset = recovery.clock_offset_s - simulated.parameters["clock_offset_s"]  # type: ignore[attr-defined]
     a, b = found.forearm_direction, truth.forearm_direction
     turn = np.degrees(np.arccos(min(1.0, float(a @ b)))) if a is not None and b is not None else np.nan
-    upper = found.upper_arm.value_m - truth.upper_arm.value_m if found.upper_arm and truth.upper_arm else np.nan
+    upper = (
+        found.upper_arm.value_m - truth.upper_arm.value_m if found.upper_arm and truth.upper_arm else np.nan
+    )
     return (
         f"| offset {1e3 * offset:5.1f} ms ({offset / recovery.clock_offset_sigma_s:4.1f} sigma)"
         f" levers {1e3 * worst:4.1f} mm ({sigmas:3.1f} sigma) upper arm {1e3 * upper:5.1f} mm"
@@ -146,7 +156,9 @@ def utd(options: argparse.Namespace) -> None:
     rows: list[tuple[float, int, bool, np.ndarray, np.ndarray, float]] = []
     for subject in options.subjects:
         trials = {
-            (a, t): import_utd_mhad(inertial, folder / "Skeleton" / inertial.name.replace("inertial", "skeleton"))
+            (a, t): import_utd_mhad(
+                inertial, folder / "Skeleton" / inertial.name.replace("inertial", "skeleton")
+            )
             for a in range(1, 22)
             for t in range(1, 5)
             if (inertial := folder / "Inertial" / f"a{a}_s{subject}_t{t}_inertial.mat").exists()
@@ -163,14 +175,18 @@ def utd(options: argparse.Namespace) -> None:
                 seen = recording.arm.tracked("wrist") & hidden
                 copy = replace(recording, arm=recording.arm.hide(hidden))
                 recovery = smooth(copy, found.calibration, config)
-                t = recording.arm.t_s[seen] + recovery.clock_offset_s
+                t = recovery.arm.t_s[seen]
                 path, truth = recovery.joints["wrist"], recording.arm.joint("wrist")[seen]
                 answer = np.stack([np.interp(t, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
                 sigma = np.sqrt(np.trace(recovery.joint_covariance["wrist"], axis1=1, axis2=2))
                 kept = recording.arm.tracked("wrist") & ~hidden
                 line = np.stack(
                     [
-                        np.interp(recording.arm.t_s[seen], recording.arm.t_s[kept], recording.arm.joint("wrist")[kept, i])
+                        np.interp(
+                            recording.arm.t_s[seen],
+                            recording.arm.t_s[kept],
+                            recording.arm.joint("wrist")[kept, i],
+                        )
                         for i in range(3)
                     ],
                     axis=1,
@@ -215,11 +231,15 @@ def main() -> None:
     two = commands.add_parser("arm", help=arm.__doc__)
     two.add_argument("--preset", default="white")
     two.add_argument("--calibrated", action="store_true", help="give the true calibration")
-    two.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset")
+    two.add_argument(
+        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset"
+    )
     three = commands.add_parser("utd", help=utd.__doc__)
     three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
     for each in (one, two, three):
-        each.add_argument("--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them")
+        each.add_argument(
+            "--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them"
+        )
         each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
     options = parser.parse_args()
     {"broad": broad, "arm": arm, "utd": utd}[options.command](options)

@@ -1,0 +1,190 @@
+"""The camera's clock against the IMU's: an offset that may drift, found from the residuals.
+
+A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
+Their projection, summed over a second, is a local estimate of the offset; how fast the offset may
+wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural
+time series models, 1989), and their smoothed mean is the clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .recording import FloatArray, IntArray
+from .window import Solution, Window
+
+#: Offsets are estimated over cells of this length, s.
+CELL_S = 1.0
+#: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
+LARGEST_OFFSET_S = 0.4
+OFFSET_SIGMA_S = 0.15
+#: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
+#: (log-likelihood). Stamps of a camera drift slowly; stamps that somebody made up hide dropped frames.
+WALKS = (0.0, 0.0003, 0.001)
+WALKS_MADE_UP = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
+WALK_GAIN = 6.0
+WALK_GAIN_MADE_UP = 3.0
+#: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
+CAMERA_RATES_HZ = np.array(
+    [5.0, 7.5, 10.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0]
+)
+RATE_TOLERANCE = 0.01
+#: An offset step is never longer than this, s.
+LONGEST_STEP_S = 0.06
+
+
+@dataclass(frozen=True)
+class Clock:
+    """t_imu = t_camera + offset, linear between knots and held beyond them.
+
+    Attributes
+    ----------
+    t : (k,) knots, camera's clock, s.
+    offset : (k,) s.
+    sigma_s : standard deviation of the mean offset, s.
+    walk : how fast it was found to wander, s/sqrt(s).
+    """
+
+    t: FloatArray
+    offset: FloatArray
+    sigma_s: float
+    walk: float = 0.0
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Offsets at camera times, s."""
+        return np.interp(t, self.t, self.offset)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean offset, s."""
+        return float(self.offset.mean())
+
+    @property
+    def drift_s(self) -> float:
+        """Largest change of the offset over the recording, s."""
+        return float(np.ptp(self.offset))
+
+
+def constant(offset_s: float, sigma_s: float = OFFSET_SIGMA_S) -> Clock:
+    """A clock that does not drift."""
+    return Clock(np.zeros(1), np.full(1, offset_s), sigma_s)
+
+
+def stamps_made_up(t_s: FloatArray) -> bool:
+    """Whether frame times (F,) were spread evenly by somebody instead of measured.
+
+    They are even to a tenth of a millisecond, at a rate that no camera runs at.
+    """
+    dt = np.diff(t_s)
+    if len(dt) < 10 or np.ptp(dt) > 1e-4:
+        return False
+    return bool(np.min(np.abs(1.0 / dt.mean() / CAMERA_RATES_HZ - 1.0)) > RATE_TOLERANCE)
+
+
+class ClockFit:
+    """Improves the clocks of several recordings, round by round.
+
+    Parameters
+    ----------
+    clocks : where to start, one a recording.
+    made_up : whether the camera's stamps were made up, one a recording.
+    """
+
+    def __init__(self, clocks: Sequence[Clock], made_up: Sequence[bool]) -> None:
+        self.clocks, self._made_up = list(clocks), list(made_up)
+        self._last: dict[int, tuple[float, float]] = {}
+        self._part = dict.fromkeys(range(len(clocks)), 0.5)
+
+    def step(self, windows: Sequence[Window], solutions: Sequence[Solution], owner: IntArray) -> None:
+        """Move every clock by what the residuals of another round say."""
+        for number in np.unique(owner):
+            chosen = np.flatnonzero(owner == number)
+            t, slope, bound = _pulls([windows[k] for k in chosen], [solutions[k] for k in chosen])
+            if bound.sum() > 0:
+                self.clocks[number] = self._moved(int(number), t, slope, bound)
+
+    def _moved(self, number: int, t: FloatArray, slope: FloatArray, bound: FloatArray) -> Clock:
+        clock = self.clocks[number]
+        t = t - clock.mean_s  # back to the camera's clock, near enough to place knots
+        part = self._curvature(number, clock.mean_s, float(slope.sum()), float(bound.sum()))
+        cell = np.floor((t - t.min()) / CELL_S).astype(int)
+        pull = np.bincount(cell, weights=slope)
+        information = part * np.bincount(cell, weights=bound)
+        middle = t.min() + CELL_S * (np.arange(len(pull)) + 0.5)
+        seen = information > 1e-6 * information.max()
+        middle, pull, information = middle[seen], pull[seen], information[seen]
+        now = clock.at(middle)
+        local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
+        best, walk = _likeliest(middle, local, 1.0 / information, self._made_up[number])
+        _, offset, sigma = best
+        return Clock(middle, np.clip(offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S), float(sigma), walk)
+
+    def _curvature(self, number: int, offset: float, slope: float, bound: float) -> float:
+        """Part of the bound that the loss's second derivative is (secant; the states follow the rest)."""
+        if number in self._last:
+            before, steepness = self._last[number]
+            if abs(offset - before) > 2e-4:
+                self._part[number] = float(
+                    np.clip((steepness - slope) / (offset - before) / bound, 0.05, 1.0)
+                )
+        self._last[number] = (offset, slope)
+        return self._part[number]
+
+
+def _pulls(
+    windows: Sequence[Window], solutions: Sequence[Solution]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """For each sample: time, residual . velocity / sigma^2, and velocity^2 / sigma^2 (envelope theorem)."""
+    t, slope, bound = [], [], []
+    for window, solution in zip(windows, solutions, strict=True):
+        core = (window.t >= window.core_start_s) & (window.t <= window.core_end_s)
+        layout, states = window.priors.layout, solution.states
+        for sight in window.sights:
+            is_lever = sight.joint in layout.joints
+            lever = solution.message.shared.mean[layout.lever(sight.joint)] if is_lever else np.zeros(3)
+            velocity = np.gradient(states.p + states.R @ lever, window.t, axis=0)[sight.node]
+            residual = solution.residuals[sight.joint]
+            size = np.linalg.norm(residual, axis=1) / sight.sigma_m
+            weight = np.minimum(1.0, window.noise.huber / np.maximum(size, 1e-9)) / sight.sigma_m**2
+            own = core[sight.node]
+            t.append(window.t[sight.node][own])
+            slope.append((weight * np.einsum("ni,ni->n", residual, velocity))[own])
+            bound.append((weight * np.einsum("ni,ni->n", velocity, velocity))[own])
+    return np.concatenate(t), np.concatenate(slope), np.concatenate(bound)
+
+
+def _likeliest(
+    t: FloatArray, local: FloatArray, variance: FloatArray, made_up: bool
+) -> tuple[tuple[float, FloatArray, float], float]:
+    """The likeliest walk; zero unless another is clearly likelier."""
+    walks, gain = (WALKS_MADE_UP, WALK_GAIN_MADE_UP) if made_up else (WALKS, WALK_GAIN)
+    tries = [_local_level(t, local, variance, walk) for walk in walks]
+    best = max(range(len(walks)), key=lambda k: tries[k][0] - (gain if k else 0.0))
+    return tries[best], walks[best]
+
+
+def _local_level(
+    t: FloatArray, x: FloatArray, variance: FloatArray, walk: float
+) -> tuple[float, FloatArray, float]:
+    """Log-likelihood, smoothed level (n,) and sigma of its mean for a level that wanders by `walk`."""
+    n = len(t)
+    level, spread = np.zeros(n), np.zeros(n)
+    ahead, ahead_spread = np.zeros(n), np.zeros(n)
+    a, p, loglik = 0.0, OFFSET_SIGMA_S**2, 0.0
+    for k in range(n):
+        if k:
+            p += walk**2 * (t[k] - t[k - 1])
+        ahead[k], ahead_spread[k] = a, p
+        f = p + variance[k]
+        loglik -= 0.5 * (np.log(f) + (x[k] - a) ** 2 / f)
+        gain = p / f
+        a, p = a + gain * (x[k] - a), p * (1.0 - gain)
+        level[k], spread[k] = a, p
+    for k in range(n - 2, -1, -1):
+        back = spread[k] / ahead_spread[k + 1]
+        level[k] += back * (level[k + 1] - ahead[k + 1])
+    sigma = float(np.sqrt(1.0 / (1.0 / OFFSET_SIGMA_S**2 + np.sum(1.0 / variance))))
+    return loglik, level, sigma
