@@ -16,8 +16,9 @@ from smoother.recording import FloatArray
 
 #: Nearer to the elbow-wrist line than this the IMU does not tell which way the back of the hand is, m.
 NEAREST_M = 0.015
-#: A roll that is known no better than this is not written down, rad.
-WORST_ROLL_RAD = np.radians(30.0)
+#: Axes that are known no better than this are not written down, rad: roll, and the forearm's direction.
+WORST_ROLL_RAD = np.radians(15.0)
+WORST_DIRECTION_RAD = np.radians(6.0)
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class ForearmFrame:
     length_m, length_sigma_m : elbow to wrist.
     distance_m, distance_sigma_m : of the IMU from the elbow-wrist line.
     roll_sigma_rad : of the angle about the forearm's axis; inf where the IMU is too near to the line.
-    R_F_A : (3, 3), or None where the roll is not known.
+    R_F_A : (3, 3), or None where the roll or the direction is not known well enough.
     """
 
     direction: FloatArray
@@ -64,20 +65,21 @@ def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
     part = float(-elbow.position_m @ along) / length
     foot = elbow.position_m + part * length * along
     distance = float(np.linalg.norm(foot))
+    sideways = np.linalg.norm([_sigma_across(lever, along) for lever in (elbow, wrist)])
+    ends = np.linalg.norm([_sigma_along(lever, along) for lever in (elbow, wrist)])
+    tilt = float(sideways) / length
     roll, R_F_A = np.inf, None
     away = -foot / max(distance, 1e-12)
     if distance > NEAREST_M:
         across = np.cross(away, along)
         roll = _sigma_at(elbow, wrist, part, across) / distance
-        if roll < WORST_ROLL_RAD:
+        if roll < WORST_ROLL_RAD and tilt < WORST_DIRECTION_RAD:
             R_F_A = np.stack([away, along, across])
-    sideways = [_sigma_across(lever, along) for lever in (elbow, wrist)]
-    ends = [_sigma_along(lever, along) for lever in (elbow, wrist)]
     return ForearmFrame(
         direction=along,
-        direction_sigma_rad=float(np.linalg.norm(sideways)) / length,
+        direction_sigma_rad=tilt,
         length_m=length,
-        length_sigma_m=float(np.linalg.norm(ends)),
+        length_sigma_m=float(ends),
         distance_m=distance,
         distance_sigma_m=_sigma_at(elbow, wrist, part, away),
         roll_sigma_rad=float(roll),

@@ -12,6 +12,7 @@ from smoother.errors import CalibrationError
 from smoother.pieces import take_apart
 from smoother.pool import Pool
 from smoother.recording import Recording
+from smoother.screen import by_camera
 from smoother.selfcal import Knowledge, self_calibrate
 
 from .evidence import ClockOffset, Evidence, gather
@@ -65,7 +66,7 @@ def calibrate_motion(
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")
     known = known or ArmCalibration(side=sides[0] if sides else "")
     pieces = [
-        piece
+        by_camera(piece)
         for number, recording in enumerate(recordings)
         for piece in take_apart(recording, LARGEST_OFFSET_S, number)
     ]

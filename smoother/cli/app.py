@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from . import config, demo, doctor, export, gaps, imports, info, simulate, smooth, validate
+from . import calibrate, config, demo, doctor, export, gaps, imports, info, simulate, smooth, validate
 
 _CSV_EXAMPLE = """Example: unocclude import csv session -o session.mcap
 
@@ -82,6 +82,19 @@ _imports.command(
     epilog="Example: unocclude import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap",
 )(imports.utd_mhad)
 app.add_typer(_imports, name="import")
+
+_calibrate = _app("Measure once what does not change, and keep it in a calibration file.")
+
+
+@_calibrate.callback()
+def _calibrate_root() -> None:
+    """Measure once what does not change, and keep it in a calibration file."""
+
+
+_calibrate.command("motion", epilog="Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml")(
+    calibrate.motion
+)
+app.add_typer(_calibrate, name="calibrate")
 
 _simulate = _app("Make a recording with truth.", cls=simulate.SimulateGroup)
 

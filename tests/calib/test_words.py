@@ -75,7 +75,7 @@ def test_axes_need_elbow_and_wrist():
 def test_roll_that_nothing_turned_about():
     arm = an_arm(sigma_m=0.012)
     frame = forearm_frame(arm)
-    assert frame is not None and frame.R_F_A is not None
+    assert frame is not None and frame.R_F_A is None
     text = said(arm, replace(GOOD, axial_rad=np.radians(20)))
     assert (
         "the forearm hardly turned about its own axis (20 degrees): roll is known to 20 degrees only" in text
@@ -83,7 +83,13 @@ def test_roll_that_nothing_turned_about():
     assert "hardly turned" not in said(arm)  # it turned; the cause is another one
     assert "roll is known to 20 degrees only" in said(arm)
     assert "the wrist is known only roughly in the IMU's axes: x to 12 mm, y to 12 mm, z to 12 mm" in text
-    assert "direction to" in roll_known(frame)
+    assert "R_F_A is left open" in text
+
+
+def test_how_the_axes_are_known():
+    text = roll_known(forearm_frame(an_arm()))
+    assert text.startswith("R_F_A: direction to 1.0 degrees, roll to 5 degrees")
+    assert "35 +- 3 mm from its axis" in text
 
 
 def test_roll_that_is_not_known_at_all():

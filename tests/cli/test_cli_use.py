@@ -23,6 +23,7 @@ COMMANDS = [
     ["smooth"],
     ["validate"],
     ["gaps"],
+    ["calibrate", "motion"],
     ["import", "csv"],
     ["import", "broad"],
     ["import", "utd-mhad"],

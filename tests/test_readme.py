@@ -1,0 +1,126 @@
+"""The README and the documents do what they say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import read_calibration
+from smoother.cli.run import run
+from smoother.io.plain import _Description
+from smoother.io.result import write_recovery
+from smoother.result import Recovery
+
+ROOT = Path(__file__).parents[1]
+
+
+def blocks(path: str, language: str) -> list[str]:
+    """Code blocks of a document."""
+    text = (ROOT / path).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def test_the_first_two_commands():
+    lines = [line for block in blocks("README.md", "sh") for line in block.splitlines() if line.strip()]
+    assert lines[:2] == ["make demo", "make test"]
+
+
+def test_notebook_in_six_lines(monkeypatch):
+    (code,) = blocks("README.md", "python")
+    statements = [line for line in code.splitlines() if line.strip()]
+    assert len(statements) <= 6
+    monkeypatch.chdir(ROOT)
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert isinstance(names["recovery"], Recovery)
+    assert len(names["hidden_wrist"]) > 100
+    assert np.isfinite(names["hidden_wrist"]).all()
+    assert 0 < names["largest_sigma"] < 0.1
+
+
+@pytest.mark.parametrize(
+    "document",
+    ["README.md", "CONTRIBUTING.md", *(f"docs/{n}.md" for n in ("recording", "method", "formats"))],
+)
+def test_links_lead_somewhere(document):
+    text = (ROOT / document).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!http)([^)#]+)", text):
+        assert ((ROOT / document).parent / target).exists(), target
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/formats.md", "docs/recording.md", "data/README.md"])
+def test_commands_and_options_exist(document, capsys):
+    text = (ROOT / document).read_text(encoding="utf-8")
+    found = set(re.findall(r"unocclude ((?:[a-z][a-z-]*)(?: (?:csv|motion|arm))?)", text)) - {
+        "contributors",
+        "calibration",
+    }
+    assert found
+    for command in found:
+        words = command.split()
+        assert run([*words, "--help"]) == 0, command
+        capsys.readouterr()
+
+
+def test_options_of_the_readme(capsys):
+    for block in blocks("README.md", "sh"):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] != ["unocclude"]:
+                continue
+            command = words[1 : 3 if words[1] in ("import", "calibrate", "simulate") else 2]
+            assert run([*command, "--help"]) == 0
+            text = capsys.readouterr().out
+            for option in (word for word in words if word.startswith("-")):
+                assert option in text, line
+
+
+def test_examples_of_files(tmp_path):
+    description, calibration = blocks("docs/formats.md", "toml")
+    assert _Description.model_validate(tomllib.loads(description)).camera.frame == "kinect"
+    (tmp_path / "cal.toml").write_text(calibration, encoding="utf-8")
+    arm = read_calibration(tmp_path / "cal.toml").arm("right")
+    assert arm.upper_arm is not None and arm.R_F_A is not None and "elbow" in arm.lever_arms
+
+
+def test_topics_and_columns(tmp_path, monkeypatch):
+    from mcap.reader import make_reader
+
+    from smoother import read_recording, smooth
+    from smoother.config import Config
+    from smoother.io.export import csv_columns
+
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    recording = read_recording(ROOT / "data" / "demo.mcap")
+    recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 1}}))
+    write_recovery(recovery, tmp_path / "out.mcap")
+    with open(tmp_path / "out.mcap", "rb") as file:
+        channels = make_reader(file).get_summary().channels.values()
+    assert {channel.topic for channel in channels} == set(re.findall(r"`(/unocclude/\w+)`", text))
+    families = {re.sub(r"_?(q[wxyz]|[xyz])$", "", name) for name in csv_columns(recovery)[0]}
+    families.discard("v")
+    for family in families:
+        assert f"`{family}" in text, family
+
+
+def test_version_is_the_same_everywhere():
+    from smoother import __version__
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert project["version"] == __version__
+    assert f"version: {__version__}\n" in citation
+    assert project["authors"][0]["name"] in citation
+
+
+def test_every_dependency_is_explained():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").lower()
+    for dependency in project["dependencies"]:
+        name = re.match(r"[a-z0-9-]+", dependency.lower())[0].removesuffix("-cpu")
+        assert {"opencv-python-headless": "opencv"}.get(name, name) in readme, name
