@@ -11,10 +11,11 @@ from .arrays import interpolate, rotate_covariance, skew
 from .calibration import ArmCalibration
 from .config import Config
 from .join import Motion, at_times
-from .occlusion import accepted_samples, occluded_at
+from .occlusion import occluded_at
+from .pieces import Piece
 from .plan import Stretch
 from .prepare import lever_of
-from .recording import JOINTS, FloatArray, JointTracks, Recording
+from .recording import JOINTS, FloatArray, Recording
 from .result import FrameResiduals, Gap, Recovery
 from .selfcal import Knowledge
 from .window import Message
@@ -28,6 +29,7 @@ def assemble(
     calibration: ArmCalibration,
     config: Config,
     known: Knowledge,
+    pieces: list[Piece],
     stretches: list[Stretch],
     motions: list[Motion],
     messages: list[Message],
@@ -35,7 +37,10 @@ def assemble(
     """The answer at every IMU sample; nan where no stretch has one."""
     clock = known.clocks[0]
     frame_t = recording.arm.t_s + clock.at(recording.arm.t_s)
-    accepted = accepted_samples(recording.arm)
+    used = np.zeros((len(recording.arm), len(JOINTS)), dtype=bool)
+    reason = np.full(used.shape, "", dtype="<U64")
+    for piece in pieces:
+        used[piece.frames], reason[piece.frames] = piece.accepted, piece.reason
     imu_t, count = recording.imu.t_s, len(recording.imu)
     position, velocity = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     quaternion = np.full((count, 4), np.nan)
@@ -60,7 +65,8 @@ def assemble(
         for joint in names:
             place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
             joints[joint][rows], joint_covariance[joint][rows] = place, covariance
-        _residuals(residual, recording.arm, frame_t, stretch, motion, calibration)
+        own = frame_residuals(recording.arm.position, frame_t, stretch, motion, calibration)
+        residual = np.where(np.isfinite(own), own, residual)
     down = np.mean([motion.gravity.mean(axis=0) for motion in motions], axis=0)
     return Recovery(
         method="graph",
@@ -79,7 +85,7 @@ def assemble(
         clock_offset_s=clock.mean_s,
         clock_offset_sigma_s=clock.sigma_s,
         arm=replace(recording.arm, t_s=frame_t),
-        residuals=FrameResiduals(frame_t, residual, accepted, np.full(accepted.shape, "", dtype="<U40")),
+        residuals=FrameResiduals(frame_t, residual, used, reason),
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
@@ -122,25 +128,26 @@ def _joint(
     return p + arm, covariance
 
 
-def _residuals(
-    residual: FloatArray,
-    arm: JointTracks,
+def frame_residuals(
+    position: FloatArray,
     frame_t: FloatArray,
     stretch: Stretch,
     motion: Motion,
     calibration: ArmCalibration,
-) -> None:
-    """Camera minus answer at every frame of the stretch, seen or set aside."""
+) -> FloatArray:
+    """Camera minus answer (f, 5, 3) m at frames (IMU clock), seen or set aside; nan where there is none."""
+    residual = np.full(position.shape, np.nan)
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):
-        return
+        return residual
     states = at_times(motion, stretch.signal, frame_t[rows])
     for column, joint in enumerate(JOINTS):
         if joint == "shoulder":
             if motion.shoulder is not None:
                 answer = interpolate(motion.t, motion.shoulder, frame_t[rows])
-                residual[rows, column] = arm.position[rows, column] - answer
+                residual[rows, column] = position[rows, column] - answer
             continue
         lever = lever_of(calibration, joint)
         if lever is not None:
-            residual[rows, column] = arm.position[rows, column] - states.p - states.R @ lever
+            residual[rows, column] = position[rows, column] - states.p - states.R @ lever
+    return residual

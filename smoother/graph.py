@@ -55,7 +55,7 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
 
 def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
     """`ImuFactorWithGravityDirection` between neighbours."""
-    inertia, noise = window.inertia, window.noise
+    inertia = window.inertia
     removed = gtsam.imuBias.ConstantBias(inertia.bias[:3], inertia.bias[3:])
     acc = inertia.acc + inertia.bias[:3]
     gyro = inertia.gyro + inertia.bias[3:]

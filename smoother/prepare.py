@@ -52,7 +52,7 @@ def prepare(
     if end_s - start_s < 0.1:
         return None
     t = fill(seen[thin(seen)], start_s, end_s)
-    alignment = align(_pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
+    alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
     R = (alignment.at(t) * piece.attitude.at(t)).as_matrix()
     rows = np.flatnonzero(inside)
     node = np.clip(np.searchsorted(t, frame_t[rows] - 1e-9), 0, len(t) - 1)
@@ -83,17 +83,17 @@ def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
     return np.zeros(3) if joint == "strap" else None
 
 
-def _pairs(
+def pairs(
     piece: Piece, frame_t: FloatArray, accepted: BoolArray, calibration: ArmCalibration
 ) -> list[VectorPairs]:
     """What camera and IMU both saw: the forearm's direction, and the acceleration of one joint."""
-    pairs = []
+    found: list[VectorPairs] = []
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     along_A = calibration.forearm_direction
     both = accepted[:, elbow] & accepted[:, wrist]
     if along_A is not None and both.any():
         position = piece.position[both]
-        pairs.append(
+        found.append(
             direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], piece.attitude, along_A)
         )
     for joint in ("strap", "wrist", "hand", "elbow"):  # the first that is known: nearest to the IMU
@@ -101,10 +101,10 @@ def _pairs(
         rows = accepted[:, column]
         if lever is not None and rows.sum() >= 8:
             point = piece.position[rows, column]
-            found = acceleration_pairs(frame_t[rows], point, piece.attitude, piece.signal, GRAVITY)
-            pairs.append(found.with_lever(lever))
+            both_saw = acceleration_pairs(frame_t[rows], point, piece.attitude, piece.signal, GRAVITY)
+            found.append(both_saw.with_lever(lever))
             break
-    return pairs
+    return found
 
 
 def _imu_positions(

@@ -22,10 +22,12 @@ from .mounting import find_mounting
 from .pieces import Piece
 from .plan import cut, cut_times
 from .pool import Pool
-from .prepare import GRAVITY, prepare
+from .prepare import GRAVITY, pairs, prepare
 from .priors import calibration_from, first_priors, noise_of, upper_arm_seen
 from .recording import JOINTS, FloatArray
 from .residuals import JointNoise, joint_noise, sigma_by_joint
+from .screen import by_attitude
+from .start import align
 
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
 BLOCK_S = 20.0
@@ -65,6 +67,11 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     """
     blocks = choose_blocks(pieces)
     mounting = find_mounting(blocks, known)
+    screened = [
+        screen_attitude(b, mounting.calibration, constant(mounting.offset_s[b.recording])) for b in blocks
+    ]
+    if any((new.accepted != old.accepted).any() for new, old in zip(screened, blocks, strict=True)):
+        blocks, mounting = screened, find_mounting(screened, known)
     calibration = mounting.calibration
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
@@ -103,6 +110,18 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         clocks.step(windows, answers, np.array(owner))
         calibration = _recentred(found, given, known)
     return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, bias)
+
+
+def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> Piece:
+    """The piece without the frames whose forearm does not point where the inertial attitude says."""
+    along_A = calibration.forearm_direction
+    if along_A is None:
+        return piece
+    frame_t = piece.frame_t + clock.at(piece.frame_t)
+    alignment = align(
+        pairs(piece, frame_t, piece.accepted, calibration), piece.start_s, piece.end_s, piece.down
+    )
+    return by_attitude(piece, frame_t, alignment, along_A)
 
 
 def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:

@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from .assemble import assemble
+import numpy as np
+
+from .assemble import assemble, frame_residuals
 from .calibration import ArmCalibration
-from .clock import LARGEST_OFFSET_S
+from .clock import LARGEST_OFFSET_S, Clock
 from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
-from .join import join
-from .pieces import take_apart
+from .join import Motion, at_times, join
+from .pieces import Piece, take_apart
 from .plan import Stretch, cut, cut_times
 from .pool import Pool
 from .prepare import GRAVITY, prepare
 from .priors import calibration_from, first_priors, noise_of
 from .recording import FOREARM_JOINTS, Recording
 from .result import Recovery
-from .selfcal import self_calibrate
+from .screen import by_camera, by_residual
+from .selfcal import Knowledge, screen_attitude, self_calibrate
 from .window import Priors, Solution, Window
 
 Progress = Callable[[float, str], None]
@@ -55,7 +58,7 @@ def smooth(
     say = progress or (lambda fraction, text: None)
     _check(recording)
 
-    pieces = take_apart(recording, slack_s=LARGEST_OFFSET_S)
+    pieces = [by_camera(piece) for piece in take_apart(recording, slack_s=LARGEST_OFFSET_S)]
     if not pieces:
         raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
     nodes = sum(len(piece.frame_t) for piece in pieces)
@@ -64,10 +67,15 @@ def smooth(
         say(0.0, "calibrating")
         known = self_calibrate(pieces, calibration, config, pool)
         clock = known.clocks[0]
-        pieces = known.bias.corrected(pieces)
         # what is occluded, start values
-        ready = [(piece, prepare(piece, known.start, clock, known.sigma_m)) for piece in pieces]
-        ready = [(piece, each) for piece, each in ready if each is not None]
+        pieces = [screen_attitude(piece, known.start, clock) for piece in known.bias.corrected(pieces)]
+        ready = [
+            (piece, each)
+            for piece in pieces
+            if (each := prepare(piece, known.start, clock, known.sigma_m)) is not None
+        ]
+        if not ready:
+            raise SolveError(f"{recording.name}: too little of what the camera saw can be believed")
         stretches = [each[0] for _, each in ready]
         alignments = [each[1] for _, each in ready]
         # windows, graphs, solve: a first pass for what they share, a second with what the first one found
@@ -78,20 +86,37 @@ def smooth(
         heard = [answer.message for each in answers for answer in each]
         told = tell(heard, prior)
         found = calibration_from(combine(heard, prior), prior.layout, known.start)
-        better = [
-            replace(stretch, start=join(stretch.t, windows, solutions).states)
-            for stretch, windows, solutions in zip(stretches, first, answers, strict=True)
-        ]
+        better = []
+        for (piece, _), stretch, windows, solutions in zip(ready, stretches, first, answers, strict=True):
+            motion = join(stretch.t, windows, solutions)
+            believed, stretch = _believe(piece, stretch, motion, known, found, clock)
+            pieces = [believed if each is piece else each for each in pieces]
+            better.append(stretch)
         second = _cut(better, borders, told, config)
         answers = _solve(pool, second, True, lambda share: say(0.55 + 0.4 * share, "recovering"))
     # join
     motions = [
         join(stretch.t, windows, solutions)
-        for stretch, windows, solutions in zip(stretches, second, answers, strict=True)
+        for stretch, windows, solutions in zip(better, second, answers, strict=True)
     ]
     messages = [answer.message for each in answers for answer in each]
     say(1.0, "done")
-    return assemble(recording, found, config, known, stretches, motions, messages)
+    return assemble(recording, found, config, known, pieces, better, motions, messages)
+
+
+def _believe(
+    piece: Piece, stretch: Stretch, motion: Motion, known: Knowledge, found: ArmCalibration, clock: Clock
+) -> tuple[Piece, Stretch]:
+    """The piece without samples that the first pass contradicts, and its stretch with better start values."""
+    frame_t = piece.frame_t + clock.at(piece.frame_t)
+    residual = frame_residuals(piece.position, frame_t, stretch, motion, found)
+    believed = by_residual(piece, residual, known.noise)
+    again = prepare(believed, known.start, clock, known.sigma_m) if believed is not piece else None
+    if again is None:
+        return piece, replace(stretch, start=motion.states)
+    stretch = again[0]
+    inside = np.clip(stretch.t, motion.t[0], motion.t[-1])
+    return believed, replace(stretch, start=at_times(motion, stretch.signal, inside))
 
 
 def _check(recording: Recording) -> None:

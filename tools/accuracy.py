@@ -60,7 +60,7 @@ def datasets() -> Path:
 def broad(options: argparse.Namespace) -> None:
     """BROAD: the strap alone at 30 Hz with 8 mm of noise, gaps at random."""
     tally, config = Tally(), read_config(options.config)
-    for path in sorted((datasets() / "broad").glob(f"*{options.only}*.mat")):
+    for path in sorted(each for each in (datasets() / "broad").glob("*.mat") if options.only in each.stem):
         line, began = [], time.perf_counter()
         for length in LENGTHS_S:
             own = Tally()
