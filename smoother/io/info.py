@@ -169,7 +169,7 @@ def _optional(file: RecordingFile, recording: Recording | None) -> dict[str, str
     """What the file does not hold and recovering does not need, with what it would be good for."""
     optional = {}
     if not file.poses:
-        optional["truth"] = "validate and compare; `unocclude gaps` needs none"
+        optional["truth"] = "`unocclude validate`; `unocclude gaps` needs none"
     if recording is not None and recording.imu.mag is None:
         optional["magnetometer"] = "a heading for some of the peers"
     if recording is not None and recording.base_imu is None:

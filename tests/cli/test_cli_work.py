@@ -66,6 +66,30 @@ def test_info(session, tmp_path, capsys):
     assert {topic["name"] for topic in figures["topics"]} >= {"/skeleton"}
 
 
+def test_info_says_first_what_counts(session, capsys):
+    done(["info", session / "rec.mcap"])
+    said = capsys.readouterr().out.rstrip().splitlines()[-2:]
+    assert said[0] == "ready for `unocclude smooth`"
+    assert said[1].startswith("not in the file, not needed to recover: magnetometer (")
+    done(["info", session / "out.mcap"])
+    assert "holds a result: validate and export read it" in capsys.readouterr().out
+
+
+def test_info_of_what_cannot_be_recovered(tmp_path, capsys):
+    from mcap.writer import Writer
+
+    with open(tmp_path / "empty.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel(
+            "/chat", "json", writer.register_schema("text", "jsonschema", b"{}")
+        )
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    done(["info", tmp_path / "empty.mcap"])
+    assert "cannot be recovered: " in capsys.readouterr().out
+
+
 def test_smooth(session):
     figures = json.loads((session / "smooth.json").read_text())
     assert figures["method"] == "graph"
