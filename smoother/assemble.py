@@ -59,6 +59,8 @@ def assemble(
         quaternion[rows] = Rotation.from_matrix(states.R).as_quat()[:, [3, 0, 1, 2]]
         pose[rows] = interpolate(motion.t, motion.pose_covariance, t)
         pose[rows, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
+        # a clock that is off by a moment moves the whole path along itself
+        pose[rows, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
         velocity_covariance[rows] = interpolate(motion.t, motion.velocity_covariance, t)
         occluded[rows] = occluded_at(t, stretch.gaps)
         gaps.extend(stretch.gaps)

@@ -27,6 +27,8 @@ WALKS = (0.0, 0.0003, 0.001)
 WALKS_MADE_UP = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
 WALK_GAIN = 6.0
 WALK_GAIN_MADE_UP = 3.0
+#: How far a single frame's made-up stamp is off, s: about a third of a dropped frame.
+MADE_UP_SIGMA_S = 0.015
 #: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
 CAMERA_RATES_HZ = np.array(
     [5.0, 7.5, 10.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0]
@@ -46,12 +48,15 @@ class Clock:
     offset : (k,) s.
     sigma_s : standard deviation of the mean offset, s.
     walk : how fast it was found to wander, s/sqrt(s).
+    local_sigma_s : standard deviation of the offset at any one time, s: the mean's, what its wandering
+        leaves open, and for stamps that were made up a part of the frame period.
     """
 
     t: FloatArray
     offset: FloatArray
     sigma_s: float
     walk: float = 0.0
+    local_sigma_s: float = 0.0
 
     def at(self, t: FloatArray) -> FloatArray:
         """Offsets at camera times, s."""
@@ -119,8 +124,16 @@ class ClockFit:
         now = clock.at(middle)
         local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
         best, walk = _likeliest(middle, local, 1.0 / information, self._made_up[number])
-        _, offset, sigma = best
-        return Clock(middle, np.clip(offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S), float(sigma), walk)
+        _, offset, sigma, local_sigma = best
+        if self._made_up[number]:
+            local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
+        return Clock(
+            middle,
+            np.clip(offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S),
+            float(sigma),
+            walk,
+            float(np.hypot(sigma, local_sigma)),
+        )
 
     def _curvature(self, number: int, offset: float, slope: float, bound: float) -> float:
         """Part of the bound that the loss's second derivative is (secant; the states follow the rest)."""
@@ -158,7 +171,7 @@ def _pulls(
 
 def _likeliest(
     t: FloatArray, local: FloatArray, variance: FloatArray, made_up: bool
-) -> tuple[tuple[float, FloatArray, float], float]:
+) -> tuple[tuple[float, FloatArray, float, float], float]:
     """The likeliest walk; zero unless another is clearly likelier."""
     walks, gain = (WALKS_MADE_UP, WALK_GAIN_MADE_UP) if made_up else (WALKS, WALK_GAIN)
     tries = [_local_level(t, local, variance, walk) for walk in walks]
@@ -168,8 +181,8 @@ def _likeliest(
 
 def _local_level(
     t: FloatArray, x: FloatArray, variance: FloatArray, walk: float
-) -> tuple[float, FloatArray, float]:
-    """Log-likelihood, smoothed level (n,) and sigma of its mean for a level that wanders by `walk`."""
+) -> tuple[float, FloatArray, float, float]:
+    """Log-likelihood, smoothed level (n,), sigma of its mean and of its wandering about the mean."""
     n = len(t)
     level, spread = np.zeros(n), np.zeros(n)
     ahead, ahead_spread = np.zeros(n), np.zeros(n)
@@ -186,5 +199,6 @@ def _local_level(
     for k in range(n - 2, -1, -1):
         back = spread[k] / ahead_spread[k + 1]
         level[k] += back * (level[k + 1] - ahead[k + 1])
+        spread[k] += back**2 * (spread[k + 1] - ahead_spread[k + 1])
     sigma = float(np.sqrt(1.0 / (1.0 / OFFSET_SIGMA_S**2 + np.sum(1.0 / variance))))
-    return loglik, level, sigma
+    return loglik, level, sigma, float(np.sqrt(max(spread.mean() - sigma**2, 0.0)))

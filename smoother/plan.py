@@ -14,6 +14,8 @@ from .window import Inertia, Noise, Priors, ShoulderSight, Sight, States, Window
 
 #: Shoulder knots keep at least so far apart, s.
 KNOT_S = 0.09
+#: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
+FREE_RAD = 1.0
 #: Borders of windows keep so far from gaps where the visible stretch is long enough, s.
 KEEP_S = 2.0
 
@@ -106,7 +108,7 @@ def cut(
                 attitude_node=attitude_node,
                 attitude=stretch.attitude[lo + attitude_node],
                 # one prior for all windows together: they have its error in common
-                attitude_covariance=stretch.attitude_covariance[lo + attitude_node] * sharing,
+                attitude_covariance=_weakened(stretch.attitude_covariance[lo + attitude_node], sharing),
                 priors=prior,
                 noise=noise,
                 gravity_magnitude=gravity_magnitude,
@@ -117,6 +119,12 @@ def cut(
 
 def _best_node(covariance: FloatArray) -> int:
     return int(np.argmin(np.trace(covariance, axis1=1, axis2=2)))
+
+
+def _weakened(covariance: FloatArray, factor: float) -> FloatArray:
+    """The covariance times the factor, no direction worse known than `FREE_RAD`."""
+    variance, axes = np.linalg.eigh(covariance)
+    return (axes * np.minimum(variance * factor, FREE_RAD**2)) @ axes.T
 
 
 def _inertia(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Inertia:

@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
-from types import TracebackType
+from types import ModuleType, TracebackType
 
 from .solve import solve
 from .window import Solution, Window
 
 #: With fewer nodes than this in all, starting processes costs more than it saves.
 WORTH_NODES = 4000
+
+
+@contextmanager
+def _blank_main() -> Iterator[None]:
+    """Keep new workers from running the caller's script again, whether or not it guards its main part.
+
+    A spawned worker imports the parent's main module so that functions of it can be found; ours are in
+    this package.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 class Pool:
@@ -47,7 +64,10 @@ class Pool:
     ) -> list[Solution]:
         """Solve every window; `done` hears the share that is finished."""
         job = partial(solve, with_covariance=with_covariance)
-        results = map(job, windows) if self._executor is None else self._executor.map(job, windows)
+        results: Iterator[Solution] = map(job, windows)
+        if self._executor is not None:
+            with _blank_main():
+                results = self._executor.map(job, windows)
         solutions = []
         for solution in results:
             solutions.append(solution)

@@ -20,7 +20,7 @@ FROZEN = "frozen: the value stands still while the sensor moves"
 JUMP = "jump: far from its neighbours in time"
 BONE = "bone length: elbow and wrist are too near or too far"
 DIRECTION = "direction: forearm more than 30 degrees off the inertial one"
-RAY = "viewing ray: the forearm points at the camera"
+RAY = "viewing ray: the forearm points at the camera and is misjudged"
 STRAP = "strap: off the elbow-wrist line or nearer the elbow"
 RESIDUAL = "residual: does not agree with the recovered motion"
 
@@ -33,7 +33,9 @@ JUMP_M = 0.15
 JUMP_FRAMES = 7
 BONE_PART = 0.30
 DIRECTION_DEG = 30.0
-RAY_DEG = 10.0
+RAY_DEG = 15.0
+RAY_BONE_PART = 0.15
+RAY_DIRECTION_DEG = 15.0
 STRAP_M = 0.05
 #: A residual longer than this (m, and in deviations of a sample) is set aside.
 RESIDUAL_M = 0.05
@@ -75,7 +77,13 @@ def by_attitude(piece: Piece, frame_t: FloatArray, alignment: Alignment, along_A
     ray = _unit(piece.position[:, WRIST] + piece.position[:, ELBOW])
     off = both & (np.sum(seen * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
     piece = _set_aside(piece, _only(off, *_FOREARM), DIRECTION)
+    # a forearm that points at the camera is no reason by itself: it must also look wrong
     pointing = both & (np.abs(np.sum(ray * inertial, axis=1)) > np.cos(np.radians(RAY_DEG)))
+    length = np.linalg.norm(piece.position[:, WRIST] - piece.position[:, ELBOW], axis=1)
+    usual = float(np.median(length[both]))
+    short = np.abs(length - usual) > RAY_BONE_PART * usual
+    turned = np.sum(seen * inertial, axis=1) < np.cos(np.radians(RAY_DIRECTION_DEG))
+    pointing &= short | turned
     return _set_aside(piece, _only(pointing, *_FOREARM), RAY)
 
 

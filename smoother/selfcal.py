@@ -33,6 +33,11 @@ from .start import align
 BLOCK_S = 20.0
 BLOCKS_S = 80.0
 ROUNDS = 4
+#: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
+SETTLED_M = 0.001
+CLOCK_WEIGHT = 1.0
+#: The closed form is done again when screening took more than this part of the samples.
+WORTH_AGAIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -70,8 +75,10 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     screened = [
         screen_attitude(b, mounting.calibration, constant(mounting.offset_s[b.recording])) for b in blocks
     ]
-    if any((new.accepted != old.accepted).any() for new, old in zip(screened, blocks, strict=True)):
-        blocks, mounting = screened, find_mounting(screened, known)
+    lost = sum(int((old.accepted & ~new.accepted).sum()) for new, old in zip(screened, blocks, strict=True))
+    if lost > WORTH_AGAIN * sum(int(block.accepted.sum()) for block in blocks):
+        mounting = find_mounting(screened, known)
+    blocks = screened
     calibration = mounting.calibration
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
@@ -105,10 +112,18 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given)
         noise = joint_noise(windows, answers)
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
+        times, errors = list(clocks.clocks), bias.found_m.copy()
         bias.step(windows, answers)
         blocks = bias.corrected(seen)
         clocks.step(windows, answers, np.array(owner))
+        moved = max(
+            _lever_change(calibration, found),
+            float(np.abs(bias.found_m - errors).max()),
+            CLOCK_WEIGHT * max(abs(a.mean_s - b.mean_s) for a, b in zip(clocks.clocks, times, strict=True)),
+        )
         calibration = _recentred(found, given, known)
+        if moved < SETTLED_M:
+            break
     return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, bias)
 
 
@@ -122,6 +137,17 @@ def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> 
         pairs(piece, frame_t, piece.accepted, calibration), piece.start_s, piece.end_s, piece.down
     )
     return by_attitude(piece, frame_t, alignment, along_A)
+
+
+def _lever_change(before: ArmCalibration, after: ArmCalibration) -> float:
+    """Longest way that a lever arm moved, m."""
+    return max(
+        (
+            float(np.linalg.norm(lever.position_m - before.lever_arms[joint].position_m))
+            for joint, lever in after.lever_arms.items()
+        ),
+        default=0.0,
+    )
 
 
 def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:

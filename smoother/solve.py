@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
+from .arrays import interpolate
 from .errors import SolveError
 from .graph import bias_of_intervals, build, shared_jacobian, shared_keys
 from .recording import JOINTS, FloatArray, IntArray
@@ -14,7 +17,11 @@ from .window import Message, Solution, States, Window
 
 #: The optimiser stops when an iteration lowers the error by less than this part of it.
 RELATIVE_TOLERANCE = 1e-4
+FIRST_TOLERANCE = 1e-3
 MAX_ITERATIONS = 12
+#: Spacing of the covariances that are computed rather than interpolated, s.
+COVARIANCE_S = 0.1
+SHOULDER_COVARIANCE_S = 0.5
 
 
 def solve(window: Window, with_covariance: bool) -> Solution:
@@ -29,27 +36,27 @@ def solve(window: Window, with_covariance: bool) -> Solution:
     SolveError
         The window leaves something free; the text names the time.
     """
-    graph, values = build(window)
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(MAX_ITERATIONS)
-    params.setRelativeErrorTol(RELATIVE_TOLERANCE)
-    params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
-    try:
-        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
-        values = optimizer.optimize()
-        marginals = _marginals(graph, values)
-    except RuntimeError as error:
-        if "ndetermin" not in str(error):
-            raise
+    for tighten in (1.0, 0.3, 0.1):
+        # a direction that is free but for the attitude prior can be too weak for the solver's precision
+        graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
+        try:
+            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(with_covariance))
+            values = optimizer.optimize()
+            marginals = gtsam.Marginals(graph, values)
+            break
+        except RuntimeError as error:
+            if "ndetermin" not in str(error):
+                raise
+    else:
         raise SolveError(
             f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
             " the camera saw there"
-        ) from error
+        )
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
     pose_covariance = velocity_covariance = None
     if with_covariance:
-        pose_covariance, velocity_covariance = _covariances(marginals, states.R)
+        pose_covariance, velocity_covariance = _covariances(marginals, window.t, states.R)
     shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
     return Solution(
         index=window.index,
@@ -66,8 +73,12 @@ def solve(window: Window, with_covariance: bool) -> Solution:
     )
 
 
-def _marginals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals:
-    return gtsam.Marginals(graph, values)
+def _parameters(final: bool) -> gtsam.LevenbergMarquardtParams:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(MAX_ITERATIONS)
+    params.setRelativeErrorTol(RELATIVE_TOLERANCE if final else FIRST_TOLERANCE)
+    params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
+    return params
 
 
 def _states(values: gtsam.Values, count: int) -> States:
@@ -79,16 +90,32 @@ def _states(values: gtsam.Values, count: int) -> States:
     )
 
 
-def _covariances(marginals: gtsam.Marginals, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Marginals of every pose, turned from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}."""
-    count = len(R)
-    body = np.array([marginals.marginalCovariance(X(i)) for i in range(count)])
-    velocity = np.array([marginals.marginalCovariance(V(i)) for i in range(count)])
+def _covariances(marginals: gtsam.Marginals, t: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
+
+    Marginals are the costly part, and change slowly: they are taken about every tenth of a second and at
+    both sides of every gap, and interpolated between.
+    """
+    some = _some(t)
+    body = np.array([marginals.marginalCovariance(X(i)) for i in some])
+    velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]
-    turn = np.zeros((count, 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = R
-    return turn @ body @ np.swapaxes(turn, 1, 2), velocity
+    turn = np.zeros((len(some), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = R[some]
+    pose = turn @ body @ np.swapaxes(turn, 1, 2)
+    return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
+
+
+def _some(t: FloatArray, apart_s: float = COVARIANCE_S) -> IntArray:
+    """Nodes about so far apart, the ends and those beside a longer interval always."""
+    cell = np.floor((t - t[0]) / apart_s + 1e-6)
+    chosen = np.diff(cell, prepend=-1.0) > 0
+    chosen[-1] = True
+    wide = np.diff(t) > 0.5 * apart_s
+    chosen[:-1] |= wide
+    chosen[1:] |= wide
+    return np.flatnonzero(chosen)
 
 
 def _shoulder(
@@ -96,11 +123,12 @@ def _shoulder(
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if window.shoulder is None:
         return None, None
-    knots = range(len(window.shoulder.node))
-    position = np.array([values.atPoint3(S(k)) for k in knots])
+    t = window.t[window.shoulder.node]
+    position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if not with_covariance:
         return position, None
-    return position, np.array([marginals.marginalCovariance(S(k)) for k in knots])
+    some = _some(t, SHOULDER_COVARIANCE_S)
+    return position, interpolate(t[some], np.array([marginals.marginalCovariance(S(k)) for k in some]), t)
 
 
 def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:

@@ -10,6 +10,7 @@ the gaps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -25,6 +26,8 @@ ALIGN_SPAN_S = 30.0
 ALIGN_STEP_S = 2.0
 #: Camera accelerations are taken over windows of this half width, s.
 ACCELERATION_HALF_S = 0.4
+#: Frames that a parabola needs.
+FEWEST_FRAMES = 6
 #: Standard deviations of the pairs that are matched.
 POINT_SIGMA_M = 0.012
 FILTER_SIGMA_RAD = np.radians(3.0)
@@ -40,9 +43,13 @@ class InertialAttitude:
     R_E_A: Rotation
     gyroscope_bias: FloatArray
 
+    @cached_property
+    def _curve(self) -> Slerp:
+        return Slerp(self.t, self.R_E_A)
+
     def at(self, t: FloatArray) -> Rotation:
         """`R_E_A` at the given times, held beyond the ends."""
-        return Slerp(self.t, self.R_E_A)(np.clip(t, self.t[0], self.t[-1]))
+        return self._curve(np.clip(t, self.t[0], self.t[-1]))
 
 
 def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitude:
@@ -115,19 +122,29 @@ def acceleration_pairs(
     half = ACCELERATION_HALF_S
     centre = np.arange(t[0] + half, t[-1] - half, 0.5 * half)
     lo, hi = np.searchsorted(t, [centre - half, centre + half])
-    rows = []
-    for c, a, b in zip(centre, lo, hi, strict=True):
-        u = t[a:b] - c
-        if b - a < 6 or np.diff(u).max() > 0.35 * half or np.ptp(u) < 1.6 * half:
-            continue
-        functional = 2.0 * np.linalg.pinv(np.stack([np.ones_like(u), u, u**2], axis=1))[2]
-        variance = (POINT_SIGMA_M**2) * float(functional @ functional) + ACCELERATION_SIGMA**2
-        turn = np.einsum("j,jab->ab", functional, R_E_A[a:b])
-        rows.append((c, functional @ point[a:b], functional @ inertial[a:b], turn, 1.0 / variance))
-    if not rows:
+    if not len(centre) or (hi - lo).max() < FEWEST_FRAMES:
         none = np.zeros((0, 3))
         return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
-    return AccelerationPairs(*(np.array(column) for column in zip(*rows, strict=True)))
+    # every window as one row of indices, short ones filled up and masked
+    index = np.minimum(lo[:, None] + np.arange((hi - lo).max()), len(t) - 1)
+    inside = np.arange(index.shape[1]) < (hi - lo)[:, None]
+    u = np.where(inside, t[index] - centre[:, None], 0.0)
+    first, last = t[lo], t[np.maximum(hi - 1, 0)]
+    hole = np.where(inside[:, 1:], np.diff(t[index], axis=1), 0.0).max(axis=1)
+    good = (hi - lo >= FEWEST_FRAMES) & (hole < 0.35 * half) & (last - first > 1.6 * half)
+    u, index, inside, centre = u[good], index[good], inside[good], centre[good]
+    basis = np.stack([inside.astype(float), u, u**2], axis=2)
+    functional = (
+        2.0 * np.linalg.solve(np.einsum("wka,wkb->wab", basis, basis), np.swapaxes(basis, 1, 2))[:, 2]
+    )
+    variance = POINT_SIGMA_M**2 * np.sum(functional**2, axis=1) + ACCELERATION_SIGMA**2
+    return AccelerationPairs(
+        centre,
+        np.einsum("wk,wka->wa", functional, point[index]),
+        np.einsum("wk,wka->wa", functional, inertial[index]),
+        np.einsum("wk,wkab->wab", functional, R_E_A[index]),
+        1.0 / variance,
+    )
 
 
 @dataclass(frozen=True)
@@ -142,7 +159,11 @@ class Alignment:
         """`R_K_E` at the given times, held beyond the ends."""
         if len(self.t) == 1:
             return Rotation.from_matrix(np.tile(self.R_K_E.as_matrix(), (len(t), 1, 1)))
-        return Slerp(self.t, self.R_K_E)(np.clip(t, self.t[0], self.t[-1]))
+        return self._curve(np.clip(t, self.t[0], self.t[-1]))
+
+    @cached_property
+    def _curve(self) -> Slerp:
+        return Slerp(self.t, self.R_K_E)
 
     def covariance_at(self, t: float) -> FloatArray:
         """Covariance at the nearest of its times."""
@@ -167,7 +188,7 @@ def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatA
     np.add.at(profile, cell, outer)
     profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_SPAN_S))
     profile += np.outer(down_K, [0.0, 0.0, -1.0]) / HINT_SIGMA_RAD**2
-    U, S, Vt = np.linalg.svd(profile)
+    U, _, Vt = np.linalg.svd(profile)
     sign = np.sign(np.linalg.det(U @ Vt))
     middle = np.tile(np.eye(3), (len(t), 1, 1))
     middle[:, 2, 2] = sign

@@ -179,6 +179,7 @@ def utd(options: argparse.Namespace) -> None:
                 path, truth = recovery.joints["wrist"], recording.arm.joint("wrist")[seen]
                 answer = np.stack([np.interp(t, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
                 sigma = np.sqrt(np.trace(recovery.joint_covariance["wrist"], axis1=1, axis2=2))
+                noise = recovery.figures["camera_sigma_m"]["wrist"]
                 kept = recording.arm.tracked("wrist") & ~hidden
                 line = np.stack(
                     [
@@ -200,6 +201,8 @@ def utd(options: argparse.Namespace) -> None:
                         np.linalg.norm(answer - truth, axis=1),
                         np.linalg.norm(line - truth, axis=1),
                         float(np.nanmax(np.interp(t, recovery.t_s, sigma))),
+                        np.linalg.norm(answer - truth, axis=1)
+                        < 2 * np.hypot(np.interp(t, recovery.t_s, sigma), np.sqrt(3) * noise),
                     )
                 )
     for length in (0.5, 1.0):
@@ -219,6 +222,7 @@ def _show_utd(title: str, rows: list) -> None:
         f"   interpolation rms {100 * np.sqrt(np.mean(line**2)):5.1f} median {100 * np.median(line):5.1f} cm"
         f"   graph nearer in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}"
         f"   median sigma {100 * np.median([r[5] for r in rows]):4.1f} cm"
+        f"   inside 2 sigma (camera's noise added) {100 * np.mean(np.concatenate([r[6] for r in rows])):3.0f} %"
     )
 
 
