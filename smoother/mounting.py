@@ -182,11 +182,12 @@ def _levers(
     difference = {joint: _difference(pieces, frames, joint, reference) for joint in missing}
     if reference == "strap" or reference in known.lever_arms:
         base = known.lever_arms[reference].position_m if reference in known.lever_arms else np.zeros(3)
+        sigma = np.full(3, CLOSED_FORM_SIGMA_M)
     else:
         forearm = np.linalg.norm(difference.get("elbow", np.array([0.25, 0.0, 0.0])))
         expected = np.zeros(3) if along is None else WRIST_PART * forearm * along
-        base = _by_acceleration(pieces, frames, offset_s, reference, expected)
-    sigma = np.full(3, CLOSED_FORM_SIGMA_M)
+        base, sigma = _by_acceleration(pieces, frames, offset_s, reference, expected)
+        sigma = np.hypot(sigma, CLOSED_FORM_SIGMA_M)
     return {joint: LeverArm(base + difference[joint], sigma) for joint in missing}
 
 
@@ -227,8 +228,8 @@ def _difference(pieces: list[Piece], frames: list[Alignment], joint: str, refere
 
 def _by_acceleration(
     pieces: list[Piece], frames: list[Alignment], offset_s: FloatArray, joint: str, expected: FloatArray
-) -> FloatArray:
-    """A joint's lever arm from R_K_E' a_K - a_E = turn lever, with a weak expectation, (3,) m."""
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's lever arm from R_K_E' a_K - a_E = turn lever, with a weak expectation, and its sigma, m."""
     column = JOINTS.index(joint)
     information = np.eye(3) / LEVER_SIGMA_M**2
     vector = information @ expected
@@ -242,7 +243,8 @@ def _by_acceleration(
             right = frame.at(found.t).inv().apply(found.in_K) - found.in_E
             information += np.einsum("n,nab,nac->bc", found.weight, found.turn, found.turn)
             vector += np.einsum("n,nab,na->b", found.weight, found.turn, right)
-    return np.linalg.solve(information, vector)
+    covariance = np.linalg.inv(information)
+    return covariance @ vector, np.sqrt(np.diag(covariance))
 
 
 def _point_levers(pieces: list[Piece], known: ArmCalibration) -> ArmCalibration:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .calibration import ArmCalibration, Length, LeverArm
@@ -78,10 +80,16 @@ def noise_of(config: Config) -> Noise:
 
 
 def calibration_from(
-    found: Gaussian, layout: Layout, before: ArmCalibration, gyroscope_bias: FloatArray | None = None
+    found: Gaussian, layout: Layout, before: ArmCalibration, joint_bias_m: float
 ) -> ArmCalibration:
-    """The arm's calibration from the constants' Gaussian (`firstpass.combine`)."""
-    sigma = np.sqrt(np.diag(found.covariance))
+    """The arm's calibration from the constants' Gaussian (`firstpass.combine`).
+
+    Parameters
+    ----------
+    joint_bias_m : constant error of the camera's joints, m an axis; what all have in common goes into
+        the lever arms and lengths and shows in no residual, so it widens their sigmas.
+    """
+    sigma = np.hypot(np.sqrt(np.diag(found.covariance)), joint_bias_m)
     start = layout.constants.start
     levers = dict(before.lever_arms)
     for joint in layout.joints:
@@ -90,6 +98,4 @@ def calibration_from(
     upper_arm = before.upper_arm
     if layout.has_upper_arm:
         upper_arm = Length(float(found.mean[0]), float(sigma[0]))
-    return ArmCalibration(
-        before.side, levers, upper_arm, before.R_F_A, before.accelerometer_bias, gyroscope_bias
-    )
+    return replace(before, lever_arms=levers, upper_arm=upper_arm)

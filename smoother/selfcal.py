@@ -109,7 +109,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
             windows += cuts
             owner += [piece.recording] * len(cuts)
         answers = pool.solve(windows, False, lambda share: None)
-        found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given)
+        found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m)
         noise = joint_noise(windows, answers)
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         times, errors = list(clocks.clocks), bias.found_m.copy()

@@ -85,7 +85,7 @@ def smooth(
         answers = _solve(pool, first, False, lambda share: say(0.2 + 0.35 * share, "first pass"))
         heard = [answer.message for each in answers for answer in each]
         told = tell(heard, prior)
-        found = calibration_from(combine(heard, prior), prior.layout, known.start)
+        found = calibration_from(combine(heard, prior), prior.layout, known.start, known.bias.sigma_m)
         better = []
         for (piece, _), stretch, windows, solutions in zip(ready, stretches, first, answers, strict=True):
             motion = join(stretch.t, windows, solutions)
