@@ -42,6 +42,7 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     _add_joints(graph, window)
     if window.shoulder is not None:
         _add_shoulder(graph, values, window)
+    _add_quiet(graph, window)
     _add_attitude(graph, window)
     return graph, values
 
@@ -220,6 +221,13 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
     model = isotropic(1, noise.upper_arm_sigma_m)
     for k, node in enumerate(shoulder.node):
         graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, model, at_elbow))
+
+
+def _add_quiet(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+    """`BetweenFactorVector` on the velocities inside gaps: a quiet arm keeps its velocity."""
+    for i in np.flatnonzero(np.isfinite(window.velocity_change)).tolist():
+        model = isotropic(3, float(window.velocity_change[i]))
+        graph.add(gtsam.BetweenFactorVector(V(i), V(i + 1), np.zeros(3), model))
 
 
 def _add_attitude(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:

@@ -8,12 +8,17 @@ import numpy as np
 
 from .arrays import interpolate
 from .inertial import InertialSignal, equivalent_samples, integrate, split_blocks
+from .occlusion import occluded_at
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
 from .result import Gap
 from .window import Inertia, Noise, Priors, ShoulderSight, Sight, States, Window
 
 #: Shoulder knots keep at least so far apart, s.
 KNOT_S = 0.09
+#: A still arm's acceleration, m/s^2, and how long an acceleration lasts, s (`_velocity_change`).
+QUIET_ACCELERATION = 0.1
+CHANGE_TIME_S = 0.2
+LIVELY_FACTOR = 1.0
 #: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
 FREE_RAD = 1.0
 #: Borders of windows keep so far from gaps where the visible stretch is long enough, s.
@@ -33,6 +38,7 @@ class Stretch:
     frame_node : (f,) node of each camera frame that has one, -1 where it has none.
     position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
     gaps : the occluded stretches inside.
+    liveliness : (n,) how much the sensor's acceleration varies, m/s^2.
     attitude, attitude_covariance : (n, 3, 3) orientations from the inertial filter and the alignment,
         and their covariance, rad^2 in {K}: the weak prior.
     """
@@ -46,6 +52,7 @@ class Stretch:
     accepted: BoolArray
     sigma_m: FloatArray
     gaps: tuple[Gap, ...]
+    liveliness: FloatArray
     attitude: FloatArray
     attitude_covariance: FloatArray
 
@@ -105,6 +112,7 @@ def cut(
                 sights=_sights(stretch, lo, hi),
                 shoulder=_shoulder(stretch, lo, hi),
                 start=start,
+                velocity_change=_velocity_change(stretch, lo, hi),
                 attitude_node=attitude_node,
                 attitude=stretch.attitude[lo + attitude_node],
                 # one prior for all windows together: they have its error in common
@@ -119,6 +127,19 @@ def cut(
 
 def _best_node(covariance: FloatArray) -> int:
     return int(np.argmin(np.trace(covariance, axis1=1, axis2=2)))
+
+
+def _velocity_change(stretch: Stretch, lo: int, hi: int) -> FloatArray:
+    """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere.
+
+    An arm whose sensor is quiet keeps its velocity. This says no more than that, so it matters where the
+    integrated IMU knows less: at its worst the answer is as good as a straight line.
+    """
+    t = stretch.t[lo:hi]
+    middle, dt = 0.5 * (t[1:] + t[:-1]), np.diff(t)
+    lively = np.maximum(stretch.liveliness[lo : hi - 1], stretch.liveliness[lo + 1 : hi])
+    change = np.hypot(LIVELY_FACTOR * lively, QUIET_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S)
+    return np.where(occluded_at(middle, stretch.gaps), change, np.inf)
 
 
 def _weakened(covariance: FloatArray, factor: float) -> FloatArray:

@@ -16,6 +16,7 @@ from .start import (
     acceleration_pairs,
     align,
     direction_pairs,
+    liveliness,
     states_from_camera,
 )
 from .timing import fill, thin
@@ -70,6 +71,7 @@ def prepare(
         accepted=accepted[rows],
         sigma_m=np.tile(sigma_m, (len(rows), 1)),
         gaps=find_gaps(frame_t[rows], visible[rows], start_s, end_s),
+        liveliness=liveliness(piece.signal, piece.attitude, t),
         attitude=R,
         attitude_covariance=alignment.covariance[nearest],
     )

@@ -26,6 +26,8 @@ ALIGN_SPAN_S = 30.0
 ALIGN_STEP_S = 2.0
 #: Camera accelerations are taken over windows of this half width, s.
 ACCELERATION_HALF_S = 0.4
+#: Half width of the time over which the sensor's liveliness is judged, s.
+LIVELY_HALF_S = 0.5
 #: Frames that a parabola needs.
 FEWEST_FRAMES = 6
 #: Standard deviations of the pairs that are matched.
@@ -145,6 +147,27 @@ def acceleration_pairs(
         np.einsum("wk,wkab->wab", functional, R_E_A[index]),
         1.0 / variance,
     )
+
+
+def liveliness(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
+    """How much the sensor's acceleration varies about each time, m/s^2 (n,), one sigma over its axes.
+
+    Standard deviation over `LIVELY_HALF_S` on both sides, so that the inertial attitude's slow error,
+    which turns gravity into a constant acceleration, does not count.
+    """
+    step = 0.02
+    edges = np.arange(signal.start_s, signal.end_s, step)
+    force = signal.mean(edges[:-1], edges[1:])[:, :3]
+    acc = attitude.at(0.5 * (edges[1:] + edges[:-1])).apply(force)
+    acc -= acc.mean(axis=0)
+    lo, hi = np.searchsorted(edges[:-1], [t - LIVELY_HALF_S, t + LIVELY_HALF_S])
+    hi = np.maximum(hi, lo + 1)
+    sums = np.vstack([np.zeros(3), np.cumsum(acc, axis=0)])
+    squares = np.concatenate([[0.0], np.cumsum(np.sum(acc**2, axis=1))])
+    count = (hi - lo).astype(float)
+    mean = (sums[hi] - sums[lo]) / count[:, None]
+    variance = (squares[hi] - squares[lo]) / count - np.sum(mean**2, axis=1)
+    return np.sqrt(np.maximum(variance, 0.0) / 3.0)
 
 
 @dataclass(frozen=True)

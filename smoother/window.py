@@ -114,7 +114,8 @@ class Window:
     """A piece of the recording to solve: nodes t (n,), of which [core_start_s, core_end_s] is its own.
 
     `attitude` (3, 3) and its covariance, rad^2 in {K}, are a weak prior at one node: it keeps a direction
-    which the data leave free from being free.
+    which the data leave free from being free. `velocity_change` (n - 1,) m/s: how much the velocity may
+    change in an interval, inf where nothing is said.
     """
 
     index: int
@@ -125,6 +126,7 @@ class Window:
     sights: tuple[Sight, ...]
     shoulder: ShoulderSight | None
     start: States
+    velocity_change: FloatArray
     attitude_node: int
     attitude: FloatArray
     attitude_covariance: FloatArray
