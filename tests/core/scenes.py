@@ -52,6 +52,12 @@ def recovered(made: SimulatedArm, recording: Recording | None = None) -> Scene:
     return Scene(made, smooth(replace(recording, truth=None), made.calibration, ALONE))
 
 
+def blind(made: SimulatedArm, recording: Recording | None = None) -> Scene:
+    """Smooth a simulated recording with nothing calibrated beforehand."""
+    made = replace(made, recording=recording or made.recording)
+    return Scene(made, smooth(replace(made.recording, truth=None), None, ALONE))
+
+
 def without_frames(recording: Recording, hidden: BoolArray) -> Recording:
     """The same recording, the forearm not tracked in the hidden frames (F,)."""
     return replace(recording, arm=recording.arm.hide(hidden))
@@ -87,6 +93,7 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
 
 
 def plain(window: Window, huber: float = 1e6) -> Window:
-    """The window with white noise only: no robust loss, no knocks."""
+    """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
     inertia = replace(window.inertia, velocity_error=np.zeros(len(window.t) - 1))
-    return replace(window, noise=replace(window.noise, huber=huber), inertia=inertia)
+    noise = replace(window.noise, huber=huber, accelerometer_share=0.0, gyroscope_share=0.0)
+    return replace(window, noise=noise, inertia=inertia)

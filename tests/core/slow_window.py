@@ -92,7 +92,7 @@ class SlowWindow:
         self.inertial = np.array([self._interval_whitener(i) for i in range(len(self.dt))])
         self.prior = whitener(window.priors.shared.covariance)
         self.attitude = whitener(window.attitude_covariance)
-        self.R0 = window.start.R[window.attitude_node]
+        self.R0 = window.attitude
 
     def start(self, seed: int) -> Unknowns:
         """The window's start values, shaken by a centimetre and two degrees."""
