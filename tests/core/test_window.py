@@ -11,8 +11,8 @@ import pytest
 import smoother.solve
 from smoother.errors import SolveError
 from smoother.graph import DENSITY_STEP, bias_of_intervals
-from smoother.solve import solve
 from smoother.recording import FloatArray
+from smoother.solve import solve
 from smoother.window import Solution, Window
 
 from .curve import angle_rad
@@ -92,7 +92,9 @@ def test_covariances_between_the_computed_ones(pair: Pair) -> None:
     thin = solve(pair.window, with_covariance=True)
     assert thin.pose_covariance is not None
     assert pair.fast.pose_covariance is not None
-    some, every = (np.sqrt(np.einsum("nii->ni", C)) for C in (thin.pose_covariance, pair.fast.pose_covariance))
+    some, every = (
+        np.sqrt(np.einsum("nii->ni", C)) for C in (thin.pose_covariance, pair.fast.pose_covariance)
+    )
     np.testing.assert_allclose(some, every, rtol=0.2)
     assert np.abs(some / every - 1).mean() < 0.05
     np.testing.assert_allclose(some[[0, -1]], every[[0, -1]], rtol=1e-9)
