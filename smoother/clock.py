@@ -1,7 +1,7 @@
 """The camera's clock against the IMU's: an offset that may drift, found from the residuals.
 
 A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
-Their projection, summed over a second, is a local estimate of the offset; how fast the offset may
+Their projection, summed over a second or less, is a local estimate of the offset; how fast the offset may
 wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural
 time series models, 1989), and their smoothed mean is the clock.
 """
@@ -18,6 +18,7 @@ from .window import Solution, Window
 
 #: Offsets are estimated over cells of this length, s.
 CELL_S = 1.0
+CELL_MADE_UP_S = 0.5
 #: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
 LARGEST_OFFSET_S = 0.4
 OFFSET_SIGMA_S = 0.15
@@ -26,7 +27,7 @@ OFFSET_SIGMA_S = 0.15
 WALKS = (0.0, 0.0003, 0.001)
 WALKS_MADE_UP = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
 WALK_GAIN = 6.0
-WALK_GAIN_MADE_UP = 3.0
+WALK_GAIN_MADE_UP = 0.0
 #: How far a single frame's made-up stamp is off, s: about a third of a dropped frame.
 MADE_UP_SIGMA_S = 0.015
 #: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
@@ -115,10 +116,11 @@ class ClockFit:
         clock = self.clocks[number]
         t = t - clock.mean_s  # back to the camera's clock, near enough to place knots
         part = self._curvature(number, clock.mean_s, float(slope.sum()), float(bound.sum()))
-        cell = np.floor((t - t.min()) / CELL_S).astype(int)
+        cell_s = CELL_MADE_UP_S if self._made_up[number] else CELL_S
+        cell = np.floor((t - t.min()) / cell_s).astype(int)
         pull = np.bincount(cell, weights=slope)
         information = part * np.bincount(cell, weights=bound)
-        middle = t.min() + CELL_S * (np.arange(len(pull)) + 0.5)
+        middle = t.min() + cell_s * (np.arange(len(pull)) + 0.5)
         seen = information > 1e-6 * information.max()
         middle, pull, information = middle[seen], pull[seen], information[seen]
         now = clock.at(middle)
@@ -161,7 +163,7 @@ def _pulls(
             velocity = np.gradient(states.p + states.R @ lever, window.t, axis=0)[sight.node]
             residual = solution.residuals[sight.joint]
             size = np.linalg.norm(residual, axis=1) / sight.sigma_m
-            weight = np.minimum(1.0, window.noise.huber / np.maximum(size, 1e-9)) / sight.sigma_m**2
+            weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / sight.sigma_m**2
             own = core[sight.node]
             t.append(window.t[sight.node][own])
             slope.append((weight * np.einsum("ni,ni->n", residual, velocity))[own])

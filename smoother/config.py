@@ -15,8 +15,8 @@ class CameraNoise(_Section):
     """What the camera's joints are believed to be worth before the recording tells."""
 
     joint_sigma_m: float = Field(0.010, gt=0, description="white noise of a joint, m an axis; start value")
-    huber: float = Field(
-        2.8, gt=0, description="length of a residual, in sigmas, where the robust loss turns linear"
+    cauchy: float = Field(
+        2.8, gt=0, description="length of a residual, in sigmas, where its weight is halved"
     )
 
 

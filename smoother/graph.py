@@ -190,7 +190,7 @@ def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
         is_lever = sight.joint in window.priors.layout.joints
         key = L(JOINTS.index(sight.joint))
         for node, position, sigma in zip(sight.node, sight.position, sight.sigma_m, strict=True):
-            model = robust(float(sigma), window.noise.huber)
+            model = robust(float(sigma), window.noise.cauchy)
             if is_lever:
                 graph.add(gtsam.GPSFactorArmCalib(X(node), key, position, model))
             else:
@@ -204,7 +204,7 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
     for k in range(len(shoulder.node)):
         values.insert(S(k), shoulder.start[k])
         if np.isfinite(shoulder.position[k, 0]):
-            model = robust(float(shoulder.sigma_m[k]), noise.huber)
+            model = robust(float(shoulder.sigma_m[k]), noise.cauchy)
             graph.add(gtsam.PriorFactorPoint3(S(k), shoulder.position[k], model))
     gaps = np.diff(window.t[shoulder.node])
     for k, gap_s in enumerate(gaps):
@@ -249,6 +249,6 @@ def isotropic(dimension: int, sigma: float) -> noiseModel.Isotropic:
 
 
 @lru_cache(maxsize=4096)
-def robust(sigma_m: float, huber: float) -> noiseModel.Robust:
-    """Huber's loss on a point of the camera (Huber, Ann. Math. Statist. 1964)."""
-    return noiseModel.Robust.Create(noiseModel.mEstimator.Huber.Create(huber), isotropic(3, sigma_m))
+def robust(sigma_m: float, cauchy: float) -> noiseModel.Robust:
+    """Cauchy's loss on a point of the camera: what is far off pulls less the farther it is."""
+    return noiseModel.Robust.Create(noiseModel.mEstimator.Cauchy.Create(cauchy), isotropic(3, sigma_m))

@@ -38,7 +38,7 @@ class JointBias:
             for sight in window.sights:
                 residual = solution.residuals[sight.joint]
                 size = np.linalg.norm(residual, axis=1) / sight.sigma_m
-                rows.setdefault(sight.joint, []).append(residual[size < 3.0 * window.noise.huber])
+                rows.setdefault(sight.joint, []).append(residual[size < 3.0 * window.noise.cauchy])
         self.joints = tuple(joint for joint, each in rows.items() if sum(map(len, each)) >= 10)
         if len(self.joints) < 2:
             return

@@ -17,6 +17,8 @@ from .window import Noise, Priors
 
 #: How well gravity's direction is known from the start values, rad.
 GRAVITY_SIGMA_RAD = 0.2
+#: The upper arm's length is never believed to vary more than this, m.
+LARGEST_FLEX_M = 0.04
 
 
 def first_priors(
@@ -66,15 +68,34 @@ def upper_arm_seen(pieces: list[Piece], config: Config) -> Length:
     return Length(float(np.median(np.concatenate(lengths))), config.arm.upper_arm_sigma_m)
 
 
-def noise_of(config: Config) -> Noise:
-    """The configuration's densities and losses as the graph takes them."""
+def upper_arm_flex(pieces: list[Piece], config: Config, sample_m: float) -> float:
+    """How far from constant the upper arm's length is as the camera sees it, m (one sigma).
+
+    The shoulder's joint moves in a real arm, and a skeleton follows it badly: what the visible lengths
+    vary more than the joints' noise explains (`sample_m`, m an axis).
+    """
+    shoulder, elbow = JOINTS.index("shoulder"), JOINTS.index("elbow")
+    lengths = [
+        np.linalg.norm(piece.position[both, elbow] - piece.position[both, shoulder], axis=1)
+        for piece in pieces
+        if (both := piece.accepted[:, shoulder] & piece.accepted[:, elbow]).sum() > 10
+    ]
+    if not lengths:
+        return config.arm.upper_arm_flex_m
+    spread = 1.4826 * np.median(np.abs(np.concatenate([each - np.median(each) for each in lengths])))
+    extra = float(np.sqrt(max(spread**2 - 2.0 * sample_m**2, 0.0)))
+    return float(np.clip(extra, config.arm.upper_arm_flex_m, LARGEST_FLEX_M))
+
+
+def noise_of(config: Config, flex_m: float) -> Noise:
+    """The configuration's densities and losses, and the upper arm's flex, as the graph takes them."""
     return Noise(
         accelerometer_density=config.imu.accelerometer_density,
         gyroscope_density=config.imu.gyroscope_density,
         accelerometer_share=config.imu.accelerometer_share,
         gyroscope_share=config.imu.gyroscope_share,
-        huber=config.camera.huber,
-        upper_arm_sigma_m=config.arm.upper_arm_flex_m,
+        cauchy=config.camera.cauchy,
+        upper_arm_sigma_m=round(flex_m, 4),
         shoulder_walk=config.arm.shoulder_walk,
     )
 

@@ -23,7 +23,7 @@ from .pieces import Piece
 from .plan import cut, cut_times
 from .pool import Pool
 from .prepare import GRAVITY, pairs, prepare
-from .priors import calibration_from, first_priors, noise_of, upper_arm_seen
+from .priors import calibration_from, first_priors, noise_of, upper_arm_flex, upper_arm_seen
 from .recording import JOINTS, FloatArray
 from .residuals import JointNoise, joint_noise, sigma_by_joint
 from .screen import by_attitude
@@ -51,6 +51,7 @@ class Knowledge:
     clocks : of each recording, t_imu = t_camera + offset.
     noise : of each forearm joint, by name.
     sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
+    flex_m : how far from constant the upper arm's length is, m.
     bias : the camera's constant errors, joint by joint.
     """
 
@@ -59,6 +60,7 @@ class Knowledge:
     clocks: tuple[Clock, ...]
     noise: dict[str, JointNoise]
     sigma_m: FloatArray
+    flex_m: float
     bias: JointBias
 
 
@@ -83,7 +85,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
     given = calibration
-    sigma_m = np.full(len(JOINTS), config.camera.joint_sigma_m)
+    sigma_m, flex_m = np.full(len(JOINTS), config.camera.joint_sigma_m), config.arm.upper_arm_flex_m
     made_up = {piece.recording: piece.made_up for piece in blocks}
     clocks = ClockFit(
         [constant(offset) for offset in mounting.offset_s],
@@ -105,12 +107,17 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
         sharing = sum(len(border) - 1 for border in borders)
         for (piece, _), stretch, border in zip(ready, stretches, borders, strict=True):
-            cuts = cut(stretch, prior, noise_of(config), border, config.windows.margin_s, GRAVITY, sharing)
+            cuts = cut(
+                stretch, prior, noise_of(config, flex_m), border, config.windows.margin_s, GRAVITY, sharing
+            )
             windows += cuts
             owner += [piece.recording] * len(cuts)
         answers = pool.solve(windows, False, lambda share: None)
-        found = calibration_from(combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m)
+        found = calibration_from(
+            combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
+        )
         noise = joint_noise(windows, answers)
+        flex_m = upper_arm_flex(blocks, config, max((each.sample_m for each in noise.values()), default=0.0))
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         times, errors = list(clocks.clocks), bias.found_m.copy()
         bias.step(windows, answers)
@@ -124,7 +131,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         calibration = _recentred(found, given, known)
         if moved < SETTLED_M:
             break
-    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, bias)
+    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias)
 
 
 def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> Piece:

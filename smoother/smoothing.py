@@ -23,7 +23,7 @@ from .recording import FOREARM_JOINTS, Recording
 from .result import Recovery
 from .screen import by_camera, by_residual
 from .selfcal import Knowledge, screen_attitude, self_calibrate
-from .window import Priors, Solution, Window
+from .window import Noise, Priors, Solution, Window
 
 Progress = Callable[[float, str], None]
 
@@ -80,8 +80,9 @@ def smooth(
         alignments = [each[1] for _, each in ready]
         # windows, graphs, solve: a first pass for what they share, a second with what the first one found
         prior = first_priors(stretches, alignments, [piece for piece, _ in ready], known.start, config)
+        noise = noise_of(config, known.flex_m)
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
-        first = _cut(stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config)
+        first = _cut(stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config, noise)
         answers = _solve(pool, first, False, lambda share: say(0.2 + 0.35 * share, "first pass"))
         heard = [answer.message for each in answers for answer in each]
         told = tell(heard, prior)
@@ -92,7 +93,7 @@ def smooth(
             believed, stretch = _believe(piece, stretch, motion, known, found, clock)
             pieces = [believed if each is piece else each for each in pieces]
             better.append(stretch)
-        second = _cut(better, borders, told, config)
+        second = _cut(better, borders, told, config, noise)
         answers = _solve(pool, second, True, lambda share: say(0.55 + 0.4 * share, "recovering"))
     # join
     motions = [
@@ -125,7 +126,11 @@ def _check(recording: Recording) -> None:
 
 
 def _cut(
-    stretches: list[Stretch], borders: list[list[float]], priors: list[Priors], config: Config
+    stretches: list[Stretch],
+    borders: list[list[float]],
+    priors: list[Priors],
+    config: Config,
+    noise: Noise,
 ) -> list[list[Window]]:
     """The windows of every stretch; `priors` in the order of all windows."""
     told = iter(priors)
@@ -133,7 +138,7 @@ def _cut(
         cut(
             stretch,
             [next(told) for _ in border[1:]],
-            noise_of(config),
+            noise,
             border,
             config.windows.margin_s,
             GRAVITY,

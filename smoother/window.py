@@ -104,7 +104,7 @@ class Noise:
     gyroscope_density: float
     accelerometer_share: float
     gyroscope_share: float
-    huber: float
+    cauchy: float
     upper_arm_sigma_m: float
     shoulder_walk: float
 

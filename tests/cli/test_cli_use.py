@@ -115,7 +115,7 @@ def test_wrong_use_is_2(capsys, tmp_path, monkeypatch, arguments, sentence):
             "broken.toml: not a TOML file",
         ),
         (["smooth", "text.mcap", "-o", "out.mcap", "--config", "unknown.toml"], "no setting 'camera.frob'"),
-        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "range.toml"], "'camera.huber' = -1"),
+        (["smooth", "text.mcap", "-o", "out.mcap", "--config", "range.toml"], "'camera.cauchy' = -1"),
         (["smooth", "text.mcap", "-o", "out.mcap", "--config", "binary.toml"], "no UTF-8 text"),
         (["smooth", "text.mcap", "-o", "out.mcap", "--calibration", "missing.toml"], "missing.toml"),
         (["validate", "text.mcap", "--truth", "t.csv"], "text.mcap"),
@@ -136,7 +136,7 @@ def test_what_cannot_be_done_is_1(capsys, tmp_path, monkeypatch, arguments, sent
     Path("folder").mkdir()
     Path("broken.toml").write_text("[camera\n")
     Path("unknown.toml").write_text("[camera]\nfrob = 1\n")
-    Path("range.toml").write_text("[camera]\nhuber = -1\n")
+    Path("range.toml").write_text("[camera]\ncauchy = -1\n")
     Path("binary.toml").write_bytes(b"\xff\xfe\x00")
     before = sorted(path.name for path in tmp_path.iterdir())
     failed(capsys, arguments, 1, sentence)

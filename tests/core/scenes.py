@@ -92,8 +92,8 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
     return [job for job in jobs(recording, calibration, config) if job.with_covariance]
 
 
-def plain(window: Window, huber: float = 1e6) -> Window:
+def plain(window: Window, cauchy: float = 1e6) -> Window:
     """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
     inertia = replace(window.inertia, velocity_error=np.zeros(len(window.t) - 1))
-    noise = replace(window.noise, huber=huber, accelerometer_share=0.0, gyroscope_share=0.0)
+    noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
     return replace(window, noise=noise, inertia=inertia)
