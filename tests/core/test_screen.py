@@ -1,4 +1,4 @@
-"""Samples that call themselves tracked and are set aside: every rule by itself, and what all have in common."""
+"""Samples that call themselves tracked and are set aside: rule by rule, and all of them."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_off_the_ray_the_ray_s_rule_is_silent() -> None:
     elbow, wrist = piece.position[:, ELBOW], piece.position[:, WRIST]
     turned = Rotation.from_rotvec([0.0, np.radians(20.0), 0.0]).apply(wrist - elbow)
     off = with_position(piece, slice(40, 60), WRIST, (elbow + 0.8 * turned)[40:60])
-    assert by_attitude(off, off.frame_t, RESTING, X).accepted.all(axis=0)[WRIST]
+    assert by_attitude(off, off.frame_t, RESTING, X).accepted[:, WRIST].all()
 
 
 @pytest.mark.parametrize(
