@@ -27,3 +27,9 @@ def skew(v: FloatArray) -> FloatArray:
     matrix = np.zeros((*v.shape[:-1], 3, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     return matrix - np.swapaxes(matrix, -1, -2)
+
+
+def inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of a symmetric matrix, kept symmetric."""
+    answer = np.linalg.inv(matrix)
+    return np.asarray(0.5 * (answer + answer.T), dtype=np.float64)

@@ -106,11 +106,11 @@ class ClockFit:
 
     def step(self, windows: Sequence[Window], solutions: Sequence[Solution], owner: IntArray) -> None:
         """Move every clock by what the residuals of another round say."""
-        for number in np.unique(owner):
-            chosen = np.flatnonzero(owner == number)
+        for number in np.unique(owner).tolist():
+            chosen = np.flatnonzero(owner == number).tolist()
             t, slope, bound = _pulls([windows[k] for k in chosen], [solutions[k] for k in chosen])
             if bound.sum() > 0:
-                self.clocks[number] = self._moved(int(number), t, slope, bound)
+                self.clocks[number] = self._moved(number, t, slope, bound)
 
     def _moved(self, number: int, t: FloatArray, slope: FloatArray, bound: FloatArray) -> Clock:
         clock = self.clocks[number]

@@ -14,40 +14,44 @@ class _Section(BaseModel):
 class CameraNoise(_Section):
     """What the camera's joints are believed to be worth before the recording tells."""
 
-    joint_sigma_m: float = Field(0.010, gt=0, description="white noise of a joint, m an axis; start value")
+    joint_sigma_m: float = Field(
+        default=0.010, gt=0, description="white noise of a joint, m an axis; start value"
+    )
     cauchy: float = Field(
-        2.8, gt=0, description="length of a residual, in sigmas, where its weight is halved"
+        default=2.8, gt=0, description="length of a residual, in sigmas, where its weight is halved"
     )
 
 
 class ImuNoise(_Section):
     """The inertial sensor, errors of scale and mounting of a consumer device included."""
 
-    accelerometer_density: float = Field(0.01, gt=0, description="m/s^2/sqrt(Hz)")
-    gyroscope_density: float = Field(0.0015, gt=0, description="rad/s/sqrt(Hz)")
-    accelerometer_share: float = Field(0.006, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)")
-    gyroscope_share: float = Field(0.002, ge=0, description="density a rad/s of turning, sqrt(s)")
-    accelerometer_bias_sigma: float = Field(0.3, gt=0, description="m/s^2, before the first pass")
-    gyroscope_bias_sigma: float = Field(0.05, gt=0, description="rad/s, before the first pass")
-    accelerometer_bias_walk: float = Field(0.03, gt=0, description="m/s^2/sqrt(s) inside a window")
-    gyroscope_bias_walk: float = Field(0.001, gt=0, description="rad/s/sqrt(s) inside a window")
+    accelerometer_density: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(Hz)")
+    gyroscope_density: float = Field(default=0.0015, gt=0, description="rad/s/sqrt(Hz)")
+    accelerometer_share: float = Field(
+        default=0.006, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)"
+    )
+    gyroscope_share: float = Field(default=0.002, ge=0, description="density a rad/s of turning, sqrt(s)")
+    accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the first pass")
+    gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the first pass")
+    accelerometer_bias_walk: float = Field(default=0.03, gt=0, description="m/s^2/sqrt(s) inside a window")
+    gyroscope_bias_walk: float = Field(default=0.001, gt=0, description="rad/s/sqrt(s) inside a window")
 
 
 class ArmPrior(_Section):
     """What is believed of the arm before the recording tells."""
 
-    upper_arm_m: float = Field(0.30, gt=0, description="shoulder to elbow where nothing is known, m")
-    upper_arm_sigma_m: float = Field(0.05, gt=0, description="m")
-    upper_arm_flex_m: float = Field(0.005, gt=0, description="how far from constant the length is, m")
-    shoulder_walk: float = Field(0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
+    upper_arm_m: float = Field(default=0.30, gt=0, description="shoulder to elbow where nothing is known, m")
+    upper_arm_sigma_m: float = Field(default=0.05, gt=0, description="m")
+    upper_arm_flex_m: float = Field(default=0.005, gt=0, description="how far from constant the length is, m")
+    shoulder_walk: float = Field(default=0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
 
 
 class Windows(_Section):
     """How a recording is cut into pieces that are solved side by side."""
 
-    margin_s: float = Field(1.5, gt=0, description="visible time on both sides of a gap, s")
-    length_s: float = Field(8.0, gt=0, description="length aimed at where no gap decides, s")
-    processes: int = Field(0, ge=0, description="worker processes; 0 = one a core")
+    margin_s: float = Field(default=1.5, gt=0, description="visible time on both sides of a gap, s")
+    length_s: float = Field(default=8.0, gt=0, description="length aimed at where no gap decides, s")
+    processes: int = Field(default=0, ge=0, description="worker processes; 0 = one a core")
 
 
 class Config(_Section):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .arrays import inverse
 from .recording import FloatArray
 from .shared import Gaussian
 from .window import Message, Priors
@@ -31,7 +32,7 @@ class _Information:
         return _Information(self.matrix + other.matrix, self.vector + other.vector)
 
     def gaussian(self) -> Gaussian:
-        covariance = np.linalg.inv(self.matrix)
+        covariance = inverse(self.matrix)
         return Gaussian(covariance @ self.vector, covariance)
 
 
@@ -67,10 +68,10 @@ def _part(whole: Gaussian, part: slice) -> Gaussian:
 
 def _heard(answers: list[Gaussian], prior: Gaussian) -> tuple[_Information, list[_Information], FloatArray]:
     """The prior, each window's own data widened by the spread between windows, and that spread."""
-    before = np.linalg.inv(prior.covariance)
+    before = inverse(prior.covariance)
     own = []
     for answer in answers:  # take the prior out of each answer
-        matrix = np.linalg.inv(answer.covariance)
+        matrix = inverse(answer.covariance)
         own.append(_Information(_positive(matrix - before), matrix @ answer.mean - before @ prior.mean))
     spread = _excess(own, len(prior.mean))
     start = _Information(before, before @ prior.mean)

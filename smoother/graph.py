@@ -126,7 +126,7 @@ def shared_jacobian(layout: Layout, down: Unit3) -> FloatArray:
 def _add_shared(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, biases: IntArray
 ) -> None:
-    """One joint Gaussian prior (`HessianFactor`), and the biases' random walk (`BetweenFactorConstantBias`)."""
+    """One joint Gaussian prior (`HessianFactor`), a random walk of the biases (`BetweenFactor..`)."""
     priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
     bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:6])
     count = int(biases[-1]) + 1
@@ -218,9 +218,9 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
     # `RangeFactorWithTransformBias3D`: the length's correction is the variable U
     length = float(mean[layout.upper_arm][0])
     at_elbow = Pose3(Rot3(), mean[layout.lever("elbow")])
-    model = isotropic(1, noise.upper_arm_sigma_m)
+    length_model = isotropic(1, noise.upper_arm_sigma_m)
     for k, node in enumerate(shoulder.node):
-        graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, model, at_elbow))
+        graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, length_model, at_elbow))
 
 
 def _add_quiet(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:

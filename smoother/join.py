@@ -158,13 +158,13 @@ def at_times(motion: Motion, signal: InertialSignal, at: FloatArray) -> States:
         go = ~ends
         R[a[go] + 1], p[a[go] + 1], v[a[go] + 1] = next_R[go], next_p[go], next_v[go]
     row = np.searchsorted(union, at)
-    k = interval[row]
-    length = np.diff(nodes)[k]
+    of = interval[row]
+    length = np.diff(nodes)[of]
     is_node = np.isin(at, nodes, assume_unique=True)
-    u = np.where(is_node, 0.0, (at - nodes[k]) / length)[:, None]
+    u = np.where(is_node, 0.0, (at - nodes[of]) / length)[:, None]
     length = length[:, None]
     # the cubic with value and slope 0 at the start, (error_p, error_v) at the end
-    value = error_p[k] * (3 * u**2 - 2 * u**3) + error_v[k] * length * (u**3 - u**2)
-    slope = error_p[k] * (6 * u - 6 * u**2) / length + error_v[k] * (3 * u**2 - 2 * u)
-    turned = R[row] @ Rotation.from_rotvec(error_R[k] * u).as_matrix()
+    value = error_p[of] * (3 * u**2 - 2 * u**3) + error_v[of] * length * (u**3 - u**2)
+    slope = error_p[of] * (6 * u - 6 * u**2) / length + error_v[of] * (3 * u**2 - 2 * u)
+    turned = R[row] @ Rotation.from_rotvec(error_R[of] * u).as_matrix()
     return States(turned, p[row] + value, v[row] + slope)

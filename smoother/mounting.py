@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from .calibration import ArmCalibration, LeverArm
 from .pieces import Piece
-from .recording import FOREARM_JOINTS, JOINTS, FloatArray
+from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
 from .start import Alignment, acceleration_pairs, align, direction_pairs
 
 #: Clock offsets tried first, s.
@@ -76,18 +76,18 @@ def _seen(pieces: list[Piece]) -> list[str]:
     ]
 
 
-def _both(piece: Piece) -> FloatArray:
+def _both(piece: Piece) -> BoolArray:
     """Frames of the part looked at in which elbow and wrist are accepted, thinned out."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
     rows = inside & piece.accepted[:, elbow] & piece.accepted[:, wrist]
     cell = np.floor(piece.frame_t * DIRECTION_RATE_HZ).astype(int)
     first = np.concatenate(([True], np.diff(cell) > 0))
-    return rows & (first if len(rows) > 200 else True)
+    return rows & first if len(rows) > 200 else rows
 
 
 def _direction_and_offset(
-    pieces: list[Piece], both: list[FloatArray], count: int, known: FloatArray | None
+    pieces: list[Piece], both: list[BoolArray], count: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
     directions = _sphere(400) if known is None else known[None]
@@ -117,7 +117,7 @@ def _direction_and_offset(
     return choice, best, margin
 
 
-def _losses(piece: Piece, rows: FloatArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
+def _losses(piece: Piece, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
     """Wahba's loss (offsets, directions), in units of the direction's variance."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     along = piece.position[rows, wrist] - piece.position[rows, elbow]

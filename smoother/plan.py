@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def cut(
     sharing : how many windows share the attitude prior, of all stretches.
     """
     windows = []
-    for index, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+    for index, (a, b) in enumerate(pairwise(borders)):
         lo = int(np.searchsorted(stretch.t, a - margin_s, side="left"))
         hi = int(np.searchsorted(stretch.t, b + margin_s, side="right"))
         rows = slice(lo, hi)

@@ -10,7 +10,7 @@ from .calibration import ArmCalibration, Length, LeverArm
 from .config import Config
 from .pieces import Piece
 from .plan import Stretch
-from .recording import JOINTS, FloatArray
+from .recording import JOINTS
 from .shared import Gaussian, Layout, axes_across
 from .start import Alignment
 from .window import Noise, Priors

@@ -69,7 +69,7 @@ def _memory(found: dict[str, list[FloatArray]], times: dict[str, list[FloatArray
     """Autocorrelation of all joints together: one joint alone would talk itself out of the solution."""
     spacing = np.concatenate([np.diff(t) for each in times.values() for t in each])
     step = float(np.median(spacing)) if len(spacing) else 1.0
-    lags = max(int(round(LONGEST_LAG_S / step)), 1)
+    lags = max(round(LONGEST_LAG_S / step), 1)
     sums, counts = np.zeros(lags + 1), np.zeros(lags + 1)
     for joint, series in found.items():
         robust = _robust(np.vstack(series))

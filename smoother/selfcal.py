@@ -9,6 +9,7 @@ the camera's noise measured from the residuals, and the clock offset moved along
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,9 +95,10 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     bias, seen = JointBias(), blocks
     for _ in range(ROUNDS):
         ready = [
-            (piece, prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m)) for piece in blocks
+            (piece, each)
+            for piece in blocks
+            if (each := prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m)) is not None
         ]
-        ready = [(piece, each) for piece, each in ready if each is not None]
         if not ready:
             raise CalibrationError("at no time do the IMU and a visible forearm come together")
         stretches = [each[0] for _, each in ready]
@@ -178,12 +180,9 @@ def choose_blocks(pieces: list[Piece]) -> list[Piece]:
         return pieces
     blocks: list[tuple[float, Piece]] = []
     for piece in pieces:
-        count = max(int(round((piece.end_s - piece.start_s) / BLOCK_S)), 1)
+        count = max(round((piece.end_s - piece.start_s) / BLOCK_S), 1)
         edges = np.linspace(piece.start_s, piece.end_s, count + 1)
-        blocks += [
-            (_worth(piece.between(a, b)), piece.between(a, b))
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        blocks += [(_worth(piece.between(a, b)), piece.between(a, b)) for a, b in pairwise(edges)]
     wanted = max(int(BLOCKS_S / BLOCK_S), 1)
     groups = np.array_split(np.arange(len(blocks)), min(wanted, len(blocks)))
     return [blocks[max(group, key=lambda k: blocks[k][0])][1] for group in groups]

@@ -64,7 +64,7 @@ class Layout:
         """Unit vector of gravity (3,) in {K}."""
         across = self.gravity_axes.T @ vector[self.gravity]
         along = np.cross(self.gravity_axes[0], self.gravity_axes[1])
-        return across + along * np.sqrt(max(1.0 - across @ across, 1e-6))
+        return across + along * np.sqrt(max(1.0 - float(across @ across), 1e-6))
 
 
 def axes_across(down: FloatArray) -> FloatArray:

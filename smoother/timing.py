@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from .recording import BoolArray, FloatArray, ImuStream
@@ -21,7 +23,7 @@ def split_at_pauses(imu: ImuStream) -> list[slice]:
     pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
     cuts = np.flatnonzero(dt > pause_s) + 1
     edges = [0, *cuts.tolist(), len(imu.t_s)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def thin(t: FloatArray) -> BoolArray:

@@ -121,7 +121,8 @@ def arm(options: argparse.Namespace) -> None:
 
 def _parts(figures: dict) -> str:
     return "  ".join(
-        f"{part} {100 * figures[part]['position_rms_m']:5.2f} / {100 * figures[part]['position_max_m']:5.2f} cm"
+        f"{part} {100 * figures[part]['position_rms_m']:5.2f} /"
+        f" {100 * figures[part]['position_max_m']:5.2f} cm"
         f" {figures[part]['orientation_rms_deg']:5.2f} deg ({figures[part]['nees']:5.2f})"
         for part in ("occluded", "visible")
     )
@@ -218,11 +219,13 @@ def _show_utd(title: str, rows: list) -> None:
     graph, line = (np.concatenate([r[k] for r in rows]) for k in (3, 4))
     trial = [(np.sqrt(np.mean(r[3] ** 2)), np.sqrt(np.mean(r[4] ** 2))) for r in rows]
     print(
-        f"  {title:15}: graph rms {100 * np.sqrt(np.mean(graph**2)):5.1f} median {100 * np.median(graph):5.1f} cm"
+        f"  {title:15}: graph rms {100 * np.sqrt(np.mean(graph**2)):5.1f}"
+        f" median {100 * np.median(graph):5.1f} cm"
         f"   interpolation rms {100 * np.sqrt(np.mean(line**2)):5.1f} median {100 * np.median(line):5.1f} cm"
         f"   graph nearer in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}"
         f"   median sigma {100 * np.median([r[5] for r in rows]):4.1f} cm"
-        f"   inside 2 sigma (camera's noise added) {100 * np.mean(np.concatenate([r[6] for r in rows])):3.0f} %"
+        f"   inside 2 sigma (camera's noise added)"
+        f" {100 * np.mean(np.concatenate([r[6] for r in rows])):3.0f} %"
     )
 
 
