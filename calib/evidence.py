@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from smoother.pieces import Piece
 from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.result import Recovery
 
 #: Turning about the forearm's axis is measured within stretches of this length: the gyro's sum drifts, s.
 STRETCH_S = 10.0
@@ -74,6 +76,41 @@ def gather(pieces: Sequence[Piece], direction: FloatArray | None) -> Evidence:
         turning_rad_s=float(np.sqrt(square / time)) if time > 0 else float("nan"),
         axial_rad=float("nan") if direction is None else axial,
     )
+
+
+def gather_from(recovery: Recovery) -> Evidence:
+    """The evidence of one recovered recording: how its answer turned while the camera saw the forearm."""
+    known = recovery.calibration
+    direction = None if known is None else known.forearm_direction
+    frames = _frames_of(recovery)
+    t, q = recovery.t_s, recovery.quaternion
+    if len(t) < 2:
+        return Evidence(0.0, frames, float("nan"), float("nan"))
+    dt = np.diff(t)
+    good: BoolArray = np.all(np.isfinite(q), axis=1)
+    turn = np.zeros((len(dt), 3))
+    both = good[1:] & good[:-1] & (dt > 0)
+    if both.any():
+        before = Rotation.from_quat(q[:-1][both], scalar_first=True)
+        turn[both] = (before.inv() * Rotation.from_quat(q[1:][both], scalar_first=True)).as_rotvec()
+    seen = both & ~(recovery.occluded[1:] | recovery.occluded[:-1])
+    time = float(dt[seen].sum())
+    axial = float("nan")
+    if direction is not None:
+        axial = _axial(t, np.append(0.0, np.cumsum(turn @ direction)), seen)
+    rate = np.sqrt(np.sum(turn[seen] ** 2 / dt[seen, None]) / time) if time > 0 else np.nan
+    return Evidence(time, frames, float(rate), axial)
+
+
+def _frames_of(recovery: Recovery) -> dict[str, int]:
+    """Camera samples by joint that took part; those tracked where the method keeps no residuals."""
+    if recovery.residuals is not None:
+        used = recovery.residuals.used
+    else:
+        used = np.stack([recovery.arm.tracked(joint) for joint in JOINTS], axis=1)
+    frames = {joint: int(used[:, column].sum()) for column, joint in enumerate(JOINTS)}
+    both = used[:, [JOINTS.index("shoulder"), JOINTS.index("elbow")]].all(axis=1)
+    return frames | {"upper_arm": int(both.sum())}
 
 
 def _count(piece: Piece, *joints: str) -> int:

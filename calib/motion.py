@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from smoother.calibration import ArmCalibration
 from smoother.clock import LARGEST_OFFSET_S
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.pieces import take_apart
 from smoother.pool import Pool
-from smoother.recording import Recording
+from smoother.recording import JOINTS, Recording
 from smoother.screen import by_camera
 from smoother.selfcal import Knowledge, self_calibrate
 
 from .evidence import ClockOffset, Evidence, gather
 from .forearm_frame import ForearmFrame, forearm_frame
+from .found import Found, JointError, names_given
 from .words import clocks_not_determined, not_determined
 
 
@@ -33,6 +36,7 @@ class MotionCalibration:
     frame : the forearm's axes in the IMU with their sigmas, None without elbow and wrist.
     evidence : how long the forearm was seen, and how it moved.
     not_determined : what the motion left open, one sentence each.
+    given : what was given beforehand, by name.
     """
 
     calibration: ArmCalibration
@@ -42,6 +46,25 @@ class MotionCalibration:
     frame: ForearmFrame | None
     evidence: Evidence
     not_determined: tuple[str, ...]
+    given: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> Found:
+        """The same in the form that recoveries share."""
+        bias = self.knowledge.bias
+        return Found(
+            calibration=self.calibration,
+            frame=self.frame,
+            offsets=self.offsets,
+            evidence=self.evidence,
+            not_determined=self.not_determined,
+            camera={
+                joint: JointError(noise.sample_m, float(np.linalg.norm(bias.found_m[JOINTS.index(joint)])))
+                for joint, noise in self.knowledge.noise.items()
+            },
+            joint_bias_sigma_m=bias.sigma_m,
+            given=self.given,
+        )
 
 
 def calibrate_motion(
@@ -80,7 +103,10 @@ def calibrate_motion(
         calibration = replace(calibration, R_F_A=frame.R_F_A)
     evidence = gather(pieces, calibration.forearm_direction)
     offsets = _offsets(recordings, {piece.recording for piece in pieces}, knowledge)
-    left_open = not_determined(calibration, frame, evidence, known) + clocks_not_determined(offsets)
+    left_open = [
+        *not_determined(calibration, frame, evidence, known, knowledge.bias.sigma_m),
+        *clocks_not_determined(offsets),
+    ]
     return MotionCalibration(
         calibration=calibration,
         knowledge=knowledge,
@@ -89,6 +115,7 @@ def calibrate_motion(
         frame=frame,
         evidence=evidence,
         not_determined=tuple(left_open),
+        given=names_given(known),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from smoother.calibration import ArmCalibration
+from smoother.recording import FloatArray
 
 from .evidence import ClockOffset, Evidence
 from .forearm_frame import ForearmFrame
@@ -17,6 +18,7 @@ UPPER_ARM_SIGMA_M = 0.020
 DIRECTION_SIGMA_RAD = np.radians(3.0)
 ROLL_SIGMA_RAD = np.radians(10.0)
 CLOCK_SIGMA_S = 0.005
+JOINT_BIAS_M = 0.005
 #: Less than this is hardly any motion.
 LITTLE_AXIAL_RAD = np.radians(60.0)
 LITTLE_TURNING_RAD_S = 0.2
@@ -25,7 +27,11 @@ FEW_FRAMES = 30
 
 
 def not_determined(
-    calibration: ArmCalibration, frame: ForearmFrame | None, evidence: Evidence, known: ArmCalibration
+    calibration: ArmCalibration,
+    frame: ForearmFrame | None,
+    evidence: Evidence,
+    known: ArmCalibration,
+    joint_bias_m: float = 0.0,
 ) -> list[str]:
     """What the motion left open, one sentence each, the causes first.
 
@@ -35,23 +41,34 @@ def not_determined(
     frame : the forearm's axes, None without both lever arms.
     evidence : what the recordings showed.
     known : what was given beforehand; nothing is said of it.
+    joint_bias_m : constant error of the camera's joints, m an axis, a part of every sigma; it is named
+        once, as it is no fault of the motion.
     """
+    if is_point(evidence):
+        return _causes(evidence, "sensor")
     return [
-        *_causes(evidence),
+        *_causes(evidence, "forearm"),
         *_missing(calibration, evidence),
-        *_levers(calibration, known),
-        *_roll(frame, evidence, known),
-        *_upper_arm(calibration, evidence, known),
+        *_bias(calibration, known, joint_bias_m),
+        *_levers(calibration, known, joint_bias_m),
+        *_roll(frame, evidence, known, joint_bias_m),
+        *_upper_arm(calibration, evidence, known, joint_bias_m),
     ]
 
 
-def _causes(evidence: Evidence) -> list[str]:
+def is_point(evidence: Evidence) -> bool:
+    """Whether the camera saw the sensor itself and no joint: nothing of an arm can be asked."""
+    seen = evidence.frames
+    return seen.get("strap", 0) > 0 and not any(seen.get(joint, 0) for joint in ("elbow", "wrist", "hand"))
+
+
+def _causes(evidence: Evidence, what: str) -> list[str]:
     said = []
     if evidence.visible_s < LITTLE_VISIBLE_S:
-        said.append(f"the forearm was visible for {evidence.visible_s:.0f} s only")
+        said.append(f"the {what} was visible for {evidence.visible_s:.0f} s only")
     if evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
         rate = np.degrees(evidence.turning_rad_s)
-        said.append(f"the forearm hardly moved while it was visible ({rate:.0f} degrees/s on average)")
+        said.append(f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)")
     return said
 
 
@@ -65,14 +82,29 @@ def _missing(calibration: ArmCalibration, evidence: Evidence) -> list[str]:
     return said
 
 
-def _levers(calibration: ArmCalibration, known: ArmCalibration) -> list[str]:
+def beyond(sigma_m: FloatArray, joint_bias_m: float) -> FloatArray:
+    """What a standard deviation holds besides the camera's constant errors, m."""
+    bias = joint_bias_m if np.isfinite(joint_bias_m) else 0.0
+    return np.sqrt(np.maximum(np.square(sigma_m) - bias**2, 0.0))
+
+
+def _bias(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: float) -> list[str]:
+    if not joint_bias_m > JOINT_BIAS_M or not set(calibration.lever_arms) - set(known.lever_arms):
+        return []
+    return [
+        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (an axis), always in the same way: "
+        "lever arms and lengths are known no better, whatever the motion"
+    ]
+
+
+def _levers(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: float) -> list[str]:
     said = []
     for joint, lever in calibration.lever_arms.items():
         if joint in known.lever_arms:
             continue
         open_axes = [
             f"{axis} to {1e3 * sigma:.0f} mm"
-            for axis, sigma in zip("xyz", lever.sigma_m, strict=True)
+            for axis, sigma in zip("xyz", beyond(lever.sigma_m, joint_bias_m), strict=True)
             if sigma > LEVER_SIGMA_M
         ]
         if open_axes:
@@ -80,7 +112,9 @@ def _levers(calibration: ArmCalibration, known: ArmCalibration) -> list[str]:
     return said
 
 
-def _roll(frame: ForearmFrame | None, evidence: Evidence, known: ArmCalibration) -> list[str]:
+def _roll(
+    frame: ForearmFrame | None, evidence: Evidence, known: ArmCalibration, joint_bias_m: float
+) -> list[str]:
     if known.R_F_A is not None:
         return []
     if frame is None:
@@ -101,21 +135,27 @@ def _roll(frame: ForearmFrame | None, evidence: Evidence, known: ArmCalibration)
         if evidence.axial_rad < LITTLE_AXIAL_RAD:
             turned = np.degrees(evidence.axial_rad)
             cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
+        elif joint_bias_m > JOINT_BIAS_M:
+            cause = "with the camera's constant errors "
         said.append(f"{cause}roll is known to {degrees:.0f} degrees only")
     if frame.R_F_A is None:
         said.append("R_F_A is left open; recovering does not need it")
     return said
 
 
-def _upper_arm(calibration: ArmCalibration, evidence: Evidence, known: ArmCalibration) -> list[str]:
+def _upper_arm(
+    calibration: ArmCalibration, evidence: Evidence, known: ArmCalibration, joint_bias_m: float
+) -> list[str]:
     if known.upper_arm is not None:
         return []
     if evidence.frames.get("upper_arm", 0) == 0:
         return ["shoulder and elbow were never seen together: the upper arm's length is not known"]
     if evidence.frames["upper_arm"] < FEW_FRAMES:
         return [f"shoulder and elbow were seen together in {evidence.frames['upper_arm']} frames only"]
-    if calibration.upper_arm is not None and calibration.upper_arm.sigma_m > UPPER_ARM_SIGMA_M:
-        return [f"the upper arm's length is known to {1e3 * calibration.upper_arm.sigma_m:.0f} mm only"]
+    if calibration.upper_arm is not None:
+        sigma_m = float(beyond(np.array(calibration.upper_arm.sigma_m), joint_bias_m))
+        if sigma_m > UPPER_ARM_SIGMA_M:
+            return [f"the upper arm's length is known to {1e3 * sigma_m:.0f} mm only"]
     return []
 
 

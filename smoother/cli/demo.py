@@ -31,11 +31,10 @@ def demo(
     """Recover a small recording, hold it against its truth, and write a report."""
     from .. import smooth
     from ..evaluation import validate
-    from ..evaluation.summary import recovery_figures
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config_file import read_config, with_processes
-    from .smooth import print_recovery
+    from .smooth import print_recovery, smooth_figures, with_given
     from .validate import print_validation
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -45,11 +44,12 @@ def demo(
     say(f"recording: {source}")
     with progress_bar("recovering") as progress:
         recovery = smooth(recording, calibration, with_processes(read_config(None), processes), progress)
+    recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     write_recovery([recovery], result, source=source, force=True)
     found = None if recording.truth is None else validate(recovery, recording.truth)
     write_report(recovery, report, recording=recording, validation=found, truth=recording.truth, force=True)
-    figures = {"recovery": recovery_figures(recovery), "validation": found and found.to_dict()}
+    figures = {"recovery": smooth_figures(recording, recovery), "validation": found and found.to_dict()}
     write_json(json_file, figures | {"report": report}, True)
     print_recovery(recording, recovery)
     if found is not None:

@@ -1,44 +1,33 @@
-"""Answers that are too uncertain to keep."""
+"""Answers that are too uncertain to use."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from ..recording import BoolArray, FloatArray
 from ..result import Recovery
 
 
 def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
-    """Blank the samples whose position is less certain than asked for.
+    """Mark the samples whose position is less certain than asked for; they stay as they are.
 
     Parameters
     ----------
-    max_sigma_m : largest standard deviation on the worst axis that is kept, m; None keeps all.
+    max_sigma_m : largest standard deviation on the worst axis that is of use, m; None marks nothing.
 
     Returns
     -------
-    The recovery with nan in those samples, covariances kept, and a note that says how many.
+    The recovery with the limit among its figures, from which `io.usable` derives the marks, and a note
+    that says how many samples it concerns.
     """
     if max_sigma_m is None:
         return recovery
-    unsure: BoolArray = np.any(recovery.sigma_m > max_sigma_m, axis=1)
-    if not unsure.any():
-        return recovery
+    from ..io.usable import LIMIT, usable
 
-    def blank(values: FloatArray) -> FloatArray:
-        return np.where(unsure[:, None], np.nan, values)
-
+    answered = int(usable(recovery).sum())
+    marked = replace(recovery, figures={**recovery.figures, LIMIT: float(max_sigma_m)})
+    kept = int(usable(marked).sum())
     note = (
-        f"{int(unsure.sum())} of {len(unsure)} samples are less certain than {max_sigma_m:g} m"
-        " (one standard deviation) and were left without an answer."
+        f"{answered - kept} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
+        " deviation) and are marked as not to be used: `usable` is 0 in the CSV export."
     )
-    return replace(
-        recovery,
-        position=blank(recovery.position),
-        quaternion=blank(recovery.quaternion),
-        velocity=blank(recovery.velocity),
-        joints={name: blank(value) for name, value in recovery.joints.items()},
-        notes=(*recovery.notes, note),
-    )
+    return replace(marked, notes=(*recovery.notes, note))

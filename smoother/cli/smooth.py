@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .found import found_figures, print_arm, print_camera, print_clock, print_open
 from .load import load_arm
 from .methods import MAKERS, choose
 from .options import (
@@ -28,6 +29,9 @@ from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 
 if TYPE_CHECKING:
+    from calib.found import Found
+
+    from ..calibration import ArmCalibration
     from ..recording import Recording
     from ..result import Recovery
 
@@ -48,14 +52,20 @@ def smooth(
     ] = False,
     max_sigma_m: Annotated[
         float | None,
-        typer.Option("--max-sigma-m", metavar="M", help="Leave answers out that are less certain than this."),
+        typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
     ] = None,
+    solve_lever_arms: Annotated[
+        bool,
+        typer.Option(
+            "--solve-lever-arms",
+            help="Also find how far the tracked strap lies from the IMU; without this it is the IMU's place.",
+        ),
+    ] = False,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
     """Recover the arm's motion in every gap, with its uncertainty, and write it as MCAP."""
-    from ..evaluation.summary import recovery_figures
     from ..io import write_recovery
     from .config_file import read_config, with_processes
     from .limit import limit_sigma
@@ -70,9 +80,10 @@ def smooth(
     recording, calibration = load_arm(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
     )
+    told = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("recovering") as progress:
-        recovery = MAKERS[names[0]](calibration, config, progress)(recording)
-    recovery = limit_sigma(recovery, max_sigma_m)
+        recovery = MAKERS[names[0]](told, config, progress)(recording)
+    recovery = limit_sigma(with_given(recovery, calibration), max_sigma_m)
     write_recovery(
         [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
     )
@@ -80,13 +91,62 @@ def smooth(
         from ..report import write_report
 
         write_report(recovery, report, recording=recording, force=force)
-    write_json(json_file, recovery_figures(recovery), force)
+    write_json(json_file, smooth_figures(recording, recovery), force)
     print_recovery(recording, recovery)
     say_written(output, report, json_file)
 
 
+#: How far the camera's strap may lie from the IMU where that is to be found, m an axis.
+STRAP_SIGMA_M = 0.02
+
+
+def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmCalibration:
+    """The calibration with the strap's lever arm as a variable, unless it holds one."""
+    import numpy as np
+
+    from ..calibration import ArmCalibration, LeverArm
+
+    calibration = calibration or ArmCalibration(side=recording.side)
+    if "strap" not in recording.arm.present:
+        raise typer.BadParameter(
+            "--solve-lever-arms is for recordings with a tracked strap;"
+            " lever arms of the joints are found without it"
+        )
+    strap = LeverArm(np.zeros(3), np.full(3, STRAP_SIGMA_M))
+    return replace(calibration, lever_arms={"strap": strap, **calibration.lever_arms})
+
+
+def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:
+    """The recovery with the names of what was given for it, so that only the rest is called found."""
+    from calib.found import GIVEN, names_given
+
+    given = names_given(calibration)
+    return replace(recovery, figures={**recovery.figures, GIVEN: list(given)}) if given else recovery
+
+
+def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
+    """All figures of a recovery, what it found and what it set aside included."""
+    from calib.found import found_in
+
+    from ..evaluation.advice import advice
+    from ..evaluation.rejected import rejected
+    from ..evaluation.summary import recovery_figures
+    from ..io.usable import usable
+
+    found = found_in(recovery, recording)
+    return recovery_figures(recovery) | {
+        "usable": int(usable(recovery).sum()),
+        "found": None if found is None else found_figures(found),
+        "not_determined": [] if found is None else list(found.not_determined),
+        "rejected": [row.to_dict() for row in rejected(recovery)],
+        "advice": advice(recovery, found),
+    }
+
+
 def print_recovery(recording: Recording, recovery: Recovery) -> None:
-    """Print a recovery's gaps and what must be known of it."""
+    """Print a recovery's gaps, what was found and set aside, and what must be known of it."""
+    from calib.found import found_in
+
     from ..evaluation.summary import gap_summaries, recovery_figures
     from .output import centimetres, print_table
 
@@ -105,16 +165,47 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
         f"{recovery.name}: {figures['duration_s']:.1f} s, {len(recovery)} samples,"
         f" {len(rows)} gaps, {figures['occluded_s']:.1f} s occluded"
     )
-    if math.isfinite(recovery.clock_offset_s):
-        sigma_ms = 1000 * recovery.clock_offset_sigma_s
-        known = f" +- {sigma_ms:.1f} ms" if math.isfinite(sigma_ms) else ""
-        say(f"the IMU's clock is {1000 * recovery.clock_offset_s:+.1f} ms{known} against the camera's")
     if rows:
         columns = ("gap starts, s", "length, s", "largest sigma, cm", "largest sigma, deg", "seen from")
         print_table("Gaps (sigma = one standard deviation)", columns, rows[:MOST_ROWS])
         if len(rows) > MOST_ROWS:
             say(f".. and {len(rows) - MOST_ROWS} gaps more; --json and the report have them all")
+    if (found := found_in(recovery, recording)) is not None:
+        print_found(found)
+    print_rejected(recovery)
     print_notes([*recording.notes, *recovery.notes])
+
+
+def print_found(found: Found) -> None:
+    """Print what the recording told of arm, sensor and clock, and what it did not."""
+    if not found.all_given:
+        print_arm(found)
+    for offset in found.offsets:
+        print_clock(offset)
+    print_camera(found)
+    print_open(found)
+
+
+def print_rejected(recovery: Recovery) -> None:
+    """Print what was set aside of the camera's samples, a row a reason."""
+    from ..evaluation.rejected import rejected
+    from .output import print_table
+
+    rows = rejected(recovery)
+    reasons = {row.reason: row.why for row in rows}
+    table = []
+    for reason, why in reasons.items():
+        mine = [row for row in rows if row.reason == reason]
+        table.append(
+            (
+                f"{reason}: {why}" if why else reason,
+                ", ".join(f"{row.joint} {row.count} ({100 * row.share:.1f} %)" for row in mine),
+                f"{min(row.first_s for row in mine):.1f} .. {max(row.last_s for row in mine):.1f}",
+            )
+        )
+    if table:
+        columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
+        print_table("Tracked samples that were set aside", columns, table)
 
 
 #: A table longer than this helps nobody on a terminal.

@@ -10,6 +10,7 @@ from ..recording import FloatArray
 from ..result import Recovery
 from .atomic import writing
 from .reading import nanoseconds
+from .usable import usable
 
 _ROWS = 20_000
 _JOINTS = ("elbow", "wrist", "shoulder")
@@ -28,6 +29,7 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
     -----
     Metres in the camera frame; `imu_q*` is the rotation IMU axes to camera; `t_s` is the IMU's own
     stamp with nine decimals; sigmas are one standard deviation an axis; velocity of the IMU, m/s.
+    `usable` (the last column) is 1 where there is an answer, below the limit on sigma if one was set.
 
     Raises
     ------
@@ -35,9 +37,10 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
         The file exists and `force` is not given, or it cannot be written.
     """
     header, values = csv_columns(recovery)
+    header, good = [*header, "usable"], usable(recovery).astype(int)
     stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
     occluded = recovery.occluded.astype(int)
-    line = "%s%d.%09d,%d" + ",%.9f" * values.shape[1] + "\n"
+    line = "%s%d.%09d,%d" + ",%.9f" * values.shape[1] + ",%d\n"
     with writing(path, force) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
         file.write(",".join(header) + "\n")
         for start in range(0, len(stamp), _ROWS):
@@ -45,13 +48,13 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
             whole, rest = np.divmod(np.abs(stamp[part]), 1_000_000_000)
             sign = np.where(stamp[part] < 0, "-", "").tolist()
             heads = zip(sign, whole.tolist(), rest.tolist(), occluded[part].tolist(), strict=True)
-            rows = values[part].tolist()
-            text = "".join([line % (*head, *row) for head, row in zip(heads, rows, strict=True)])
+            rows = zip(heads, values[part].tolist(), good[part].tolist(), strict=True)
+            text = "".join([line % (*head, *row, last) for head, row, last in rows])
             file.write(text.replace("nan", ""))
 
 
 def csv_columns(recovery: Recovery) -> tuple[list[str], FloatArray]:
-    """Header of the export, and its number columns (N, C) behind `t_s` and `occluded`."""
+    """Header of the export, and its number columns (N, C) between `t_s`, `occluded` and `usable`."""
     count = len(recovery)
     nothing = np.full((count, 3), np.nan)
     groups: list[tuple[list[str], FloatArray]] = [

@@ -108,14 +108,25 @@ def test_smooth_again_needs_force(session, capsys):
     assert (session / "out.mcap").read_bytes() == before
 
 
-def test_uncertain_answers_can_be_left_out(session, tmp_path, capsys):
+def test_uncertain_answers_are_marked(session, tmp_path, capsys):
     done(
         ["smooth", session / "rec.mcap", "-o", tmp_path / "o.mcap", "--calibration", session / "cal.toml"],
-        *("--max-sigma-m", 1e-5, "--json", tmp_path / "s.json"),
+        *("--max-sigma-m", 0.004, "--json", tmp_path / "s.json"),
     )
     figures = json.loads((tmp_path / "s.json").read_text())
-    assert figures["answered"] == 0
-    assert "left without an answer" in capsys.readouterr().out
+    assert figures["answered"] == figures["samples"]  # marked, not taken away
+    assert 0 < figures["usable"] < figures["samples"]
+    unsure = figures["samples"] - figures["usable"]
+    assert (
+        f"{unsure} of {figures['samples']} samples are less certain than 0.004 m" in capsys.readouterr().out
+    )
+    done(["export", tmp_path / "o.mcap", "--format", "csv", "-o", tmp_path / "o.csv"])
+    with open(tmp_path / "o.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert sum(row["usable"] == "0" for row in rows) == unsure
+    for row in rows:
+        assert row["imu_x"]
+        assert (max(float(row[f"sigma_{axis}"]) for axis in "xyz") <= 0.004) == (row["usable"] == "1")
 
 
 @pytest.mark.parametrize("source", ["mcap", "csv"])

@@ -1,0 +1,258 @@
+"""Advice for the next recording, from the figures of this one. Every function is pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from calib.found import Found
+from calib.words import (
+    LITTLE_AXIAL_RAD,
+    LITTLE_TURNING_RAD_S,
+    LITTLE_VISIBLE_S,
+    ROLL_SIGMA_RAD,
+    beyond,
+    is_point,
+)
+
+from ..recording import FloatArray
+from ..result import Recovery
+from .rejected import rejected
+from .summary import GapSummary, gap_summaries
+
+#: From here on a figure of a recording is worth a sentence.
+LEVER_SIGMA_M = 0.015
+CLOCK_SIGMA_S = 0.010
+CLOCK_DRIFT_S = 0.020
+LONG_GAP_S = 3.0
+WEAK_M = 0.05
+CAMERA_SIGMA_M = 0.015
+JOINT_BIAS_M = 0.015
+FREEZES = 0.02
+JUMPS = 0.02
+RAY_DEG = 20.0
+RAY_SHARE = 0.15
+RAY_REJECTED = 0.02
+SHOULDER_SHARE = 0.5
+SLOW_IMU_HZ = 40.0
+SLOW_CAMERA_HZ = 14.0
+
+NOTHING = "Nothing in this recording asks for a change: record the next one in the same way."
+
+
+def advice(recovery: Recovery, found: Found | None) -> list[str]:
+    """What to do better next time, one sentence each, what helps most first.
+
+    Parameters
+    ----------
+    recovery : the result, with its residuals.
+    found : what it found of arm, sensor and clock (`calib.found.found_in`); None without.
+    """
+    said = [
+        *_motion(found),
+        *_gaps(gap_summaries(recovery)),
+        *_clock(found),
+        *_shoulder(recovery),
+        *_towards_the_camera(recovery),
+        *_camera(recovery, found),
+        *_rates(recovery),
+    ]
+    return said or [NOTHING]
+
+
+def _motion(found: Found | None) -> list[str]:
+    if found is None or found.all_given:
+        return []
+    evidence, frame = found.evidence, found.frame
+    point = is_point(evidence)
+    if evidence.visible_s < LITTLE_VISIBLE_S or evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
+        what = "turn and move the sensor" if point else "bend and stretch the elbow and raise the arm"
+        return [
+            f"Begin with 20 s of lively motion in view ({what}): this recording showed"
+            f" {evidence.visible_s:.0f} s, turning {_degrees(evidence.turning_rad_s)} degrees/s on average."
+        ]
+    if point:
+        return []
+    said = []
+    if (
+        frame is not None
+        and frame.roll_sigma_rad > ROLL_SIGMA_RAD
+        and not evidence.axial_rad > LITTLE_AXIAL_RAD
+        and found.calibration.R_F_A is None
+    ):
+        known = np.degrees(frame.roll_sigma_rad)
+        how = f"is known to {known:.0f} degrees only" if known < 180 else "could not be told"
+        said.append(
+            "Turn the forearm about its own axis, palm up and palm down, three times in view: on which side"
+            f" of the forearm the sensor sits {how}."
+        )
+    worst = {
+        joint: float(np.max(beyond(lever.sigma_m, found.joint_bias_sigma_m)))
+        for joint, lever in found.calibration.lever_arms.items()
+        if joint not in found.given
+    }
+    rough = [joint for joint, sigma in worst.items() if sigma > LEVER_SIGMA_M]
+    if rough:
+        said.append(
+            f"Move the arm about more than one axis in view, sideways too: where the {_listed(rough)}"
+            f" {'lies' if len(rough) == 1 else 'lie'} as seen from the sensor is known to"
+            f" {100 * max(worst[joint] for joint in rough):.1f} cm only."
+        )
+    return said
+
+
+def _degrees(rate_rad_s: float) -> str:
+    return f"{np.degrees(rate_rad_s):.0f}" if np.isfinite(rate_rad_s) else "0"
+
+
+def _gaps(found: list[GapSummary]) -> list[str]:
+    said = []
+    early = [each for each in found if each.gap.open_start]
+    late = [each for each in found if each.gap.open_end]
+    if early or late:
+        when = [
+            *(["before the first movement out of view"] if early else []),
+            *(["after the last one"] if late else []),
+        ]
+        said.append(
+            f"Keep the forearm in view for at least 1.5 s {' and '.join(when)}: the gap"
+            f"{_times([*early, *late])} was seen from one side only."
+        )
+    two_sided = [each for each in found if not (each.gap.open_start or each.gap.open_end)]
+    weak = [each for each in two_sided if each.sigma_max_m is not None and each.sigma_max_m > WEAK_M]
+    long = [each for each in weak if each.gap.length_s > LONG_GAP_S]
+    if long:
+        said.append(
+            f"Bring the forearm into view for a moment every {LONG_GAP_S:.0f} s: in the gap{_times(long)} the"
+            f" position is known to {100 * max(each.sigma_max_m or 0.0 for each in long):.0f} cm only."
+        )
+    return said
+
+
+def _times(found: list[GapSummary]) -> str:
+    starts = [f"{each.gap.start_s:.1f} s" for each in found]
+    if len(starts) > 4:
+        starts = [*starts[:3], f"{len(starts) - 3} more"]
+    return f"{'s' if len(found) > 1 else ''} at {_listed(starts)}"
+
+
+def _clock(found: Found | None) -> list[str]:
+    if found is None:
+        return []
+    said = []
+    for each in found.offsets:
+        if each.sigma_s > CLOCK_SIGMA_S:
+            said.append(
+                "Move briskly at the start, in view: the clocks of sensor and camera were matched to"
+                f" {1000 * each.sigma_s:.0f} ms only."
+            )
+        if each.drift_s > CLOCK_DRIFT_S:
+            said.append(
+                "Keep the time stamps that the devices measure, not those of arrival or made up later: the"
+                f" clocks moved against each other by {1000 * each.drift_s:.0f} ms."
+            )
+    return said
+
+
+def _shoulder(recovery: Recovery) -> list[str]:
+    arm = recovery.arm
+    seen = arm.tracked("shoulder")
+    if not seen.any():
+        return (
+            ["Keep the shoulder in view: it and the upper arm's length say how far away the elbow can be."]
+            if arm.tracked("elbow").any() and recovery.gaps
+            else []
+        )
+    hidden = np.zeros(len(arm), dtype=bool)
+    for gap in recovery.gaps:
+        hidden |= (arm.t_s > gap.start_s) & (arm.t_s < gap.end_s)
+    if hidden.sum() < 5 or seen[hidden].mean() >= SHOULDER_SHARE:
+        return []
+    return [
+        "Keep the shoulder in view while the forearm is hidden: it was seen in"
+        f" {100 * seen[hidden].mean():.0f} % of those frames, and it limits where the elbow can be."
+    ]
+
+
+def _towards_the_camera(recovery: Recovery) -> list[str]:
+    if not {"elbow", "wrist"} <= recovery.joints.keys():
+        return []
+    pointing = towards_the_camera(recovery.joints["elbow"], recovery.joints["wrist"])
+    seen = ~recovery.occluded & np.isfinite(pointing)
+    share = float((pointing[seen] < RAY_DEG).mean()) if seen.any() else 0.0
+    frames = max(int(recovery.arm.tracked("wrist").sum()), 1)
+    lost = sum(
+        row.count for row in rejected(recovery) if row.reason == "viewing ray" and row.joint == "wrist"
+    )
+    if share < RAY_SHARE and lost < RAY_REJECTED * frames:
+        return []
+    return [
+        "Stand a little sideways to the camera, or put it higher: the forearm pointed at it"
+        f" {100 * share:.0f} % of the time, when a depth camera sees it worst."
+    ]
+
+
+def towards_the_camera(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
+    """Angle (N,) between the forearm's line and the viewing ray, degrees, 0 to 90; nan without an answer."""
+    along, ray = wrist - elbow, wrist + elbow
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.abs(np.sum(along * ray, axis=1)) / (
+            np.linalg.norm(along, axis=1) * np.linalg.norm(ray, axis=1)
+        )
+        return np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
+
+
+def _camera(recovery: Recovery, found: Found | None) -> list[str]:
+    said = []
+    rows = rejected(recovery)
+    frozen = _share(recovery, (row.count for row in rows if row.reason == "frozen"))
+    if frozen > FREEZES:
+        said.append(
+            f"Check the skeleton tracker's load and settings: {100 * frozen:.0f} % of its samples repeated"
+            " the one before while the arm moved."
+        )
+    wrong = ("jump", "direction", "residual", "bone length")
+    jumping = _share(recovery, (row.count for row in rows if row.reason in wrong))
+    if jumping > JUMPS:
+        said.append(
+            "Clear the view of other people and of things near the arm, and mind bright light behind:"
+            f" {100 * jumping:.0f} % of the tracked samples were on something else than the arm."
+        )
+    noise = {} if found is None else {joint: each.sample_m for joint, each in found.camera.items()}
+    loud = [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]
+    if loud:
+        said.append(
+            "Go nearer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
+            f" {_listed(loud)} jittered by {100 * max(noise[joint] for joint in loud):.1f} cm."
+        )
+    if found is not None and found.joint_bias_sigma_m > JOINT_BIAS_M:
+        said.append(
+            "Let the camera see the arm from the front and without wide sleeves: it places the joints"
+            f" {100 * found.joint_bias_sigma_m:.1f} cm off, always in the same way."
+        )
+    return said
+
+
+def _share(recovery: Recovery, counts: Iterable[int]) -> float:
+    """Part of all tracked samples."""
+    if recovery.residuals is None:
+        return 0.0
+    tracked = recovery.residuals.used | (np.asarray(recovery.residuals.reason) != "")
+    return sum(counts) / max(int(tracked.sum()), 1)
+
+
+def _rates(recovery: Recovery) -> list[str]:
+    said = []
+    if len(recovery) > 1:
+        rate = float(1.0 / np.median(np.diff(recovery.t_s)))
+        if rate < 0.97 * SLOW_IMU_HZ:
+            said.append(f"Set the sensor to 80 samples a second or more: it gave {rate:.0f}.")
+    if recovery.arm.rate_hz < SLOW_CAMERA_HZ:
+        said.append(f"Let the camera run at 30 frames a second: it gave {recovery.arm.rate_hz:.0f}.")
+    return said
+
+
+def _listed(names: Iterable[str]) -> str:
+    *first, last = list(names)
+    return f"{', '.join(first)} and {last}" if first else last
