@@ -11,6 +11,7 @@ from .arrays import interpolate, rotate_covariance, skew
 from .calibration import ArmCalibration
 from .config import Config
 from .join import Motion, at_times
+from .notes import notes_on
 from .occlusion import occluded_at
 from .pieces import Piece
 from .plan import Stretch
@@ -91,7 +92,7 @@ def assemble(
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
-        notes=recording.notes,
+        notes=notes_on(recording, pieces, known, tuple(gaps)),
         config=config.model_dump(),
         figures={
             "camera_sigma_m": {joint: noise.sample_m for joint, noise in known.noise.items()},

@@ -1,0 +1,71 @@
+"""What a reader must know of a result, one sentence each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from .pieces import Piece
+from .recording import Recording
+from .result import Gap
+from .selfcal import Knowledge
+from .timing import split_at_pauses
+
+#: A one-sided gap longer than this deserves a sentence, s.
+OPEN_GAP_S = 0.5
+#: A clock that drifts more than this deserves a sentence, s.
+DRIFT_S = 0.005
+
+
+def notes_on(
+    recording: Recording, pieces: list[Piece], known: Knowledge, gaps: tuple[Gap, ...]
+) -> tuple[str, ...]:
+    """Sentences on pauses, clocks, samples set aside and open gaps."""
+    return (
+        *recording.notes,
+        *_pauses(recording),
+        *_clock(pieces, known),
+        *_set_aside(pieces),
+        *_open_gaps(gaps),
+    )
+
+
+def _pauses(recording: Recording) -> list[str]:
+    t = recording.imu.t_s
+    pieces = split_at_pauses(recording.imu)
+    return [
+        f"the IMU stream pauses from {t[a.stop - 1]:.2f} s to {t[b.start]:.2f} s: the recording is solved"
+        " apart on both sides, and nothing is recovered in between"
+        for a, b in pairwise(pieces)
+    ]
+
+
+def _clock(pieces: list[Piece], known: Knowledge) -> list[str]:
+    clock, notes = known.clocks[0], []
+    if any(piece.made_up for piece in pieces):
+        notes.append(
+            "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
+            " up, dropped frames are hidden, and fast movement is known less well"
+        )
+    if clock.drift_s > DRIFT_S:
+        notes.append(f"the camera's clock drifts by {1e3 * clock.drift_s:.0f} ms over the recording")
+    return notes
+
+
+def _set_aside(pieces: list[Piece]) -> list[str]:
+    reasons = np.concatenate([piece.reason.ravel() for piece in pieces])
+    count = int((reasons != "").sum())
+    if not count:
+        return []
+    tracked = count + sum(int(piece.accepted.sum()) for piece in pieces)
+    return [f"{count} of {tracked} tracked samples of the camera were not believed and set aside"]
+
+
+def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:
+    return [
+        f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s is open at its"
+        f" {'start' if gap.open_start else 'end'}: it is recovered from one side, and soon not to be trusted"
+        for gap in gaps
+        if (gap.open_start or gap.open_end) and gap.length_s > OPEN_GAP_S
+    ]
