@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from .scenes import Scene, arm, point, recovered
+from .scenes import Scene, arm, blind, point, recovered
+
+#: Seeds of the recordings that are recovered with nothing calibrated.
+SEEDS = (0, 1)
 
 
 @pytest.fixture(scope="session", params=[0, 1], ids=["seed0", "seed1"])
@@ -17,3 +20,15 @@ def white_arm(request: pytest.FixtureRequest) -> Scene:
 def white_point() -> Scene:
     """The strap alone, four gaps of 0.5 to 3 s."""
     return recovered(point(1))
+
+
+@pytest.fixture(scope="session")
+def white_arms() -> list[Scene]:
+    """The clinical protocol, 8 mm of white noise, nothing calibrated."""
+    return [blind(arm(seed)) for seed in SEEDS]
+
+
+@pytest.fixture(scope="session")
+def realistic_arms() -> list[Scene]:
+    """Joint biases, correlated noise, a late camera, wobble, dropped frames; nothing calibrated."""
+    return [blind(arm(seed, "realistic")) for seed in SEEDS]

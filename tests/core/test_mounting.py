@@ -70,9 +70,7 @@ def test_simulated_arms(preset: str, seed: int) -> None:
     made = arm(seed, preset, repetitions=1, latency_s=0.03 * (seed - 1))
     found = found_in(made.recording)
     assert np.less(errors(found, made), LIMITS[preset]).all()
-    assert (
-        found.direction_margin > 10.0
-    )  # half a squared sigma: the opposite direction is out of the question
+    assert found.direction_margin > 10.0  # half a squared sigma: the opposite is out of the question
     for lever in found.calibration.lever_arms.values():
         assert (lever.sigma_m >= 0.01).all()
 
