@@ -33,6 +33,10 @@ def _blank_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
+def _wake() -> None:
+    """Nothing: a worker that has run it has loaded its libraries."""
+
+
 class Pool:
     """Solves windows in order; use as a context manager.
 
@@ -49,6 +53,9 @@ class Pool:
             # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(count, mp_context=context)
+            with _blank_main():  # the workers load their libraries while the caller prepares
+                for _ in range(count):
+                    self._executor.submit(_wake)
 
     def __enter__(self) -> Pool:
         return self

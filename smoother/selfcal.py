@@ -18,10 +18,11 @@ from .clock import Clock, ClockFit, constant
 from .config import Config
 from .errors import CalibrationError
 from .firstpass import combine
+from .join import Motion, at_times, join
 from .jointbias import JointBias
 from .mounting import find_mounting
 from .pieces import Piece
-from .plan import cut, cut_times
+from .plan import Stretch, cut, cut_times
 from .pool import Pool
 from .prepare import GRAVITY, pairs, prepare
 from .priors import calibration_from, first_priors, noise_of, upper_arm_flex, upper_arm_seen
@@ -29,6 +30,7 @@ from .recording import JOINTS, FloatArray
 from .residuals import JointNoise, joint_noise, sigma_by_joint
 from .screen import by_attitude
 from .start import align
+from .window import Solution, Window
 
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
 BLOCK_S = 20.0
@@ -93,6 +95,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         [made_up.get(number, False) for number in range(len(mounting.offset_s))],
     )
     bias, seen = JointBias(), blocks
+    motions: dict[int, Motion] = {}
     for _ in range(ROUNDS):
         ready = [
             (piece, each)
@@ -101,7 +104,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         ]
         if not ready:
             raise CalibrationError("at no time do the IMU and a visible forearm come together")
-        stretches = [each[0] for _, each in ready]
+        stretches = [started(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)]
         prior = first_priors(
             stretches, [each[1] for _, each in ready], [piece for piece, _ in ready], calibration, config
         )
@@ -115,6 +118,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
             windows += cuts
             owner += [piece.recording] * len(cuts)
         answers = pool.solve(windows, False, lambda share: None)
+        motions = _motions(stretches, borders, windows, answers)
         found = calibration_from(
             combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
         )
@@ -146,6 +150,26 @@ def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> 
         pairs(piece, frame_t, piece.accepted, calibration), piece.start_s, piece.end_s, piece.down
     )
     return by_attitude(piece, frame_t, alignment, along_A)
+
+
+def started(stretch: Stretch, motion: Motion | None) -> Stretch:
+    """The stretch with an earlier solution's motion as start values."""
+    if motion is None:
+        return stretch
+    inside = np.clip(stretch.t, motion.t[0], motion.t[-1])
+    return replace(stretch, start=at_times(motion, stretch.signal, inside))
+
+
+def _motions(
+    stretches: list[Stretch], borders: list[list[float]], windows: list[Window], answers: list[Solution]
+) -> dict[int, Motion]:
+    """The joined motion of each stretch, by its number."""
+    found, first = {}, 0
+    for k, (stretch, border) in enumerate(zip(stretches, borders, strict=True)):
+        last = first + len(border) - 1
+        found[k] = join(stretch.t, windows[first:last], answers[first:last])
+        first = last
+    return found
 
 
 def _lever_change(before: ArmCalibration, after: ArmCalibration) -> float:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from .assemble import assemble, frame_residuals
 from .calibration import ArmCalibration
 from .clock import LARGEST_OFFSET_S, Clock
 from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
-from .join import Motion, at_times, join
+from .join import Motion, join
 from .pieces import Piece, take_apart
 from .plan import Stretch, cut, cut_times
 from .pool import Pool
@@ -22,7 +20,7 @@ from .priors import calibration_from, first_priors, noise_of
 from .recording import FOREARM_JOINTS, Recording
 from .result import Recovery
 from .screen import by_camera, by_residual
-from .selfcal import Knowledge, screen_attitude, self_calibrate
+from .selfcal import Knowledge, screen_attitude, self_calibrate, started
 from .window import Noise, Priors, Solution, Window
 
 Progress = Callable[[float, str], None]
@@ -58,11 +56,10 @@ def smooth(
     say = progress or (lambda fraction, text: None)
     _check(recording)
 
-    pieces = [by_camera(piece) for piece in take_apart(recording, slack_s=LARGEST_OFFSET_S)]
-    if not pieces:
-        raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
-    nodes = sum(len(piece.frame_t) for piece in pieces)
-    with Pool(config.windows.processes, nodes) as pool:
+    with Pool(config.windows.processes, len(recording.arm)) as pool:
+        pieces = [by_camera(piece) for piece in take_apart(recording, slack_s=LARGEST_OFFSET_S)]
+        if not pieces:
+            raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
         # clocks, and what the calibration lacks
         say(0.0, "calibrating")
         known = self_calibrate(pieces, calibration, config, pool)
@@ -115,9 +112,7 @@ def _believe(
     again = prepare(believed, known.start, clock, known.sigma_m) if believed is not piece else None
     if again is None:
         return piece, replace(stretch, start=motion.states)
-    stretch = again[0]
-    inside = np.clip(stretch.t, motion.t[0], motion.t[-1])
-    return believed, replace(stretch, start=at_times(motion, stretch.signal, inside))
+    return believed, started(again[0], motion)
 
 
 def _check(recording: Recording) -> None:

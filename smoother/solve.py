@@ -20,7 +20,9 @@ RELATIVE_TOLERANCE = 1e-4
 FIRST_TOLERANCE = 1e-3
 MAX_ITERATIONS = 12
 #: Spacing of the covariances that are computed rather than interpolated, s.
-COVARIANCE_S = 0.1
+COVARIANCE_S = 0.3
+COVARIANCE_NEAR_S = 0.1
+NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.5
 
 
@@ -93,10 +95,10 @@ def _states(values: gtsam.Values, count: int) -> States:
 def _covariances(marginals: gtsam.Marginals, t: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
 
-    Marginals are the costly part, and change slowly: they are taken about every tenth of a second and at
-    both sides of every gap, and interpolated between.
+    Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
+    often near a gap and in it, and interpolated between.
     """
-    some = _some(t)
+    some = _some(t, COVARIANCE_S)
     body = np.array([marginals.marginalCovariance(X(i)) for i in some])
     velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
     order = np.array([3, 4, 5, 0, 1, 2])
@@ -107,14 +109,24 @@ def _covariances(marginals: gtsam.Marginals, t: FloatArray, R: FloatArray) -> tu
     return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
 
 
-def _some(t: FloatArray, apart_s: float = COVARIANCE_S) -> IntArray:
-    """Nodes about so far apart, the ends and those beside a longer interval always."""
+def _some(t: FloatArray, apart_s: float) -> IntArray:
+    """Nodes about so far apart, and all near a longer interval (a gap), where covariances change."""
     cell = np.floor((t - t[0]) / apart_s + 1e-6)
     chosen = np.diff(cell, prepend=-1.0) > 0
     chosen[-1] = True
-    wide = np.diff(t) > 0.5 * apart_s
-    chosen[:-1] |= wide
-    chosen[1:] |= wide
+    wide = np.flatnonzero(np.diff(t) > 2.0 * np.median(np.diff(t)))
+    beside = np.concatenate([t[wide], t[wide + 1]])
+    if len(beside):
+        beside.sort()
+        after = np.clip(np.searchsorted(beside, t), 1, max(len(beside) - 1, 1)) if len(beside) > 1 else None
+        near = (
+            np.abs(t - beside[0])
+            if after is None
+            else np.minimum(np.abs(t - beside[after - 1]), np.abs(t - beside[after]))
+        )
+        fine = np.diff(np.floor((t - t[0]) / COVARIANCE_NEAR_S + 1e-6), prepend=-1.0) > 0
+        chosen |= (near < NEAR_S) & fine
+        chosen[wide] = chosen[wide + 1] = True
     return np.flatnonzero(chosen)
 
 
