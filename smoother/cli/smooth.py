@@ -83,7 +83,10 @@ def smooth(
     told = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("recovering") as progress:
         recovery = MAKERS[names[0]](told, config, progress)(recording)
-    recovery = limit_sigma(with_given(recovery, calibration), max_sigma_m)
+    recovery = with_given(recovery, calibration)
+    if solve_lever_arms:
+        recovery = with_strap_note(recovery)
+    recovery = limit_sigma(recovery, max_sigma_m)
     write_recovery(
         [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
     )
@@ -114,6 +117,21 @@ def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmC
         )
     strap = LeverArm(np.zeros(3), np.full(3, STRAP_SIGMA_M))
     return replace(calibration, lever_arms={"strap": strap, **calibration.lever_arms})
+
+
+def with_strap_note(recovery: Recovery) -> Recovery:
+    """The recovery with a note that its positions are the IMU's, not the strap's."""
+    import numpy as np
+
+    arm = recovery.calibration
+    if arm is None or "strap" not in arm.lever_arms:
+        return recovery
+    lever = arm.lever_arms["strap"]
+    note = (
+        f"The tracked strap was found {1e3 * np.linalg.norm(lever.position_m):.1f} mm from the IMU; positions"
+        " are those of the IMU, and a reference of the strap is that far off."
+    )
+    return replace(recovery, notes=(*recovery.notes, note))
 
 
 def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:

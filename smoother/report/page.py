@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from html import escape
 from importlib import resources
 from string import Template
@@ -13,15 +13,21 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from calib.found import Found, found_in
+
+from ..evaluation.advice import advice
+from ..evaluation.coverage import camera_residuals
 from ..evaluation.validate import Validation
 from ..io.atomic import writing
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery
 from . import tables
+from .mount import mount
 from .path3d import flat_views, path_in_space
 from .points import points
 from .thin import MOST_POINTS
 from .traces import angles, coordinates, residuals, uncertainty
+from .trust import against_truth, honesty, honesty_words, timeline
 from .words import summary
 
 _SEEN = '<span class="seen">blue</span> where the camera saw the forearm'
@@ -81,18 +87,22 @@ def _sections(
     recovery: Recovery, recording: Recording | None, validation: Validation | None, truth: Truth | None
 ) -> Iterator[str]:
     frame = None if recording is None else recording.camera_frame
+    found = found_in(recovery, recording)
     words = "".join(f"<p>{escape(text)}</p>" for text in summary(recovery, validation))
     yield f'<div class="summary">{words}</div>'
     if len(recovery):
+        yield f"<h2>For the next recording</h2>{_list(advice(recovery, found))}"
         yield from _figures(recovery, truth, frame)
     yield f"<h2>Gaps</h2>{_GAPS}{tables.gaps(recovery)}"
     if validation is not None:
         yield f"<h2>Errors against the reference</h2>{_ERRORS}{tables.validation(validation)}"
-        yield _notes(validation.notes)
+        yield _list(validation.notes)
+    if len(recovery):
+        yield from _trust(recovery, truth)
+    yield from _found(recovery, found)
     yield f"<h2>Figures</h2>{tables.overview(recovery)}"
     notes = dict.fromkeys([*(recording.notes if recording is not None else ()), *recovery.notes])
-    yield f"<h2>Notes</h2>{_notes(tuple(notes)) or '<p>There is nothing to note.</p>'}"
-    yield f"<h2>How the sensor sits on the arm</h2>{_CALIBRATION}{tables.calibration(recovery.calibration)}"
+    yield f"<h2>Notes</h2>{_list(notes) or '<p>There is nothing to note.</p>'}"
     yield f"<h2>Settings</h2>{tables.settings(recovery.config)}"
 
 
@@ -165,8 +175,47 @@ def _figure(heading: str, caption: str, figure: go.Figure | None) -> str:
     return f'<h2>{escape(heading)}</h2><p class="caption">{caption}</p><div class="figure">{drawn}</div>'
 
 
-def _notes(notes: tuple[str, ...]) -> str:
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+def _trust(recovery: Recovery, truth: Truth | None) -> Iterator[str]:
+    camera, reference = camera_residuals(recovery), against_truth(recovery, truth)
+    yield _figure(
+        "Whether sigma can be believed",
+        "Left: for every probability, the share of samples that lie inside the region in which this"
+        " probability is stated to lie. Right: the stated standard deviation of samples against their actual"
+        " root mean square. On the dashed line the statement is honest; under it on the left, or above it on"
+        " the right, it is too bold. For the camera, the statement is of the distance between a sample that"
+        " took part and the recovered joint: the camera's noise, and the joint's own sigma as far as it is"
+        " not the same all the time."
+        + (" For the reference, it is the sigma of the sensor's position." if reference else "")
+        + f" {honesty_words(camera, reference)}",
+        honesty(camera, reference),
+    )
+    aside = tables.set_aside(recovery)
+    drawn = timeline(recovery)
+    if drawn is not None:
+        yield _figure("What was set aside", _ASIDE, drawn) + aside
+    elif recovery.residuals is not None:
+        yield f"<h2>What was set aside</h2>{aside}"
+
+
+def _found(recovery: Recovery, found: Found | None) -> Iterator[str]:
+    """How the sensor sits on the arm: drawn, as tables, and what stayed open."""
+    heading, about = (
+        "How the sensor sits on the arm",
+        tables.calibration(recovery.calibration, recovery.figures),
+    )
+    drawn = mount(found)
+    if found is not None:
+        about += tables.camera(found)
+        if found.not_determined:
+            about += f"<p>What the recording did not determine:</p>{_list(found.not_determined)}"
+    if drawn is None:
+        yield f'<h2>{heading}</h2><p class="caption">{_CALIBRATION}</p>{about}'
+    else:
+        yield _figure(heading, f"{_CALIBRATION} {_DRAWN}", drawn) + about
+
+
+def _list(sentences: Iterable[str]) -> str:
+    items = "".join(f"<li>{escape(text[:1].upper() + text[1:])}</li>" for text in sentences)
     return f"<ul>{items}</ul>" if items else ""
 
 
@@ -179,6 +228,15 @@ _ERRORS = (
     " stated uncertainty is honest, above 1 where it is too small. Of the last column 95 % is honest.</p>"
 )
 _CALIBRATION = (
-    '<p class="caption">Where the joints lie as seen from the sensor, and the length of the upper arm: what'
-    " was given, improved by the recording.</p>"
+    "Where the joints lie as seen from the sensor, and the length of the upper arm: what was given, improved"
+    " by the recording, or what the recording told where nothing was given."
+)
+_DRAWN = (
+    "The dark square is the sensor (drawn 2 cm large) with its axes x, y, z; the ellipse about each joint is"
+    " two standard deviations of where it lies."
+)
+_ASIDE = (
+    "Camera samples that called themselves tracked and were not believed, by joint, a colour a reason; pale"
+    " ticks took part, gaps are shaded. Whole stretches in one colour mean that the camera was mistaken for"
+    " that long; single ticks here and there are ordinary."
 )

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 
+from calib.found import Found
+
 from ..calibration import ArmCalibration
+from ..evaluation.rejected import rejected
 from ..evaluation.summary import gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
+from ..io.usable import LIMIT, usable
 from ..result import Recovery
 from .words import WEAK_M
 
+#: Figures of a recovery that have a place of their own on the page.
+ELSEWHERE = (
+    *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
+    *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
+)
 #: A longer table is cut, and says so.
 MOST_ROWS = 500
 
@@ -62,8 +71,54 @@ def overview(recovery: Recovery) -> str:
         ("position, standard deviation in gaps (largest), cm", _cm(sigma["occluded"]["max"])),
         ("sensor's clock minus camera's clock", offset),
     ]
-    rows += [(name.replace("_", " "), _plain(value)) for name, value in recovery.figures.items()]
+    if (unsure := _too_uncertain(recovery)) is not None:
+        rows.append(("samples marked as too uncertain to use", unsure))
+    rows += [
+        (name.replace("_", " "), _plain(value))
+        for name, value in recovery.figures.items()
+        if name not in ELSEWHERE
+    ]
     return table(("what", "value"), rows)
+
+
+def _too_uncertain(recovery: Recovery) -> str | None:
+    limit = recovery.figures.get(LIMIT)
+    if limit is None:
+        return None
+    unsure = int(np.isfinite(recovery.position).all(axis=1).sum() - usable(recovery).sum())
+    return f"{unsure} (above {100 * float(str(limit)):g} cm)"
+
+
+def set_aside(recovery: Recovery) -> str:
+    """What was set aside of the camera's samples, a row a reason and joint."""
+    rows = [
+        (
+            row.reason,
+            row.why,
+            row.joint,
+            row.count,
+            f"{100 * row.share:.1f} %",
+            f"{row.first_s:.2f}",
+            f"{row.last_s:.2f}",
+        )
+        for row in rejected(recovery)
+    ]
+    if not rows:
+        return "<p>Nothing: every sample that called itself tracked took part.</p>"
+    columns = ("reason", "in words", "joint", "samples", "of its tracked ones", "first, s", "last, s")
+    return table(columns, rows)
+
+
+def camera(found: Found) -> str:
+    """Noise and constant errors of the camera's joints; "" where they are not known."""
+    if not found.camera:
+        return ""
+    rows = [
+        (joint, f"{100 * each.sample_m:.2f}", f"{100 * each.bias_m:.2f}" if each.bias_m > 0 else None)
+        for joint, each in found.camera.items()
+    ]
+    columns = ("camera's joint", "noise of a sample, cm an axis", "constant error against the others, cm")
+    return table(columns, rows)
 
 
 def gaps(recovery: Recovery) -> str:
@@ -140,30 +195,30 @@ def validation(found: Validation) -> str:
     return table(columns, rows) + table(heads, joints)
 
 
-def calibration(found: ArmCalibration | None) -> str:
-    """How the sensor sits on the arm, and the arm's measures."""
+def calibration(found: ArmCalibration | None, figures: Mapping[str, object]) -> str:
+    """How the sensor sits on the arm, the arm's measures, and the sensor's biases."""
     if found is None:
         return "<p>This method needs none.</p>"
     rows: list[tuple[object, ...]] = [
-        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 100), _vector(lever.sigma_m, 100), "cm")
+        (f"{joint}, in the sensor's axes", _vector(lever.position_m, 1), _vector(lever.sigma_m, 2), "cm")
         for joint, lever in found.lever_arms.items()
     ]
     if found.upper_arm is not None:
         length = found.upper_arm
-        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.1f}", "cm"))
+        rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.2f}", "cm"))
     for name, value, unit in (
-        ("accelerometer bias", found.accelerometer_bias, "m/s²"),
-        ("gyroscope bias", found.gyroscope_bias, "rad/s"),
+        ("accelerometer bias", figures.get("accelerometer_bias", found.accelerometer_bias), "m/s²"),
+        ("gyroscope bias", figures.get("gyroscope_bias", found.gyroscope_bias), "rad/s"),
     ):
-        if value is not None:
+        if isinstance(value, list | np.ndarray):
             rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))
     if not rows:
         return "<p>None was given, and none was needed.</p>"
     return table(("what", "value (x, y, z)", "standard deviation", "unit"), rows)
 
 
-def _vector(value: np.ndarray, scale: float) -> str:
-    return ", ".join(f"{scale * item:.1f}" for item in value)
+def _vector(metres: np.ndarray, decimals: int) -> str:
+    return ", ".join(f"{100 * item:.{decimals}f}" for item in metres)
 
 
 def settings(config: dict[str, object]) -> str:

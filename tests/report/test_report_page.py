@@ -79,6 +79,7 @@ def test_whole_page(tmp_path):
     assert page.loaded == []
     assert "http" not in own_part(text).lower().replace("http-equiv", "")
     assert page.headings == [
+        "For the next recording",
         "The path in space",
         "The path, flat",
         "Coordinates over time",
@@ -87,9 +88,11 @@ def test_whole_page(tmp_path):
         "What the camera disagrees with",
         "Gaps",
         "Errors against the reference",
+        "Whether sigma can be believed",
+        "What was set aside",
+        "How the sensor sits on the arm",
         "Figures",
         "Notes",
-        "How the sensor sits on the arm",
         "Settings",
     ]
     assert text.count("Plotly.newPlot(") >= 6

@@ -1,0 +1,95 @@
+"""Stated uncertainty against actual error: how many lie inside the region that should hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtr
+
+from ..recording import JOINTS, FloatArray
+from ..result import Recovery
+from .metrics import squared_sigmas
+
+#: Probabilities at which coverage is read.
+LEVELS = np.linspace(0.02, 0.98, 49)
+#: Bins of stated sigma, and the least of samples in one.
+BINS, FEWEST = 10, 30
+
+
+@dataclass(frozen=True)
+class StatedAndActual:
+    """Errors of some samples with what was stated of them.
+
+    Attributes
+    ----------
+    squared : (n,) squared error in sigmas; chi-square with three degrees of freedom where honest.
+    sigma_m : (n,) stated standard deviation, m an axis (mean over the axes).
+    error_m : (n,) length of the error over the square root of 3, m an axis.
+    """
+
+    squared: FloatArray
+    sigma_m: FloatArray
+    error_m: FloatArray
+
+    def coverage(self) -> FloatArray:
+        """Share of the errors inside the region of each of `LEVELS`; nan without samples."""
+        if not len(self.squared):
+            return np.full(len(LEVELS), np.nan)
+        inside = np.sort(chdtr(3.0, self.squared))
+        return np.searchsorted(inside, LEVELS, side="right") / len(inside)
+
+    def inside(self, level: float) -> float:
+        """Share of the errors inside the region of one level; nan without samples."""
+        return float((chdtr(3.0, self.squared) <= level).mean()) if len(self.squared) else float("nan")
+
+    def binned(self) -> tuple[FloatArray, FloatArray]:
+        """Stated sigma and rms error, m an axis, in bins of equally many samples by stated sigma."""
+        count = min(BINS, len(self.squared) // FEWEST)
+        if count < 1:
+            return np.zeros(0), np.zeros(0)
+        parts = np.array_split(np.argsort(self.sigma_m), count)
+        stated = [np.sqrt(np.mean(self.sigma_m[part] ** 2)) for part in parts]
+        actual = [np.sqrt(np.mean(self.error_m[part] ** 2)) for part in parts]
+        return np.array(stated), np.array(actual)
+
+
+def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndActual:
+    """Pair errors (n, 3) m with their covariances (n, 3, 3) m^2; what is not finite is left out."""
+    squared = squared_sigmas(error_m, covariance)
+    good = np.isfinite(squared)
+    sigma = np.sqrt(np.trace(covariance[good], axis1=1, axis2=2) / 3.0)
+    return StatedAndActual(squared[good], sigma, np.linalg.norm(error_m[good], axis=1) / np.sqrt(3.0))
+
+
+def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
+    """The camera's samples that took part, by joint: residual against camera noise and joint covariance.
+
+    The part of a joint's covariance that is there all the time (lever arms, what the camera's joints have in
+    common) is one error for all samples, which shows in no residual, and is left out. Constant errors that
+    were found of the joints are taken off. Joints whose noise is not stated are left
+    out; there is none for methods that keep no residuals.
+    """
+    kept = recovery.residuals
+    noise = recovery.figures.get("camera_sigma_m")
+    if kept is None or not isinstance(noise, dict) or len(recovery) < 1:
+        return {}
+    bias = recovery.figures.get("joint_bias_m")
+    nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s), 0, len(recovery) - 1)
+    found = {}
+    for joint, sigma_m in noise.items():
+        spread = recovery.joint_covariance.get(joint)
+        if spread is None and joint == "strap":
+            spread = recovery.pose_covariance[:, :3, :3]
+        if spread is None:
+            continue
+        column = JOINTS.index(joint)
+        used = kept.used[:, column]
+        off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
+        own = spread[nearest[used]]
+        variance = np.einsum("nii->n", own) / 3.0
+        shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
+        # rather by a factor than by a difference: what is left is a covariance for certain
+        covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
+        found[joint] = stated_and_actual(kept.residual[used, column] - off, covariance)
+    return {joint: each for joint, each in found.items() if len(each.squared)}
