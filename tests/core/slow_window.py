@@ -166,6 +166,8 @@ class SlowWindow:
             out.append(((seen - sight.position) / sight.sigma_m[:, None]).ravel())
         out.append(self.prior @ (x.shared - w.priors.shared.mean))
         out.append(self.attitude @ self.R0 @ log(self.R0.T @ x.R[w.attitude_node]))
+        quiet = np.isfinite(w.velocity_change)
+        out.append((np.diff(x.v, axis=0)[quiet] / w.velocity_change[quiet, None]).ravel())
         return np.concatenate(out + self._shoulder(x))
 
     def _shoulder(self, x: Unknowns) -> list[FloatArray]:

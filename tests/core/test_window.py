@@ -85,18 +85,18 @@ def test_covariances_agree(pair: Pair) -> None:
 
 
 def test_covariances_between_the_computed_ones(pair: Pair) -> None:
-    """Marginals are taken every tenth of a second: what is interpolated is within a fifth of a sigma.
+    """Marginals are taken at some nodes: what is interpolated errs on the careful side.
 
-    A window of a second is the worst case; 12 % were measured where noise is white and 8 mm.
+    A sigma that bends upwards at the ends of a window of one second is the worst case: half as much again.
     """
     thin = solve(pair.window, with_covariance=True)
     assert thin.pose_covariance is not None
     assert pair.fast.pose_covariance is not None
-    some, every = (
-        np.sqrt(np.einsum("nii->ni", C)) for C in (thin.pose_covariance, pair.fast.pose_covariance)
-    )
-    np.testing.assert_allclose(some, every, rtol=0.2)
-    assert np.abs(some / every - 1).mean() < 0.05
+    both = (thin.pose_covariance, pair.fast.pose_covariance)
+    some, every = (np.sqrt(np.einsum("nii->ni", C)) for C in both)
+    assert (some / every).min() > 0.85
+    assert (some / every).max() < 1.7
+    assert (some / every).mean() < 1.1
     np.testing.assert_allclose(some[[0, -1]], every[[0, -1]], rtol=1e-9)
 
 
@@ -147,7 +147,7 @@ def test_residuals_are_camera_minus_answer(pair: Pair) -> None:
 
 
 def test_an_outlier_is_held_back_by_the_robust_loss() -> None:
-    """One wrist sample half a metre off: Huber bounds its pull to 1.345 sigmas of one sample.
+    """One wrist sample half a metre off: Cauchy's loss forgets it.
 
     The pull of a white-noise model would be 0.5 m / 30 samples and more at the node itself.
     """
@@ -202,6 +202,20 @@ def test_noise_that_grows_with_the_motion() -> None:
     assert (grown >= sigmas(0.0, low) * 0.99).all()
     assert (grown <= sigmas(0.0, high) * 1.01).all()
     assert (grown > sigmas(0.0, density)).all()
+
+
+def test_an_arm_that_keeps_its_velocity() -> None:
+    """Priors on the velocity's change in some intervals, against numpy, and that they do what they say."""
+    window = plain(one_window())
+    count = len(window.t) - 1
+    change = np.full(count, np.inf)
+    change[5:15] = 0.02
+    quiet = Pair(replace(window, velocity_change=change))
+    assert np.abs(quiet.fast.states.v - quiet.slow.states.v).max() < 1e-3
+    assert quiet.fast.error == pytest.approx(quiet.slow.cost, rel=1e-3, abs=1e-3)
+    free = solve(replace(window, velocity_change=np.full(count, np.inf)), with_covariance=False).states.v
+    moved, held = (np.linalg.norm(np.diff(v, axis=0)[5:15], axis=1) for v in (free, quiet.fast.states.v))
+    assert held.sum() < moved.sum()
 
 
 def test_long_windows_have_a_bias_every_four_seconds() -> None:
