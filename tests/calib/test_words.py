@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.evidence import ClockOffset, Evidence
 from calib.forearm_frame import forearm_frame
-from calib.words import clocks_not_determined, not_determined, roll_known
+from calib.found import names_given
+from calib.words import beyond, clocks_not_determined, not_determined, roll_known
 from smoother.calibration import ArmCalibration, Length, LeverArm
 
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "strap", "upper_arm"), 500)
@@ -140,3 +141,34 @@ def test_clocks():
         "b: the clock offset is known to 40 ms only; the arm moved too little or too slowly",
         "c: IMU and visible forearm never came together; it told nothing",
     ]
+
+
+def test_errors_of_the_camera_are_no_fault_of_the_motion():
+    arm = an_arm(sigma_m=0.012)
+    said_then = not_determined(arm, forearm_frame(arm), GOOD, NOTHING, joint_bias_m=0.0119)
+    assert said_then[0] == (
+        "the camera places joints some 12 mm off (an axis), always in the same way: "
+        "lever arms and lengths are known no better, whatever the motion"
+    )
+    text = "\n".join(said_then)
+    assert "known only roughly" not in text
+    assert "with the camera's constant errors roll is known to 20 degrees only" in text
+    # where the motion leaves more open than the camera does, that is said too
+    assert "x to 11 mm" in "\n".join(
+        not_determined(an_arm(sigma_m=0.0125), None, GOOD, NOTHING, joint_bias_m=0.006)
+    )
+    assert not_determined(an_arm(), forearm_frame(an_arm()), GOOD, NOTHING, float("nan")) == []
+    assert beyond(np.array([0.005, 0.003]), 0.004) == pytest.approx([0.003, 0.0])
+
+
+def test_a_tracked_sensor_is_no_arm():
+    point = Evidence(20.0, {"strap": 500, "elbow": 0, "upper_arm": 0}, 2.0, float("nan"))
+    assert said(NOTHING, point) == ""
+    still = replace(point, turning_rad_s=0.01)
+    assert said(NOTHING, still) == "the sensor hardly moved while it was visible (1 degrees/s on average)"
+
+
+def test_what_was_given_by_name():
+    assert names_given(None) == names_given(NOTHING) == ()
+    known = replace(an_arm(), R_F_A=np.eye(3))
+    assert names_given(known) == ("elbow", "wrist", "hand", "upper_arm", "R_F_A")

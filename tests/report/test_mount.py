@@ -1,0 +1,98 @@
+"""The drawing of the forearm and its sensor, and the page's parts on what was set aside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import make_recording, make_recovery
+from scipy.spatial.transform import Rotation
+
+from calib.found import Found, found_in
+from smoother.calibration import ArmCalibration, LeverArm
+from smoother.recording import JOINTS
+from smoother.report import write_report
+from smoother.report.mount import directions, ellipse, mount
+from smoother.report.trust import timeline
+
+
+def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> Found:
+    turn = turn or Rotation.identity()
+    recovery = make_recovery(make_recording(4.0))
+    calibration = ArmCalibration(
+        "right",
+        {joint: LeverArm(turn.apply(place), np.full(3, 0.004)) for joint, place in levers.items()},
+    )
+    found = found_in(replace(recovery, calibration=calibration))
+    assert found is not None
+    return found
+
+
+WHOLE = {"elbow": [-0.035, -0.20, 0.0], "wrist": [-0.035, 0.05, 0.0], "hand": [-0.03, 0.13, 0.0]}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_drawing_does_not_turn_with_the_sensors_axes(seed):
+    turn = Rotation.random(random_state=seed)
+    found = an_arm(WHOLE, turn)
+    along, away = directions(found)
+    np.testing.assert_allclose(turn.inv().apply([along, away]), [[0, 1, 0], [1, 0, 0]], atol=1e-12)
+    figure = mount(found)
+    elbow = next(trace for trace in figure.data if trace.name == "elbow")
+    np.testing.assert_allclose([elbow.x[0], elbow.y[0]], [-20.0, -3.5], atol=1e-9)
+    texts = [note.text for note in figure.layout.annotations]
+    assert "25.0 ± 0.6 cm" in texts
+    assert "3.5 ± 0.4 cm from the forearm's axis" in texts
+    assert "8.0 cm" in texts
+
+
+@pytest.mark.parametrize(
+    "levers",
+    [
+        {"wrist": [0.0, 0.05, 0.01]},
+        {"strap": [0.0, 0.0, 0.0]},
+        {"elbow": [0.0, -0.2, 0.0], "wrist": [0.0, 0.05, 0.0]},
+    ],
+)
+def test_odd_mountings(levers):
+    found = an_arm(levers)
+    along, away = directions(found)
+    assert np.linalg.norm(along) == pytest.approx(1) and np.linalg.norm(away) == pytest.approx(1)
+    assert along @ away == pytest.approx(0, abs=1e-12)
+    assert mount(found) is not None
+
+
+def test_nothing_to_draw():
+    assert mount(None) is None
+    assert mount(an_arm({})) is None
+
+
+def test_ellipse_is_two_sigmas_wide():
+    lever = LeverArm(np.array([0.1, 0.2, 0.0]), np.array([0.01, 0.02, 0.03]))
+    edge = ellipse(lever, np.eye(3)[:2])
+    np.testing.assert_allclose(edge.max(axis=0), [12.0, 24.0], atol=0.02)
+    np.testing.assert_allclose(edge.min(axis=0), [8.0, 16.0], atol=0.02)
+
+
+def test_the_page_tells_what_was_set_aside(tmp_path):
+    recovery = make_recovery(make_recording())
+    kept = recovery.residuals
+    assert kept is not None
+    reason, used = kept.reason.astype("<U64"), kept.used.copy()
+    reason[30:90, JOINTS.index("wrist")] = "frozen: <it> stands"
+    used[30:90, JOINTS.index("wrist")] = False
+    figures = {"max_sigma_m": 0.005, "camera_sigma_m": {"wrist": 0.008, "elbow": 0.008}}
+    recovery = replace(recovery, residuals=replace(kept, reason=reason, used=used), figures=figures)
+    drawn = timeline(recovery)
+    assert drawn is not None
+    frozen = next(trace for trace in drawn.data if trace.name == "frozen")
+    assert len(frozen.x) == 60 and set(frozen.y) == {"wrist"}
+    assert timeline(make_recovery(make_recording())) is None
+    write_report(recovery, tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "<td>&lt;it&gt; stands</td><td>wrist</td><td>60</td>" in text
+    assert "% of the camera&#x27;s samples" in text or "% of the camera's samples" in text
+    assert f"<td>{len(recovery)} (above 0.5 cm)</td>" in text
+    assert "samples repeated the one before" in text  # the advice
+    assert "too near to tell on which side" in text  # hand-made lever arms lie in a line
