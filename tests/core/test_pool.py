@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,3 +43,36 @@ def test_a_small_job_starts_no_process() -> None:
         assert pool._executor is None
     with Pool(1, 10**6) as pool:
         assert pool._executor is None
+
+
+SCRIPT = """
+from dataclasses import replace
+
+import smoother.pool
+from smoother import Config, smooth
+from smoother.simulation import PointSimulation, simulate_point
+
+print("begun")
+smoother.pool.WORTH_NODES = 10
+recording = replace(simulate_point(PointSimulation(duration_s=12.0), 5).recording, truth=None)
+recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 2}}))
+print("recovered", len(recovery))
+"""
+
+
+@pytest.mark.parametrize("how", ["file", "stdin"])
+def test_a_plain_script_without_a_guard(how: str, tmp_path: Path) -> None:
+    """No `if __name__ == "__main__"`: the workers must not run the script again."""
+    script = tmp_path / "plain.py"
+    script.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, str(script) if how == "file" else "-"],
+        input=None if how == "file" else SCRIPT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["begun", "recovered", "960"]
+    assert "Traceback" not in done.stderr

@@ -1,4 +1,4 @@
-"""Real IMUs under optical truth: error in hidden gaps against their length."""
+"""Recordings that others made: an IMU under optical truth, and a Kinect with an IMU on the wrist."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from calib.motion import calibrate_motion
 from smoother import Recovery, smooth
+from smoother.calibration import ArmCalibration
 from smoother.evaluation import GapTable, evaluate_gaps
-from smoother.io import import_broad
+from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 
 from .scenes import ALONE
@@ -25,13 +28,19 @@ PART_S = (30.0, 110.0)
 TRIALS = ("11_undisturbed_slow_translation_B.mat", "16_undisturbed_fast_translation_B.mat")
 
 
-def trial(name: str) -> Recording:
+def there(*parts: str) -> Path:
+    """A file of the data sets; the test is skipped where it is not."""
     folder = os.environ.get("UNOCCLUDE_DATASETS")
     if not folder:
-        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD (broad/*.mat)")
-    path = Path(folder) / "broad" / name
+        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD and UTD-MHAD")
+    path = Path(folder).joinpath(*parts)
     if not path.exists():
         pytest.skip(f"{path} is not there")
+    return path
+
+
+def trial(name: str) -> Recording:
+    path = there("broad", name)
     recording = import_broad(path)
     a, b = PART_S
     imu, frames = recording.imu.t_s, recording.arm.t_s
@@ -66,3 +75,53 @@ def test_covariance_in_hidden_gaps(table: GapTable) -> None:
         figures = table.lengths[length]["graph"].figures
         assert figures.nees is not None
         assert 0.02 < figures.nees < 8.0
+
+
+SUBJECT, GAP_S = 2, 0.5
+#: Quick ones: waving, drawing a circle, throwing.
+ACTIONS = (3, 9, 5)
+
+
+def kinect_trial(action: int, number: int) -> Recording:
+    """A trial of UTD-MHAD: a Kinect v1 and an IMU on the right wrist."""
+    name = f"a{action}_s{SUBJECT}_t{number}"
+    inertial = there("utd_mhad", "Inertial", f"{name}_inertial.mat")
+    return import_utd_mhad(inertial, there("utd_mhad", "Skeleton", f"{name}_skeleton.mat"))
+
+
+@pytest.fixture(scope="module")
+def wrist_of_a_person() -> ArmCalibration:
+    """One person's arm from the first trial of every action."""
+    first = [kinect_trial(action, 1) for action in range(1, 22)]
+    return calibrate_motion(first, None, ALONE).calibration
+
+
+def test_lever_arms_of_a_person(wrist_of_a_person: ArmCalibration) -> None:
+    """A watch's place: elbow and wrist a forearm apart along the sensor's x axis, the wrist nearer."""
+    levers = wrist_of_a_person.lever_arms
+    elbow, wrist = levers["elbow"].position_m, levers["wrist"].position_m
+    assert 0.18 < np.linalg.norm(wrist - elbow) < 0.33
+    assert np.linalg.norm(wrist) < np.linalg.norm(elbow)
+    along = wrist_of_a_person.forearm_direction
+    assert along is not None
+    assert np.degrees(np.arccos(along[0])) < 25.0  # the publishers' mounting: +x towards the hand
+
+
+def test_a_real_kinect_beats_interpolation(wrist_of_a_person: ArmCalibration) -> None:
+    """Half a second hidden in the middle of three trials that calibration never saw."""
+    ours, line = [], []
+    for action in ACTIONS:
+        whole = kinect_trial(action, 2)
+        t = whole.arm.t_s
+        hidden = np.abs(t - 0.5 * (t[0] + t[-1])) <= 0.5 * GAP_S
+        recovery = smooth(replace(whole, arm=whole.arm.hide(hidden)), wrist_of_a_person, ALONE)
+        seen, kept = whole.arm.tracked("wrist") & hidden, whole.arm.tracked("wrist") & ~hidden
+        wrist, path = whole.arm.joint("wrist"), recovery.joints["wrist"]
+        at = recovery.arm.t_s[seen]
+        answer = np.stack([np.interp(at, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
+        straight = np.stack([np.interp(t[seen], t[kept], wrist[kept, i]) for i in range(3)], axis=1)
+        ours.append(np.linalg.norm(answer - wrist[seen], axis=1))
+        line.append(np.linalg.norm(straight - wrist[seen], axis=1))
+    error, simple = np.concatenate(ours), np.concatenate(line)
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(simple**2))
