@@ -11,7 +11,7 @@ from .inertial import InertialSignal
 from .occlusion import accepted_samples, joints_needed
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, Recording
 from .start import InertialAttitude, inertial_attitude
-from .timing import split_at_pauses
+from .timing import split_at_pauses, steady
 
 #: The inertial filter runs no faster than this, Hz.
 FILTER_RATE_HZ = 120.0
@@ -75,7 +75,7 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
         frames = slice(int(first), int(last))
         if accepted[frames][:, forearm].any(axis=1).sum() < 2:
             continue
-        signal = InertialSignal(imu)
+        signal = InertialSignal(replace(imu, t_s=steady(imu.t_s)))
         pieces.append(
             Piece(
                 signal=signal,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from .recording import BoolArray, FloatArray, ImuStream
 
@@ -15,6 +16,10 @@ PAUSE_SAMPLES = 5.0
 GAP_NODE_S = 0.1
 #: Nodes keep at least so far apart, s; closer frames are left to their neighbour.
 CLOSEST_S = 0.008
+#: Stamps that scatter by more than this part of a sample are steadied, over a span of time, s.
+STEADY_SCATTER = 0.08
+STEADY_SPAN_S = 4.0
+STEADY_FEWEST = 50
 
 
 def split_at_pauses(imu: ImuStream) -> list[slice]:
@@ -46,3 +51,36 @@ def fill(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
     inside = np.arange(count.sum()) - np.repeat(np.concatenate(([0], np.cumsum(count)[:-1])), count)
     nodes = np.repeat(knots[:-1], count) + np.repeat(np.diff(knots) / count, count) * inside
     return np.append(nodes, knots[-1])
+
+
+def steady(t: FloatArray) -> FloatArray:
+    """Sample times of a sensor that ticks evenly, from stamps that a radio or a driver made uneven.
+
+    Bluetooth sensors sample evenly, but their packets are stamped on arrival. Where the stamps scatter
+    about an even tick (and no sample is missing, so that the tick can be counted), the tick wins: a
+    straight line through the stamps plus their slow departure from it. Good stamps come back unchanged.
+
+    Parameters
+    ----------
+    t : (N,) increasing stamps, s.
+    """
+    if len(t) < STEADY_FEWEST:
+        return t
+    dt = np.diff(t)
+    tick = float(t[-1] - t[0]) / (len(t) - 1)
+    scatter = 1.4826 * float(np.median(np.abs(dt - tick)))
+    if scatter < STEADY_SCATTER * tick:
+        return t
+    count = np.arange(len(t), dtype=float)
+    slope, start = np.polyfit(count, t, 1)
+    departure = t - (start + slope * count)
+    width = max(int(STEADY_SPAN_S / slope), 3) | 1
+    slow = uniform_filter1d(departure, width, mode="nearest")
+    left = departure - slow
+    # a missing sample makes a step of a whole tick: then the stamps are all there is
+    half = width // 2
+    step = np.abs(uniform_filter1d(left, max(width // 8, 3), mode="nearest")[half:-half])
+    if not len(step) or step.max() > 0.4 * slope:
+        return t
+    steadied = start + slope * count + slow
+    return steadied if np.diff(steadied).min() > 0.2 * slope else t
