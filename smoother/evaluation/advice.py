@@ -66,7 +66,7 @@ def _motion(found: Found | None) -> list[str]:
         return []
     evidence, frame = found.evidence, found.frame
     point = is_point(evidence)
-    if evidence.visible_s < LITTLE_VISIBLE_S or evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
+    if little_motion(found):
         what = "turn and move the sensor" if point else "bend and stretch the elbow and raise the arm"
         return [
             f"Begin with 20 s of lively motion in view ({what}): this recording showed"
@@ -100,6 +100,14 @@ def _motion(found: Found | None) -> list[str]:
             f" {100 * max(worst[joint] for joint in rough):.1f} cm only."
         )
     return said
+
+
+def little_motion(found: Found | None) -> bool:
+    """Whether too little was seen to learn the arm and the clock from."""
+    if found is None:
+        return False
+    evidence = found.evidence
+    return evidence.visible_s < LITTLE_VISIBLE_S or not evidence.turning_rad_s >= LITTLE_TURNING_RAD_S
 
 
 def _degrees(rate_rad_s: float) -> str:
@@ -212,7 +220,10 @@ def _camera(recovery: Recovery, found: Found | None) -> list[str]:
             f"Check the skeleton tracker's load and settings: {100 * frozen:.0f} % of its samples repeated"
             " the one before while the arm moved."
         )
-    wrong = ("jump", "direction", "residual", "bone length")
+    # what contradicts a motion that was hardly there says little of the camera
+    wrong = (
+        ("jump", "bone length") if little_motion(found) else ("jump", "bone length", "direction", "residual")
+    )
     jumping = _share(recovery, (row.count for row in rows if row.reason in wrong))
     if jumping > JUMPS:
         said.append(

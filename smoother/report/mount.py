@@ -49,8 +49,12 @@ def mount(found: Found | None) -> go.Figure | None:
     places = 100 * np.array([np.zeros(3), *[lever.position_m for lever in levers.values()]])
     reach = places @ along
     sides = np.concatenate([places @ up for _, up in views])
-    half = max(np.abs(sides).max() + 2.5, 0.5 * AXIS_CM + 4.0)
-    low, high = min(reach.min(), -AXIS_CM) - 3.0, max(reach.max(), AXIS_CM) + 5.0
+    widest = 100 * SIGMAS * max(float(np.max(lever.sigma_m)) for lever in levers.values())
+    half = max(np.abs(sides).max() + max(2.5, widest + 0.5), 0.5 * AXIS_CM + 4.0)
+    low, high = (
+        min(reach.min(), -AXIS_CM) - max(5.0, widest + 1.0),
+        max(reach.max(), AXIS_CM) + max(5.0, widest + 1.0),
+    )
     figure.update_xaxes(range=[low, high], constrain="domain")
     for row in (1, 2):
         figure.update_yaxes(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..evaluation.coverage import camera_residuals
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..result import Recovery
 
 #: A gap that is less certain than this needs care, m (one standard deviation).
 WEAK_M = 0.05
+#: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
+DOUBTFUL_SHARE = 0.80
 #: Above this NEES the stated uncertainty is called too small.
 DISHONEST = 2.0
 
@@ -24,7 +27,9 @@ def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
         paragraphs.append(_how_well(recovery, found))
     if validation is not None:
         paragraphs.append(_against_reference(validation))
-    paragraphs.append(_what_to_trust(found, _honest(validation)))
+    doubt = _camera_doubts(recovery)
+    paragraphs.append(doubt)
+    paragraphs.append(_what_to_trust(found, _honest(validation) and not doubt))
     return [paragraph for paragraph in paragraphs if paragraph]
 
 
@@ -78,6 +83,20 @@ def _against_reference(validation: Validation) -> str:
             " read every standard deviation on this page as that much larger."
         )
     return f"{text}. The stated uncertainty covers these errors."
+
+
+def _camera_doubts(recovery: Recovery) -> str:
+    """That the camera's samples lie farther from the answer than stated, where they do."""
+    kept = camera_residuals(recovery)
+    inside = {joint: each.inside(0.95) for joint, each in kept.items()}
+    if not inside or min(inside.values()) >= DOUBTFUL_SHARE:
+        return ""
+    worst = min(inside, key=lambda joint: inside[joint])
+    return (
+        f"The answer and the camera disagree more than stated: of the {worst}'s samples that took part"
+        f" {100 * inside[worst]:.0f} % lie where 95 % should. Take every standard deviation on this page for"
+        " too small."
+    )
 
 
 def _honest(validation: Validation | None) -> bool:

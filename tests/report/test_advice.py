@@ -157,6 +157,12 @@ def test_camera():
     assert "2.0 cm off, always in the same way" in said(known=found(joint_bias_sigma_m=0.02))
 
 
+def test_what_contradicts_hardly_any_motion_is_not_held_against_the_camera():
+    recovery = with_reason(result(), "residual: off", "elbow", slice(0, 200))
+    assert "on something else than the arm" in said(recovery)
+    assert "on something else" not in said(recovery, found(evidence=replace(GOOD, turning_rad_s=0.01)))
+
+
 def test_rates():
     recovery = result()
     slow = replace(recovery, arm=recovery.arm.select(slice(None, None, 3)), residuals=None)

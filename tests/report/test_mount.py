@@ -15,6 +15,7 @@ from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.mount import directions, ellipse, mount
 from smoother.report.trust import timeline
+from smoother.report.words import summary
 
 
 def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> Found:
@@ -96,3 +97,11 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
     assert f"<td>{len(recovery)} (above 0.5 cm)</td>" in text
     assert "samples repeated the one before" in text  # the advice
     assert "too near to tell on which side" in text  # hand-made lever arms lie in a line
+    assert "disagree more than stated" not in text
+
+
+def test_an_answer_that_the_camera_contradicts_is_doubted():
+    recovery = replace(make_recovery(make_recording()), figures={"camera_sigma_m": {"wrist": 0.003}})
+    text = " ".join(summary(recovery, None))
+    assert "The answer and the camera disagree more than stated: of the wrist's samples" in text
+    assert "95 of 100 cases" not in text
