@@ -51,7 +51,7 @@ def not_determined(
         *_missing(calibration, evidence),
         *_bias(calibration, known, joint_bias_m),
         *_levers(calibration, known, joint_bias_m),
-        *_roll(frame, evidence, known, joint_bias_m),
+        *_roll(calibration, frame, evidence, known, joint_bias_m),
         *_upper_arm(calibration, evidence, known, joint_bias_m),
     ]
 
@@ -104,16 +104,27 @@ def _levers(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: fl
             continue
         open_axes = [
             f"{axis} to {1e3 * sigma:.0f} mm"
-            for axis, sigma in zip("xyz", beyond(lever.sigma_m, joint_bias_m), strict=True)
-            if sigma > LEVER_SIGMA_M
+            for axis, sigma, own in zip(
+                "xyz", lever.sigma_m, beyond(lever.sigma_m, joint_bias_m), strict=True
+            )
+            if own > LEVER_SIGMA_M
         ]
         if open_axes:
             said.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
     return said
 
 
+def _worst_variance(calibration: ArmCalibration) -> float:
+    """Of the lever arms that give the roll, m^2."""
+    return max(float(np.max(calibration.lever_arms[joint].sigma_m)) ** 2 for joint in ("elbow", "wrist"))
+
+
 def _roll(
-    frame: ForearmFrame | None, evidence: Evidence, known: ArmCalibration, joint_bias_m: float
+    calibration: ArmCalibration,
+    frame: ForearmFrame | None,
+    evidence: Evidence,
+    known: ArmCalibration,
+    joint_bias_m: float,
 ) -> list[str]:
     if known.R_F_A is not None:
         return []
@@ -135,7 +146,7 @@ def _roll(
         if evidence.axial_rad < LITTLE_AXIAL_RAD:
             turned = np.degrees(evidence.axial_rad)
             cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
-        elif joint_bias_m > JOINT_BIAS_M:
+        elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * _worst_variance(calibration):
             cause = "with the camera's constant errors "
         said.append(f"{cause}roll is known to {degrees:.0f} degrees only")
     if frame.R_F_A is None:
@@ -153,8 +164,8 @@ def _upper_arm(
     if evidence.frames["upper_arm"] < FEW_FRAMES:
         return [f"shoulder and elbow were seen together in {evidence.frames['upper_arm']} frames only"]
     if calibration.upper_arm is not None:
-        sigma_m = float(beyond(np.array(calibration.upper_arm.sigma_m), joint_bias_m))
-        if sigma_m > UPPER_ARM_SIGMA_M:
+        sigma_m = calibration.upper_arm.sigma_m
+        if beyond(np.array(sigma_m), joint_bias_m) > UPPER_ARM_SIGMA_M:
             return [f"the upper arm's length is known to {1e3 * sigma_m:.0f} mm only"]
     return []
 

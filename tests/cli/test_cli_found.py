@@ -125,3 +125,23 @@ def test_an_optical_point_beside_a_real_imu(tmp_path):
         residuals.append(np.sqrt(np.mean(kept.residuals.residual[used, 4] ** 2)))
     assert residuals[1] <= residuals[0]
     assert 0.004 < np.linalg.norm(figures["found"]["lever_arms"]["strap"]["position_m"]) < 0.015
+
+
+def test_marks_of_uncertain_answers():
+    from arms import make_recording, make_recovery
+
+    from smoother.cli.limit import limit_sigma
+    from smoother.io.usable import usable
+
+    recovery = make_recovery(make_recording(4.0), sigma_m=0.01)
+    position, covariance = recovery.position.copy(), recovery.pose_covariance.copy()
+    position[:10] = np.nan  # no answer
+    covariance[10:30] *= 9.0
+    covariance[30:35] = np.nan  # an answer that states no sigma
+    recovery = replace(recovery, position=position, pose_covariance=covariance)
+    assert usable(recovery).sum() == len(recovery) - 10
+    assert limit_sigma(recovery, None) is recovery
+    marked = limit_sigma(recovery, 0.02)
+    assert np.array_equal(np.flatnonzero(~usable(marked)), np.arange(35))
+    assert marked.position is recovery.position
+    assert marked.notes[-1].startswith(f"25 of {len(recovery) - 10} samples are less certain than 0.02 m")
