@@ -21,8 +21,8 @@ from .result import FrameResiduals, Gap, Recovery
 from .selfcal import Knowledge
 from .window import Message
 
-#: Part of a joint bias's variance that all joints share in the answer and that no residual shows.
-COMMON_BIAS_SHARE = 0.6
+#: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
+COMMON_BIAS_SHARE = 1.0
 
 
 def assemble(
@@ -120,10 +120,9 @@ def _joint(
     if joint == "shoulder":
         assert motion.shoulder is not None and motion.shoulder_covariance is not None
         return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
-    lever = lever_of(calibration, joint)
-    if lever is None:
+    if lever_of(calibration, joint) is None:
         return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
-    arm = R @ lever
+    arm = np.einsum("nij,nj->ni", R, motion.lever_at(joint, t))
     jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
     covariance = rotate_covariance(jacobian, pose_covariance)
     if joint in calibration.lever_arms:
@@ -150,7 +149,8 @@ def frame_residuals(
                 answer = interpolate(motion.t, motion.shoulder, frame_t[rows])
                 residual[rows, column] = position[rows, column] - answer
             continue
-        lever = lever_of(calibration, joint)
-        if lever is not None:
-            residual[rows, column] = position[rows, column] - states.p - states.R @ lever
+        if lever_of(calibration, joint) is not None:
+            lever = motion.lever_at(joint, frame_t[rows])
+            arm = np.einsum("nij,nj->ni", states.R, lever)
+            residual[rows, column] = position[rows, column] - states.p - arm
     return residual

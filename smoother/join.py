@@ -18,7 +18,10 @@ BLEND_HALF_S = 0.5
 
 @dataclass(frozen=True)
 class Motion:
-    """The arm at times t (n,): states, covariances (see `Recovery`), bias (n, 6), gravity (n, 3) m/s^2."""
+    """The arm at times t (n,): states, covariances (see `Recovery`), bias (n, 6), gravity (n, 3) m/s^2.
+
+    `levers`: by joint (n, 3) m in {A}, each window's own, which its poses go with.
+    """
 
     t: FloatArray
     states: States
@@ -28,6 +31,13 @@ class Motion:
     gravity: FloatArray
     shoulder: FloatArray | None
     shoulder_covariance: FloatArray | None
+    levers: dict[str, FloatArray]
+
+    def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
+        """A joint's lever arm (n, 3) m in {A} at times, as the windows there had it; zero for the IMU."""
+        if joint not in self.levers:
+            return np.zeros((len(t), 3))
+        return interpolate(self.t, self.levers[joint], t)
 
 
 def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Motion:
@@ -41,6 +51,7 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
     bias, gravity = np.zeros((n, 6)), np.zeros((n, 3))
     has_shoulder = windows[0].shoulder is not None
     shoulder, shoulder_covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    levers = {joint: np.zeros((n, 3)) for joint in windows[0].priors.layout.joints}
     filled = np.zeros(n, dtype=bool)
     for window, solution in zip(windows, solutions, strict=True):
         offset = int(np.searchsorted(t, window.t[0] - 1e-9))
@@ -68,6 +79,9 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
         ):
             if value is not None:
                 _mix(target, rows, value[own], share)
+        for joint, values in levers.items():
+            lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
+            _mix(values, rows, np.tile(lever, (len(own), 1)), share)
         if has_shoulder:
             knots, covariance = _shoulder_at_nodes(window, solution)
             _mix(shoulder, rows, knots[own], share)
@@ -83,6 +97,7 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
         gravity,
         shoulder if has_shoulder else None,
         shoulder_covariance if has_shoulder else None,
+        levers,
     )
 
 

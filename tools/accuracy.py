@@ -14,11 +14,13 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
 
 from calib.motion import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
 from smoother.evaluation import evaluate_gaps, validate
+from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 from smoother.result import Recovery
@@ -94,6 +96,7 @@ def arm(options: argparse.Namespace) -> None:
     """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
     tally, config = Tally(), read_config(options.config)
     changes = dict(pair.split("=", 1) for pair in options.set)
+    squares: list[np.ndarray] = []
     for seed in options.seeds:
         simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes), seed=seed)
         calibration = simulated.calibration if options.calibrated else None
@@ -105,6 +108,8 @@ def arm(options: argparse.Namespace) -> None:
         figures = validate(recovery, simulated.recording.truth)
         for part in ("occluded", "visible"):
             each = figures.to_dict()[part]
+            if not each["samples"]:
+                continue
             tally.add(
                 part,
                 each["position_rms_m"],
@@ -113,11 +118,20 @@ def arm(options: argparse.Namespace) -> None:
                 each["nees"],
                 each["samples"],
             )
+        squares.append(sample_errors(recovery, simulated.recording.truth).squared_sigmas[recovery.occluded])
         print(
             f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s",
             flush=True,
         )
     tally.show()
+    print(f"  occluded samples inside the region that should hold  {_coverage(np.concatenate(squares))}")
+
+
+def _coverage(squared_sigmas: np.ndarray) -> str:
+    """Share of occluded samples inside the regions that should hold a given share."""
+    known = squared_sigmas[np.isfinite(squared_sigmas)]
+    inside = [(p, np.mean(known <= chi2.ppf(p, df=3))) for p in (0.2, 0.4, 0.6, 0.8, 0.95)]
+    return "   ".join(f"{100 * p:.0f} %: {100 * share:.0f} %" for p, share in inside)
 
 
 def _parts(figures: dict) -> str:
@@ -126,6 +140,7 @@ def _parts(figures: dict) -> str:
         f" {100 * figures[part]['position_max_m']:5.2f} cm"
         f" {figures[part]['orientation_rms_deg']:5.2f} deg ({figures[part]['nees']:5.2f})"
         for part in ("occluded", "visible")
+        if figures[part]["samples"]
     )
 
 
