@@ -170,7 +170,6 @@ def test_no_motion_at_all_is_known_to_be_vague(still_arms: list[Scene]) -> None:
         assert np.mean(errors.squared_sigmas) / 3 < 4.0
 
 
-@pytest.mark.xfail(strict=True, reason="a window's pose and the lever arms of all windows: 6 cm off")
 def test_a_wrist_that_is_seen_is_where_it_is_seen(still_arms: list[Scene]) -> None:
     """Nothing is occluded, and the camera sees the wrist to 8 mm: whatever the pose, the wrist is known."""
     for scene in still_arms:

@@ -43,7 +43,7 @@ def analytic(spacing_s: float) -> tuple[Motion, InertialSignal, Curve]:
     n = len(t)
     states = States(curve.rotation(t).as_matrix(), curve.position(t), curve.velocity(t))
     zero, gravity = np.zeros((n, 6)), np.tile(G * curve.down, (n, 1))
-    motion = Motion(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity, None, None)
+    motion = Motion(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity, None, None, {})
     return motion, InertialSignal(curve.imu(100.0, 6.0)), curve
 
 
@@ -63,6 +63,17 @@ def test_one_window_is_taken_as_it_is(joined: Joined) -> None:
     np.testing.assert_allclose(alone.states.R, solution.states.R, atol=1e-12)
     np.testing.assert_array_equal(alone.pose_covariance, solution.pose_covariance)
     np.testing.assert_array_equal(alone.bias, solution.bias)
+
+
+def test_lever_arms_go_with_the_poses_of_their_window(joined: Joined) -> None:
+    """The joint is where its own window has it, not where another window's lever arm would put it."""
+    for window, solution in zip(joined.windows, joined.solutions, strict=True):
+        own = (window.t > window.core_start_s + BLEND_HALF_S) & (window.t < window.core_end_s - BLEND_HALF_S)
+        for joint in ("elbow", "wrist", "hand"):
+            lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
+            found = joined.motion.lever_at(joint, window.t[own])
+            np.testing.assert_allclose(found, np.tile(lever, (own.sum(), 1)), atol=1e-12)
+    assert not joined.motion.lever_at("strap", joined.t).any()
 
 
 def test_far_from_borders_each_window_rules(joined: Joined) -> None:
