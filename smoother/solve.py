@@ -19,6 +19,9 @@ from .window import Message, Solution, States, Window
 RELATIVE_TOLERANCE = 1e-4
 FIRST_TOLERANCE = 1e-3
 MAX_ITERATIONS = 12
+#: Sigmas of the attitude prior that are tried one after the other, as parts of it: the solver takes a
+#: direction for free once its square-root information is 4096 times weaker than its neighbour's.
+TIGHTEN = (1.0, 0.3, 0.1, 0.03)
 #: Spacing of the covariances that are computed rather than interpolated, s.
 COVARIANCE_S = 0.3
 COVARIANCE_NEAR_S = 0.1
@@ -38,7 +41,7 @@ def solve(window: Window, with_covariance: bool) -> Solution:
     SolveError
         The window leaves something free; the text names the time.
     """
-    for tighten in (1.0, 0.3, 0.1):
+    for tighten in TIGHTEN:
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
         graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
         try:
@@ -59,6 +62,7 @@ def solve(window: Window, with_covariance: bool) -> Solution:
     pose_covariance = velocity_covariance = None
     if with_covariance:
         pose_covariance, velocity_covariance = _covariances(marginals, window.t, states.R)
+        pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
     shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
     return Solution(
         index=window.index,
@@ -73,6 +77,14 @@ def solve(window: Window, with_covariance: bool) -> Solution:
         iterations=optimizer.iterations(),
         error=graph.error(values),
     )
+
+
+def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
+    """What a tightened attitude prior took from the covariance (3, 3) in {K}, in directions it alone holds."""
+    used, axes = np.linalg.eigh(window.attitude_covariance * tighten**2)
+    stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
+    missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
+    return (axes * missing) @ axes.T
 
 
 def _parameters(final: bool) -> gtsam.LevenbergMarquardtParams:
