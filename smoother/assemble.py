@@ -23,6 +23,9 @@ from .window import Message
 
 #: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
 COMMON_BIAS_SHARE = 1.0
+#: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
+UNKNOWN_LEVER_M = 0.08
+UNKNOWN_RAD = 1.0
 
 
 def assemble(
@@ -68,6 +71,8 @@ def assemble(
         for joint in names:
             place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
             joints[joint][rows], joint_covariance[joint][rows] = place, covariance
+        if known.mounting_unknown:  # joints that are seen are known all the same
+            pose[rows] += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
         own = frame_residuals(recording.arm.position, frame_t, stretch, motion, calibration)
         residual = np.where(np.isfinite(own), own, residual)
     down = np.mean([motion.gravity.mean(axis=0) for motion in motions], axis=0)

@@ -35,6 +35,10 @@ CAMERA_RATES_HZ = np.array(
     [5.0, 7.5, 10.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0]
 )
 RATE_TOLERANCE = 0.01
+#: Crystals differ by some hundred parts in a million; it takes a while to show, s.
+SKEW_SIGMA = 5e-4
+SKEW_SPAN_S = 30.0
+SKEW_GAIN = 3.0
 #: An offset step is never longer than this, s.
 LONGEST_STEP_S = 0.06
 
@@ -49,6 +53,7 @@ class Clock:
     offset : (k,) s.
     sigma_s : standard deviation of the mean offset, s.
     walk : how fast it was found to wander, s/sqrt(s).
+    skew : steady drift, s/s; zero where none shows.
     local_sigma_s : standard deviation of the offset at any one time, s: the mean's, what its wandering
         leaves open, and for stamps that were made up a part of the frame period.
     """
@@ -58,10 +63,12 @@ class Clock:
     sigma_s: float
     walk: float = 0.0
     local_sigma_s: float = 0.0
+    skew: float = 0.0
 
     def at(self, t: FloatArray) -> FloatArray:
-        """Offsets at camera times, s."""
-        return np.interp(t, self.t, self.offset)
+        """Offsets at camera times, s; beyond the knots they go on with the skew."""
+        outside = np.minimum(t - self.t[0], 0.0) + np.maximum(t - self.t[-1], 0.0)
+        return np.interp(t, self.t, self.offset) + self.skew * outside
 
     @property
     def mean_s(self) -> float:
@@ -126,7 +133,10 @@ class ClockFit:
         now = clock.at(middle)
         local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
         best, walk = _likeliest(middle, local, 1.0 / information, self._made_up[number])
-        _, offset, sigma, local_sigma = best
+        loglik, offset, sigma, local_sigma = best
+        line, skew = _line(middle, local, information), 0.0
+        if line is not None and line[0] > loglik + SKEW_GAIN:
+            (_, offset, skew), walk, local_sigma = line, 0.0, 0.0
         if self._made_up[number]:
             local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
         return Clock(
@@ -135,6 +145,7 @@ class ClockFit:
             float(sigma),
             walk,
             float(np.hypot(sigma, local_sigma)),
+            skew,
         )
 
     def _curvature(self, number: int, offset: float, slope: float, bound: float) -> float:
@@ -179,6 +190,22 @@ def _likeliest(
     tries = [_local_level(t, local, variance, walk) for walk in walks]
     best = max(range(len(walks)), key=lambda k: tries[k][0] - (gain if k else 0.0))
     return tries[best], walks[best]
+
+
+def _line(t: FloatArray, x: FloatArray, information: FloatArray) -> tuple[float, FloatArray, float] | None:
+    """Log-likelihood, offsets (n,) and slope of a steady drift; None for a recording too short to tell."""
+    if len(t) < 5 or np.ptp(t) < SKEW_SPAN_S:
+        return None
+    centre = float(np.average(t, weights=information))
+    basis = np.stack([np.ones_like(t), t - centre], axis=1)
+    normal = basis.T @ (information[:, None] * basis) + np.diag([OFFSET_SIGMA_S**-2, SKEW_SIGMA**-2])
+    value, slope = np.linalg.solve(normal, basis.T @ (information * x))
+    left = x - value - slope * (t - centre)
+    # the evidence of the line, by the determinant of its posterior (as the local level's filter has it)
+    prior = -0.5 * (value**2 / OFFSET_SIGMA_S**2 + slope**2 / SKEW_SIGMA**2)
+    volume = -0.5 * (np.linalg.slogdet(normal)[1] + 2 * np.log(OFFSET_SIGMA_S) + 2 * np.log(SKEW_SIGMA))
+    loglik = 0.5 * float(np.sum(np.log(information) - information * left**2)) + prior + volume
+    return float(loglik), value + slope * (t - centre), float(slope)
 
 
 def _local_level(

@@ -26,6 +26,7 @@ def notes_on(
         *recording.notes,
         *_pauses(recording),
         *_clock(pieces, known),
+        *_mounting(known),
         *_set_aside(pieces),
         *_open_gaps(gaps),
     )
@@ -51,6 +52,16 @@ def _clock(pieces: list[Piece], known: Knowledge) -> list[str]:
     if clock.drift_s > DRIFT_S:
         notes.append(f"the camera's clock drifts by {1e3 * clock.drift_s:.0f} ms over the recording")
     return notes
+
+
+def _mounting(known: Knowledge) -> list[str]:
+    if not known.mounting_unknown:
+        return []
+    return [
+        "the forearm hardly moved in view, or turned about the vertical only: how the sensor sits on it is"
+        " not known, so orientation and the sensor's own position are uncertain throughout; flex the elbow,"
+        " raise the arm and turn the hand over in view, or give a calibration"
+    ]
 
 
 def _set_aside(pieces: list[Piece]) -> list[str]:

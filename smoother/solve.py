@@ -80,7 +80,7 @@ def solve(window: Window, with_covariance: bool) -> Solution:
 
 
 def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
-    """What a tightened attitude prior took from the covariance (3, 3) in {K}, in directions it alone holds."""
+    """What a tightened prior took from the attitude's covariance (3, 3) in {K} where it alone holds it."""
     used, axes = np.linalg.eigh(window.attitude_covariance * tighten**2)
     stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
     missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
