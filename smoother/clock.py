@@ -136,7 +136,7 @@ class ClockFit:
         loglik, offset, sigma, local_sigma = best
         line, skew = _line(middle, local, information), 0.0
         if line is not None and line[0] > loglik + SKEW_GAIN:
-            (_, offset, skew), walk, local_sigma = line, 0.0, 0.0
+            (_, offset, skew, local_sigma), walk = line, 0.0
         if self._made_up[number]:
             local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
         return Clock(
@@ -192,8 +192,10 @@ def _likeliest(
     return tries[best], walks[best]
 
 
-def _line(t: FloatArray, x: FloatArray, information: FloatArray) -> tuple[float, FloatArray, float] | None:
-    """Log-likelihood, offsets (n,) and slope of a steady drift; None for a recording too short to tell."""
+def _line(
+    t: FloatArray, x: FloatArray, information: FloatArray
+) -> tuple[float, FloatArray, float, float] | None:
+    """Log-likelihood, offsets (n,), slope and sigma of a steady drift; None where it is too soon to tell."""
     if len(t) < 5 or np.ptp(t) < SKEW_SPAN_S:
         return None
     centre = float(np.average(t, weights=information))
@@ -205,7 +207,8 @@ def _line(t: FloatArray, x: FloatArray, information: FloatArray) -> tuple[float,
     prior = -0.5 * (value**2 / OFFSET_SIGMA_S**2 + slope**2 / SKEW_SIGMA**2)
     volume = -0.5 * (np.linalg.slogdet(normal)[1] + 2 * np.log(OFFSET_SIGMA_S) + 2 * np.log(SKEW_SIGMA))
     loglik = 0.5 * float(np.sum(np.log(information) - information * left**2)) + prior + volume
-    return float(loglik), value + slope * (t - centre), float(slope)
+    spread = np.linalg.inv(normal)[1, 1] * np.mean((t - centre) ** 2)
+    return float(loglik), value + slope * (t - centre), float(slope), float(np.sqrt(spread))
 
 
 def _local_level(

@@ -28,6 +28,8 @@ CHUNK_S = 30.0
 #: A forearm direction of the camera, rad; frames are correlated, so it is taken large.
 DIRECTION_SIGMA_RAD = 0.15
 HINT_SIGMA_RAD = np.radians(10.0)
+#: A direction whose log-likelihood is less than this below the best one's may be the true one.
+NEARLY_AS_LIKELY = 5.0
 #: The IMU sits near the wrist: where the wrist's lever arm is expected, as a part of the forearm.
 WRIST_PART = 0.2
 LEVER_SIGMA_M = 0.06
@@ -38,11 +40,17 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Mounting:
-    """Closed-form answer: clock offset of each recording (s), and lever arms for the graph to refine."""
+    """Closed-form answer: clock offset of each recording (s), and lever arms for the graph to refine.
+
+    `direction_margin` is the log-likelihood by which the forearm's direction in the sensor beats its
+    opposite; `direction_spread_rad` the angle to the farthest direction that is nearly as likely. Both
+    are nan where there was nothing to find.
+    """
 
     offset_s: FloatArray
     calibration: ArmCalibration
     direction_margin: float
+    direction_spread_rad: float = float("nan")
 
 
 def find_mounting(pieces: list[Piece], known: ArmCalibration) -> Mounting:
@@ -55,17 +63,19 @@ def find_mounting(pieces: list[Piece], known: ArmCalibration) -> Mounting:
     count = max(piece.recording for piece in pieces) + 1
     along = known.forearm_direction
     both = [_both(piece) for piece in pieces]
-    offset_s, margin = np.zeros(count), float("nan")
+    offset_s, margin, spread = np.zeros(count), float("nan"), float("nan")
     if any(rows.sum() >= 10 for rows in both):
-        offset_s, found, margin = _direction_and_offset(pieces, both, count, along)
+        offset_s, found, margin, spread = _direction_and_offset(pieces, both, count, along)
         along = found if along is None else along
     if along is None and "strap" not in _seen(pieces):
-        return Mounting(offset_s, _point_levers(pieces, known), margin)
+        return Mounting(offset_s, _point_levers(pieces, known), margin, spread)
     levers = dict(known.lever_arms)
     missing = [joint for joint in _seen(pieces) if joint not in levers and joint not in ("strap", "shoulder")]
     if missing:
         levers |= _levers(pieces, offset_s, along, known, missing)
-    return Mounting(offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), margin)
+    return Mounting(
+        offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), margin, spread
+    )
 
 
 def _seen(pieces: list[Piece]) -> list[str]:
@@ -88,13 +98,13 @@ def _both(piece: Piece) -> BoolArray:
 
 def _direction_and_offset(
     pieces: list[Piece], both: list[BoolArray], count: int, known: FloatArray | None
-) -> tuple[FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, FloatArray, float, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
     directions = _sphere(400) if known is None else known[None]
     offsets = OFFSETS_S
     choice = np.zeros(count)
     best = directions[0]
-    margin = float("nan")
+    margin = spread = float("nan")
     for step in range(3):
         loss = np.zeros((count, len(offsets), len(directions)))
         for piece, rows in zip(pieces, both, strict=True):
@@ -107,6 +117,8 @@ def _direction_and_offset(
         k = int(np.argmin(at))
         best = directions[k]
         if step == 0:
+            likely = directions[at < at[k] + NEARLY_AS_LIKELY]
+            spread = float(np.arccos(np.clip(likely @ best, -1.0, 1.0)).max())
             opposite = directions @ best < -0.5
             margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
         for r in range(count):
@@ -114,7 +126,7 @@ def _direction_and_offset(
         width = (0.25, 0.06, 0.0)[step]
         directions = _cap(best, width) if known is None else known[None]
         offsets = np.linspace(-0.03, 0.03, 7)
-    return choice, best, margin
+    return choice, best, margin, spread
 
 
 def _losses(piece: Piece, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:

@@ -36,8 +36,8 @@ from .window import Solution, Window
 BLOCK_S = 20.0
 BLOCKS_S = 80.0
 ROUNDS = 4
-#: A forearm direction that is not likelier than its opposite by this (log-likelihood) is not known.
-SMALLEST_MARGIN = 5.0
+#: A forearm direction that may be farther off than this is not known, rad.
+LARGEST_SPREAD_RAD = np.radians(40.0)
 #: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
 SETTLED_M = 0.001
 CLOCK_WEIGHT = 1.0
@@ -56,7 +56,7 @@ class Knowledge:
     clocks : of each recording, t_imu = t_camera + offset.
     noise : of each forearm joint, by name.
     sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
-    direction_margin : log-likelihood by which the forearm's direction in the sensor beats its opposite;
+    direction_spread_rad : how far the forearm's direction in the sensor may be from the one found;
         nan where it was given or not looked for.
     flex_m : how far from constant the upper arm's length is, m.
     bias : the camera's constant errors, joint by joint.
@@ -69,12 +69,12 @@ class Knowledge:
     sigma_m: FloatArray
     flex_m: float
     bias: JointBias
-    direction_margin: float = float("nan")
+    direction_spread_rad: float = float("nan")
 
     @property
     def mounting_unknown(self) -> bool:
         """The visible motion did not tell how the sensor sits on the forearm."""
-        return self.direction_margin < SMALLEST_MARGIN
+        return self.direction_spread_rad > LARGEST_SPREAD_RAD
 
 
 def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> Knowledge:
@@ -95,7 +95,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         mounting = find_mounting(screened, known)
     blocks = screened
     calibration = mounting.calibration
-    margin = mounting.direction_margin if known.forearm_direction is None else float("nan")
+    spread = mounting.direction_spread_rad if known.forearm_direction is None else float("nan")
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
     given = calibration
@@ -148,7 +148,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         calibration = _recentred(found, given, known)
         if moved < SETTLED_M:
             break
-    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, margin)
+    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, spread)
 
 
 def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> Piece:

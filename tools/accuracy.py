@@ -73,6 +73,9 @@ def broad(options: argparse.Namespace) -> None:
                     recording, [length], {"graph": lambda r: smooth(r, None, config)}, seed=seed
                 )
                 figures = table.lengths[length]["graph"].figures
+                if figures.position_rms_m is None:
+                    print(f"  {path.stem}, seed {seed}, {length:g} s: {'; '.join(table.notes)}")
+                    continue
                 for each in (own, tally):
                     each.add(
                         f"{length:g} s",

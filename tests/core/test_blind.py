@@ -160,7 +160,6 @@ def test_no_motion_at_all(still_arms: list[Scene]) -> None:
         assert np.linalg.norm(recovery.calibration.lever_arms["wrist"].sigma_m) > 0.02
 
 
-@pytest.mark.xfail(strict=True, reason="an arm at rest: up to 177 degrees off with 9 stated, 16 cm with 2")
 def test_no_motion_at_all_is_known_to_be_vague(still_arms: list[Scene]) -> None:
     for scene in still_arms:
         truth = scene.recording.truth

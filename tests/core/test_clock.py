@@ -130,23 +130,11 @@ def fast_clock() -> tuple[Clock, FloatArray, FloatArray]:
 
 
 def test_a_clock_that_runs_fast(fast_clock: tuple[Clock, FloatArray, FloatArray]) -> None:
-    """Most of it is followed: a constant would be 4.5 cs off at both ends, 2.6 cs rms."""
+    """It is followed, also beyond the blocks looked at: a constant would be 4.5 cs off at both ends."""
     clock, _, error = fast_clock
-    assert clock.walk > 0.0
-    assert np.sqrt(np.mean(error**2)) < 0.008
-    assert np.abs(error).max() < 0.025
-
-
-@pytest.mark.xfail(
-    strict=True, reason="a walk without a slope lags behind a skew, and is held beyond the blocks looked at"
-)
-def test_a_clock_that_runs_fast_is_followed_closely(
-    fast_clock: tuple[Clock, FloatArray, FloatArray],
-) -> None:
-    clock, t, error = fast_clock
-    assert np.abs(error).max() < 0.006
-    inside = (t > clock.t[0]) & (t < clock.t[-1])
-    assert np.sqrt(np.mean(error[inside] ** 2)) < 2 * clock.local_sigma_s
+    assert clock.skew == pytest.approx(-300e-6, abs=20e-6)  # found: -290e-6
+    assert np.sqrt(np.mean(error**2)) < 0.002
+    assert np.abs(error).max() < 0.004
 
 
 def test_no_drift_is_invented(realistic_arms: list[Scene]) -> None:
