@@ -20,6 +20,9 @@ from .window import Window
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
+#: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
+#: not become so much stiffer than the rest that the solver calls the rest free.
+INTEGRATION_VARIANCE = 1e-6
 #: IMU noise goes up in steps of this factor, so that intervals share their parameters.
 DENSITY_STEP = 1.25
 
@@ -99,7 +102,7 @@ def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationPara
     params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
     params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
     params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
-    params.setIntegrationCovariance(np.eye(3) * 1e-8)
+    params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)
     return params
 
 

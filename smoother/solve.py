@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 from .arrays import interpolate
 from .errors import SolveError
 from .graph import bias_of_intervals, build, shared_jacobian, shared_keys
+from .marginals import Marginals, marginals_of
 from .recording import JOINTS, FloatArray, IntArray
 from .shared import Gaussian
 from .window import Message, Solution, States, Window
@@ -47,8 +48,10 @@ def solve(window: Window, with_covariance: bool) -> Solution:
         try:
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(with_covariance))
             values = optimizer.optimize()
-            marginals = gtsam.Marginals(graph, values)
+            marginals = marginals_of(graph, values)
             break
+        except np.linalg.LinAlgError:
+            continue
         except RuntimeError as error:
             if "ndetermin" not in str(error):
                 raise
@@ -104,7 +107,7 @@ def _states(values: gtsam.Values, count: int) -> States:
     )
 
 
-def _covariances(marginals: gtsam.Marginals, t: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _covariances(marginals: Marginals, t: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
 
     Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
@@ -143,7 +146,7 @@ def _some(t: FloatArray, apart_s: float) -> IntArray:
 
 
 def _shoulder(
-    values: gtsam.Values, marginals: gtsam.Marginals, window: Window, with_covariance: bool
+    values: gtsam.Values, marginals: Marginals, window: Window, with_covariance: bool
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if window.shoulder is None:
         return None, None
@@ -161,7 +164,7 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
     return each[np.append(biases, biases[-1])]
 
 
-def _message(values: gtsam.Values, marginals: gtsam.Marginals, window: Window, biases: IntArray) -> Message:
+def _message(values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray) -> Message:
     """The shared variables, jointly, in the shared vector's coordinates."""
     layout = window.priors.layout
     keys = shared_keys(window, biases)
