@@ -20,7 +20,7 @@ class Marginals(Protocol):
     def marginalCovariance(self, key: int) -> FloatArray:
         """Covariance of one variable."""
 
-    def jointMarginalCovariance(self, keys: Sequence[int]) -> gtsam.JointMarginal:
+    def jointMarginalCovariance(self, keys: Sequence[int]) -> Any:
         """Covariance of several, block by block through `at(a, b)`."""
 
 
