@@ -34,7 +34,7 @@ format: $(READY) ## put the code in the project's style
 
 lock: $(READY) ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
-	  --no-emit-index-url --no-emit-find-links --no-annotate --group test pyproject.toml -o requirements.lock
+	  --no-emit-index-url --no-emit-find-links --no-annotate --group test --group tools pyproject.toml -o requirements.lock
 
 clean: ## remove the environment and what the tools left
 	rm -rf .venv build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
