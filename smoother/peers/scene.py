@@ -10,8 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from ..arrays import interpolate
 from ..calibration import ArmCalibration
-from ..recording import FloatArray, ImuStream
+from ..occlusion import occluded_at
+from ..recording import JOINTS, BoolArray, FloatArray, ImuStream
 from ..result import Gap
 
 
@@ -34,6 +38,9 @@ class Scene:
     point_sigma_m : noise of `point`, m an axis.
     gaps : the occluded stretches inside.
     calibration : lever arms and measures.
+    point_effective_sigma_m : deviation of a white noise with the long-run variance of `point`'s, which
+        remembers: what a filter of independent samples must be told, m an axis; nan where unknown.
+    rows : which of the recording's IMU samples these are.
     """
 
     imu: ImuStream
@@ -48,11 +55,35 @@ class Scene:
     point_sigma_m: float
     gaps: tuple[Gap, ...]
     calibration: ArmCalibration
+    point_effective_sigma_m: float = float("nan")
+    rows: slice = field(default_factory=lambda: slice(None))
 
     @property
     def t(self) -> FloatArray:
         """(n,) times of the IMU's samples, s."""
         return self.imu.t_s
+
+    @property
+    def visible(self) -> BoolArray:
+        """(f,) frames in which the forearm is seen."""
+        return np.asarray(np.isfinite(self.point).all(axis=1))
+
+    @property
+    def occluded(self) -> BoolArray:
+        """(n,) samples inside a gap."""
+        return occluded_at(self.t, self.gaps)
+
+    @property
+    def shoulder(self) -> FloatArray:
+        """(n, 3) shoulder at the samples, m, linear between accepted frames (Jatesiktat and Ang, II-K.4).
+
+        nan where it was never seen.
+        """
+        place = self.joints[:, JOINTS.index("shoulder")]
+        seen = np.isfinite(place).all(axis=1)
+        if not seen.any():
+            return np.full((len(self.t), 3), np.nan)
+        return interpolate(self.frame_t[seen], place[seen], self.t)
 
 
 @dataclass(frozen=True)
