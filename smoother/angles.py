@@ -1,0 +1,188 @@
+"""Angles of the arm in the order of the ISB's recommendation, from joint centres and forearm axes.
+
+Source: Wu et al., J Biomech 38:981-992 (2005), sections 2.4.7 (humerus to thorax, Y-X-Y) and 3.4.1
+(forearm to humerus, Z-X-Y). ISB axes: x forward, y up along the bone, z to the right; a left arm is
+mirrored to a right one first. In degrees:
+
+- `elbow_flexion`: 0 = straight.
+- `carrying`: ISB's beta_HF, about the floating x axis; the ordinary valgus is negative. It needs the
+  axis through the epicondyles. Without that the humerus is given ISB's second definition (flexion
+  axis = normal of the plane of upper arm and forearm), in which it is zero by construction: nan here.
+- `pronation`: 0 = palm forward with the arm hanging, 90 = thumb forward.
+- `shoulder_plane`: 0 = abduction, 90 = forward flexion.
+- `shoulder_elevation`: 0 = arm hanging, 90 = level (ISB's beta_TH with its sign turned).
+- `shoulder_rotation`: axial rotation of the humerus, internal positive.
+
+A skeleton of one arm does not show the thorax. It is taken to stand upright and to face the camera:
+shoulder angles are relative to gravity and the camera.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .recording import BoolArray, FloatArray
+from .result import Recovery
+
+ANGLES = (
+    "elbow_flexion",
+    "carrying",
+    "pronation",
+    "shoulder_plane",
+    "shoulder_elevation",
+    "shoulder_rotation",
+)
+#: Nearer than this to a straight elbow, or to an upper arm that hangs, what hangs on it is noise, deg.
+SINGULAR_DEG = 15.0
+#: A z axis this near to the vertical does not tell where the camera looks (cosine).
+_UPRIGHT = 0.8
+
+
+def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
+    """The angles (N,) of a recovery by the names in `ANGLES`, degrees; nan where not known.
+
+    Flexion needs shoulder, elbow and wrist; pronation the forearm's axes in the IMU as well
+    (`calibration.R_F_A`); the shoulder's angles the direction of gravity.
+    """
+    mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
+    R_K_F = None if mounting is None else forearm_axes(recovery.quaternion, mounting)
+    return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
+
+
+def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
+    """Forearm axes in the camera frame, `R_K_F` = R_K_A R_A_F, (N, 3, 3).
+
+    Parameters
+    ----------
+    quaternion : (N, 4) qw, qx, qy, qz of `R_K_A`; nan where there is none.
+    R_F_A : (3, 3) IMU axes to forearm axes (y elbow to wrist, x to the back of the hand).
+    """
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    R_K_A = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=1,
+    )
+    return R_K_A @ np.asarray(R_F_A).T
+
+
+def arm_angles(
+    joints: dict[str, FloatArray],
+    count: int,
+    R_K_F: FloatArray | None = None,
+    side: str = "right",
+    down: FloatArray | None = None,
+    *,
+    forward: FloatArray | None = None,
+    flexion_axis: FloatArray | None = None,
+) -> dict[str, FloatArray]:
+    """Angles (count,) by the names in `ANGLES`, degrees in (-180, 180]; nan where not known.
+
+    Values near a singular posture are given as they come out; `defined` tells where to trust them.
+
+    Parameters
+    ----------
+    joints : centres (count, 3) of shoulder, elbow, wrist by name, m in {K}; any may be missing.
+    count : number of samples.
+    R_K_F : (count, 3, 3) forearm axes (y elbow to wrist, x to the back of the hand), or None.
+    side : "left" or "right"; "" counts as right.
+    down : (3,) direction of gravity in {K}, or None.
+    forward : (3,) where the person faces, in {K}; towards the camera if None.
+    flexion_axis : (count, 3) from the medial to the lateral epicondyle in {K}, or None.
+    """
+    angles = {name: np.full(count, np.nan) for name in ANGLES}
+    if "shoulder" not in joints or "elbow" not in joints:
+        return angles
+    to_torso = np.eye(3)
+    upright = down is not None and bool(np.isfinite(down).all())
+    if upright:
+        assert down is not None
+        to_torso = torso_axes(down, forward).T
+    if side == "left":
+        to_torso = np.diag([1.0, 1.0, -1.0]) @ to_torso  # from here on it is a right arm
+    y_humerus = _unit((joints["shoulder"] - joints["elbow"]) @ to_torso.T)
+    if upright:
+        angles["shoulder_plane"] = _degrees(-y_humerus[:, 0], -y_humerus[:, 2])
+        angles["shoulder_elevation"] = _degrees(np.hypot(y_humerus[:, 0], y_humerus[:, 2]), y_humerus[:, 1])
+    if "wrist" not in joints:
+        return angles
+
+    y_forearm = _unit((joints["elbow"] - joints["wrist"]) @ to_torso.T)
+    if flexion_axis is None:  # ISB's second definition of the humerus
+        z_humerus = _unit(np.cross(y_humerus, y_forearm))
+        x_humerus = np.cross(y_humerus, z_humerus)
+        across = np.linalg.norm(np.cross(y_humerus, y_forearm), axis=1)
+        angles["elbow_flexion"] = _degrees(across, _dot(y_forearm, y_humerus))
+    else:
+        x_humerus = _unit(np.cross(y_humerus, flexion_axis @ to_torso.T))
+        z_humerus = np.cross(x_humerus, y_humerus)
+        angles["carrying"] = np.degrees(np.arcsin(np.clip(_dot(y_forearm, z_humerus), -1, 1)))
+        angles["elbow_flexion"] = _degrees(-_dot(y_forearm, x_humerus), _dot(y_forearm, y_humerus))
+    if upright:
+        angles["shoulder_rotation"] = _degrees(-x_humerus[:, 1], z_humerus[:, 1])
+    if R_K_F is not None:
+        thumb = (R_K_F[:, :, 2] if side != "left" else -R_K_F[:, :, 2]) @ to_torso.T
+        x_forearm = _unit(np.cross(y_forearm, thumb))
+        z_forearm = np.cross(x_forearm, y_forearm)
+        angles["pronation"] = _degrees(-_dot(x_forearm, z_humerus), _dot(z_forearm, z_humerus))
+    return angles
+
+
+def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArray:
+    """Axes `R_K_T` (3, 3) of a thorax that stands upright: x forward, y up, z to its right.
+
+    Parameters
+    ----------
+    down : (3,) direction of gravity in {K}.
+    forward : (3,) where the person faces; if None, against the camera's z axis (the person faces
+        the camera). Where z is the vertical, x stands for it, and the plane of elevation counts
+        from there.
+    """
+    up = -np.asarray(down) / np.linalg.norm(down)
+    if forward is None:
+        forward = np.array([1.0, 0.0, 0.0]) if abs(up[2]) > _UPRIGHT else np.array([0.0, 0.0, -1.0])
+    ahead = forward - (forward @ up) * up
+    ahead = ahead / np.linalg.norm(ahead)
+    return np.column_stack([ahead, up, np.cross(ahead, up)])
+
+
+def defined(angles: dict[str, FloatArray]) -> dict[str, BoolArray]:
+    """Where each angle (N,) is known and 15 degrees or more from its singular posture.
+
+    Pronation and axial rotation hang on the plane of the elbow, which a straight arm does not have
+    (unless the epicondyles are known); plane of elevation and axial rotation on an upper arm that
+    does not hang.
+    """
+    bent = _between(angles["elbow_flexion"]) | np.isfinite(angles["carrying"])
+    raised = _between(angles["shoulder_elevation"])
+    good = {name: np.isfinite(value) for name, value in angles.items()}
+    good["pronation"] &= bent
+    good["shoulder_plane"] &= raised
+    good["shoulder_rotation"] &= raised & bent
+    return good
+
+
+def wrapped_deg(difference: FloatArray) -> FloatArray:
+    """Differences of angles brought to [-180, 180), degrees."""
+    return (difference + 180.0) % 360.0 - 180.0
+
+
+def _between(angle_deg: FloatArray) -> BoolArray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray((angle_deg >= SINGULAR_DEG) & (angle_deg <= 180.0 - SINGULAR_DEG))
+
+
+def _degrees(sine: FloatArray, cosine: FloatArray) -> FloatArray:
+    return np.degrees(np.arctan2(sine, cosine))
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray((a * b).sum(axis=1))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
