@@ -1,0 +1,91 @@
+"""Where things stand: the panel before the camera, the camera in the room, the mocap's frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...recording import FloatArray
+from .config import PanelSimulation
+from .lens import Lens
+
+#: The whole panel lies at least this far inside the image, pixels.
+MARGIN_PX = 6.0
+#: Tries before a range of poses is given up.
+_TRIES = 2000
+
+
+def panel_corners(config: PanelSimulation) -> FloatArray:
+    """Corners of the panel, (4, 3) m in {P}, around its rim."""
+    (x0, y0), (x1, y1) = config.extent
+    return np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]])
+
+
+def place_panel(
+    config: PanelSimulation, lens: Lens, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """A pose of the panel in which the camera sees all of it.
+
+    Returns
+    -------
+    R_K_P (3, 3), and the panel's origin in {K} (3,), m.
+
+    Raises
+    ------
+    ValueError
+        The panel does not fit into the image anywhere in the configured ranges.
+    """
+    corners, rays = panel_corners(config), lens.rays()
+    middle = corners.mean(axis=0)
+    for _ in range(_TRIES):
+        distance, tilt, roll = (
+            rng.uniform(*r) for r in (config.distance_m, config.tilt_deg, config.roll_deg)
+        )
+        row, column = rng.integers(lens.height), rng.integers(lens.width)
+        ray = np.append(rays[row, column], 1.0)
+        ray /= np.linalg.norm(ray)
+        R_K_P = facing(ray, np.radians(tilt), rng.uniform(0, 2 * np.pi), np.radians(roll))
+        p_K_P = distance * ray - R_K_P @ middle
+        seen = corners @ R_K_P.T + p_K_P
+        if seen[:, 2].min() > 0.2:
+            pixel = lens.project(seen)
+            if (pixel > MARGIN_PX).all() and (
+                pixel < np.array([lens.width, lens.height]) - 1 - MARGIN_PX
+            ).all():
+                return R_K_P, p_K_P
+    raise ValueError(
+        "the panel does not fit into the image at these distances and tilts; hold it farther away, or take a "
+        "smaller panel or a shorter focal length"
+    )
+
+
+def facing(ray: FloatArray, tilt: float, towards: float, roll: float) -> FloatArray:
+    """R_K_P of a panel on a ray (unit vector) whose z axis is `tilt` off the way back to the camera.
+
+    The tilt goes in the direction `towards`; `roll` turns the panel about its own normal. All in rad.
+    """
+    right = np.cross(ray, [0.0, -1.0, 0.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(ray, right)
+    facing_back = np.column_stack([right, -down, -ray])  # z to the camera, x right, y up in the image
+    axis = np.array([np.cos(towards), np.sin(towards), 0.0])
+    tilted = Rotation.from_matrix(facing_back) * Rotation.from_rotvec(tilt * axis)
+    return np.asarray((tilted * Rotation.from_euler("z", roll)).as_matrix())
+
+
+def place_camera(rng: np.random.Generator) -> FloatArray:
+    """R_W_K (3, 3) of a camera on a tripod: any heading, some degrees off level. {W}: z up."""
+    level = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # optical axes: z forward is y of {W}
+    heading = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+    off = Rotation.from_rotvec(np.radians([rng.uniform(-12, 3), 0, 0]))  # about K's x: looks down
+    lean = Rotation.from_rotvec(np.radians([0, 0, rng.normal(0, 1.5)]))
+    return np.asarray((heading * Rotation.from_matrix(level) * off * lean).as_matrix())
+
+
+def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """R_K_E (3, 3) and the mocap's origin in {K} (3,), m: on the floor, z up to a degree, any heading."""
+    R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))
+    R_W_E = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * R_W_E
+    p_W = R_W_K @ np.array([rng.uniform(-1, 1), 0, rng.uniform(1, 3)])
+    p_W[2] = -1.1
+    return R_W_K.T @ R_W_E.as_matrix(), R_W_K.T @ p_W

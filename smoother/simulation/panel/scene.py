@@ -1,0 +1,207 @@
+"""What stands before the camera, as triangles and as what each of them looks like in infrared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...open3d_loader import load_open3d
+from ...recording import BoolArray, FloatArray
+from .config import PanelSimulation
+from .placing import panel_corners
+
+_ALBEDO = {"board": 0.55, "marker": 0.0, "hand": 0.7, "clothes": 0.35, "wall": 0.5, "floor": 0.3}
+_BOARD_M = 0.006  # thickness
+_CAMERA_HEIGHT_M = 1.1
+_WALL_M = 3.2
+#: A hand keeps this far from every marker, m.
+_HAND_FROM_MARKER_M = 0.09
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays met.
+
+    Attributes
+    ----------
+    z : (N,) depth along the optical axis, m; inf where there is nothing.
+    surface : (N,) number of the mesh; -1 where there is nothing.
+    cosine : (N,) between the surface's normal and the ray.
+    albedo : (N,) diffuse reflectance.
+    marker : (N,) True on a retroreflector.
+    """
+
+    z: FloatArray
+    surface: NDArray[np.int64]
+    cosine: FloatArray
+    albedo: FloatArray
+    marker: BoolArray
+
+
+@dataclass
+class Scene:
+    """A panel in a room, to cast rays at from the camera's centre."""
+
+    config: PanelSimulation
+    R_K_P: FloatArray
+    p_K_P: FloatArray
+    _caster: Any = None
+    _kinds: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._caster = load_open3d().t.geometry.RaycastingScene()
+
+    def add(self, kind: str, mesh: Any) -> None:
+        """Add a mesh in {K}; `kind` is a key of the table of reflectances."""
+        vertices = np.asarray(mesh.vertices, np.float32)
+        self._caster.add_triangles(vertices, np.asarray(mesh.triangles, np.uint32))
+        self._kinds.append(kind)
+
+    def cast(self, rays: FloatArray) -> Hits:
+        """Cast rays (N, 2), x and y where z is 1, and say what they meet."""
+        directions = np.ones((len(rays), 6), np.float32)
+        directions[:, :3] = 0.0
+        directions[:, 3:5] = rays
+        answer = self._caster.cast_rays(load_open3d().core.Tensor(directions))
+        z = answer["t_hit"].numpy().astype(float)
+        surface = answer["geometry_ids"].numpy().astype(np.int64)
+        nothing = ~np.isfinite(z)
+        surface[nothing] = -1
+        normal = answer["primitive_normals"].numpy().astype(float)
+        along = directions[:, 3:].astype(float)
+        cosine = np.abs((normal * along).sum(axis=1)) / np.linalg.norm(along, axis=1)
+        albedo = np.array([*(_ALBEDO[kind] for kind in self._kinds), 0.0])[surface]
+        marker = np.array([*(kind == "marker" for kind in self._kinds), False])[surface]
+        board = surface == self._kinds.index("board")
+        marker[board] |= self._on_a_disc(rays[board], z[board])
+        return Hits(z, surface, cosine, albedo, marker)
+
+    def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
+        """Which hits on the board lie on a flat marker: exact circles, not triangles."""
+        spots = [self.config.markers[i] for i in _shown(self.config)]
+        if self.config.marker_shape == "sphere":
+            spots = []
+        spots += list(self.config.extra_markers)
+        on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
+        found = np.zeros(len(z), bool)
+        for spot in spots:
+            away = on_board[:, :2] - spot
+            found |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
+        return found & (np.abs(on_board[:, 2]) < 1e-4)
+
+
+def build_scene(
+    config: PanelSimulation,
+    R_K_P: FloatArray,
+    p_K_P: FloatArray,
+    R_K_W: FloatArray,
+    rng: np.random.Generator,
+) -> Scene:
+    """The panel, who holds it, and the room; without distractors."""
+    scene = Scene(config, R_K_P, p_K_P)
+    scene.add("board", _in_camera(scene, _board(config)))
+    if config.marker_shape == "sphere":
+        for index in _shown(config):
+            ball = _sphere(config.marker_diameter_m / 2, np.append(config.markers[index], 0.0), 40)
+            scene.add("marker", _in_camera(scene, ball))
+    scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, -_CAMERA_HEIGHT_M]))
+    towards = R_K_W.T @ [0, 0, 1.0]
+    wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
+    scene.add("wall", _plane(-wall / np.linalg.norm(wall), np.array([0, 0, _WALL_M])))
+    if config.hand:
+        _add_person(scene, R_K_W, rng)
+    return scene
+
+
+def add_distractor(scene: Scene, ray: FloatArray, z: float) -> None:
+    """A small retroreflective ball on a ray (2,) at depth z, m; it looks as large and bright as a marker."""
+    scene.add("marker", _sphere(0.006 * max(z, 1.2), np.append(ray, 1.0) * z, 12))
+
+
+def _shown(config: PanelSimulation) -> list[int]:
+    return [i for i in range(len(config.markers)) if i not in config.hidden_markers]
+
+
+def _board(config: PanelSimulation) -> Any:
+    """A flat box whose front face is the plane z = 0 of {P}."""
+    x0, y0, _ = panel_corners(config)[0]
+    x1, y1, _ = panel_corners(config)[2]
+    box = load_open3d().geometry.TriangleMesh.create_box(x1 - x0, y1 - y0, _BOARD_M)
+    return box.translate([x0, y0, -_BOARD_M])
+
+
+def _add_person(scene: Scene, R_K_W: FloatArray, rng: np.random.Generator) -> None:
+    """A hand on the rim, away from the markers; its arm, and a body behind the panel."""
+    rim, inward = _grip(scene.config, rng)
+    side = np.cross([0, 0, 1.0], inward)
+    for step in (-1.5, -0.5, 0.5, 1.5):
+        base = rim + 0.018 * step * side + [0, 0, 0.009]
+        scene.add("hand", _in_camera(scene, _rod(base - 0.03 * inward, base + 0.045 * inward, 0.008)))
+    palm = rim - 0.045 * inward - [0, 0, 0.01]
+    scene.add("hand", _in_camera(scene, _sphere(0.04, palm, 16)))
+    elbow = palm - 0.25 * inward - [0, 0, 0.15]
+    scene.add("clothes", _in_camera(scene, _rod(palm, elbow, 0.035)))
+    # The body stands upright behind the panel.
+    middle = scene.R_K_P @ panel_corners(scene.config).mean(axis=0) + scene.p_K_P
+    chest = middle * (1 + rng.uniform(0.3, 0.45) / np.linalg.norm(middle))
+    up = R_K_W @ [0, 0, 1.0]
+    scene.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
+    scene.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
+
+
+def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """A place on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
+    corners = panel_corners(config)
+    spots = np.array([*config.markers, *config.extra_markers])
+    best, farthest = (corners[2], np.array([-1.0, 0, 0])), -1.0
+    for _ in range(50):
+        i = rng.integers(4)
+        edge = corners[(i + 1) % 4] - corners[i]
+        rim = corners[i] + rng.uniform(0.15, 0.85) * edge
+        inward = np.cross([0, 0, 1.0], edge / np.linalg.norm(edge))
+        away = np.linalg.norm(spots - (rim + 0.02 * inward)[:2], axis=1).min()
+        if away > farthest:
+            best, farthest = (rim, inward), away
+        if away > _HAND_FROM_MARKER_M:
+            break
+    return best
+
+
+def _in_camera(scene: Scene, mesh: Any) -> Any:
+    """A mesh in {P} brought to {K}."""
+    T_K_P = np.eye(4)
+    T_K_P[:3, :3], T_K_P[:3, 3] = scene.R_K_P, scene.p_K_P
+    return mesh.transform(T_K_P)
+
+
+def _sphere(radius: float, centre: FloatArray, resolution: int) -> Any:
+    return load_open3d().geometry.TriangleMesh.create_sphere(radius, resolution).translate(centre)
+
+
+def _rod(start: FloatArray, stop: FloatArray, radius: float) -> Any:
+    """A cylinder with round ends."""
+    o3d = load_open3d()
+    along = stop - start
+    length = float(np.linalg.norm(along))
+    z = along / length
+    x = np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0])
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (start + stop) / 2
+    rod = o3d.geometry.TriangleMesh.create_cylinder(radius, length, resolution=24, split=1).transform(T)
+    return rod + _sphere(radius, start, 10) + _sphere(radius, stop, 10)
+
+
+def _plane(normal: FloatArray, through: FloatArray, size: float = 30.0) -> Any:
+    """Two triangles, wide enough to fill every image."""
+    o3d = load_open3d()
+    x = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.7 else [0, 1.0, 0])
+    x /= np.linalg.norm(x)
+    y = np.cross(normal, x)
+    corners = np.array([through + size * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(corners), o3d.utility.Vector3iVector([[0, 1, 2], [0, 2, 3]])
+    )

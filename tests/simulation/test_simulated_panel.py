@@ -1,0 +1,154 @@
+"""Rendered panels: geometry against closed forms, blobs to hundredths of a pixel, the same by seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
+from smoother.simulation.panel.placing import panel_corners
+
+
+def blob(infrared: np.ndarray, pixel: np.ndarray, reach: int = 7) -> np.ndarray:
+    """Centroid of what stands out of the background about a pixel."""
+    column, row = np.rint(pixel).astype(int)
+    patch = infrared[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(float)
+    weight = np.clip(patch - 0.1 * 65535, 0, None)
+    v, u = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]
+    return np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+
+
+def board_depth(panel: SimulatedPanel, number: int = 0) -> np.ndarray:
+    """Depth of the panel's plane in every pixel, mm: ray against plane, by hand."""
+    pose, rays = panel.poses[number], panel.lens.rays()
+    normal = pose.R_K_P[:, 2]
+    return 1000 * (normal @ pose.p_K_P) / (rays @ normal[:2] + normal[2])
+
+
+def on_board(panel: SimulatedPanel, inset_px: int, number: int = 0) -> np.ndarray:
+    """Pixels inside the panel's outline, some way from its rim and from the markers."""
+    import cv2
+
+    pose = panel.poses[number]
+    outline = panel.lens.project(panel_corners(panel.config) @ pose.R_K_P.T + pose.p_K_P)
+    mask = np.zeros(pose.depth.shape, np.uint8)
+    cv2.fillConvexPoly(mask, np.rint(outline).astype(np.int32), 1)
+    mask = cv2.erode(mask, np.ones((2 * inset_px + 1,) * 2, np.uint8))
+    for u, v in pose.marker_pixels:
+        cv2.circle(mask, (round(u), round(v)), 10, 0, -1)
+    return mask > 0
+
+
+@pytest.fixture(scope="module")
+def ideal() -> SimulatedPanel:
+    return simulate_panel(PanelSimulation.ideal(poses=4, quantised=False), seed=5)
+
+
+def test_lens_agrees_with_opencv_both_ways():
+    import cv2
+
+    lens = simulate_panel(PanelSimulation.ideal(width=96, height=80, focal_px=70.0), 1).lens
+    rays = lens.rays().reshape(-1, 2)
+    points = np.column_stack([rays, np.ones(len(rays))]) * 1.7
+    ours = lens.project(points)
+    theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
+    np.testing.assert_allclose(ours, theirs[:, 0], atol=1e-9)
+    v, u = np.mgrid[: lens.height, : lens.width]
+    np.testing.assert_allclose(ours, np.column_stack([u.ravel(), v.ravel()]), atol=1e-8)
+
+
+def test_depth_is_the_panels_plane(ideal: SimulatedPanel):
+    for number in range(len(ideal.poses)):
+        mask = on_board(ideal, 3, number)
+        assert mask.sum() > 5000
+        error = ideal.poses[number].depth[mask] - board_depth(ideal, number)[mask]
+        assert np.abs(error).max() < 0.002  # mm; rays are single precision
+
+
+def test_answer_brings_the_mocap_markers_to_the_panel(ideal: SimulatedPanel):
+    for pose in ideal.poses:
+        markers = np.array(ideal.config.markers)[pose.marker_order]
+        flat = np.column_stack([markers, np.zeros(len(markers))])
+        in_camera = pose.markers @ ideal.R_K_E.T + ideal.t_K_E
+        np.testing.assert_allclose(in_camera, flat @ pose.R_K_P.T + pose.p_K_P, atol=1e-12)
+        assert np.linalg.det(pose.R_K_P) == pytest.approx(1)
+        assert pose.R_K_P[:, 2] @ pose.p_K_P < 0  # z towards the camera
+    assert any((p.marker_order != np.arange(4)).any() for p in ideal.poses)  # shuffled
+
+
+def test_poses_keep_to_the_settings():
+    config = PanelSimulation.ideal(
+        poses=12, distance_m=(1.3, 1.4), tilt_deg=(15, 20), width=128, height=106, focal_px=91
+    )
+    for pose in simulate_panel(config, 3).poses:
+        centre = pose.R_K_P @ panel_corners(config).mean(axis=0) + pose.p_K_P
+        assert 1.3 <= np.linalg.norm(centre) <= 1.4
+        tilt = np.degrees(np.arccos(-pose.R_K_P[:, 2] @ centre / np.linalg.norm(centre)))
+        assert 15 <= tilt <= 20
+
+
+def test_blobs_are_centred(ideal: SimulatedPanel):
+    """Blurred and clipped, a blob still lies where the marker's centre is."""
+    errors = np.concatenate(
+        [
+            [blob(pose.infrared, pixel) - pixel for pixel in pose.marker_pixels]
+            for panel in (ideal, simulate_panel(PanelSimulation.ideal(poses=8), seed=6))
+            for pose in panel.poses
+        ]
+    )
+    # Clipping leaves about 0.03 px that depends on where in a pixel the centre falls: 48 of them, so the
+    # mean's own sigma is 0.005.
+    assert np.abs(errors.mean(axis=0)).max() < 0.02
+    assert errors.std() < 0.06
+    assert any((pose.infrared == 65535).sum() >= 4 for pose in ideal.poses)  # saturated in their middle
+
+
+def test_noise_holes_and_rims():
+    config = PanelSimulation(hand=False, depth_noise_m=0.002, distance_m=(1.49, 1.51), tilt_deg=(0, 5))
+    panel = simulate_panel(config, seed=2)
+    pose, mask = panel.poses[0], on_board(panel, 4)
+    error = pose.depth[mask] - board_depth(panel)[mask]
+    assert 1.8 < np.std(error) < 2.4  # 2 mm at 1.5 m, somewhat more off the middle
+    assert abs(error.mean()) < 0.1
+    for u, v in pose.marker_pixels:
+        assert pose.depth[round(v), round(u)] == 0  # a hole in every marker
+    ring = on_board(panel, 0) & ~on_board(panel, 2)
+    assert (
+        np.abs(pose.depth[ring] - board_depth(panel)[ring]) > 20
+    ).sum() >= 5  # flying pixels, or none at all
+    longer = simulate_panel(config.model_copy(update={"depth_offset_m": 0.005}), seed=2).poses[0]
+    np.testing.assert_allclose((longer.depth[mask] - pose.depth[mask].astype(float)).mean(), 5, atol=0.1)
+
+
+def test_spots_that_are_added_and_taken_away():
+    import cv2
+
+    def bright(config: PanelSimulation) -> int:
+        pose = simulate_panel(config, seed=8).poses[0]
+        return int(cv2.connectedComponents((pose.infrared > 40000).astype(np.uint8))[0]) - 1
+
+    assert bright(PanelSimulation()) == 4
+    assert bright(PanelSimulation(distractors=2)) == 6
+    assert bright(PanelSimulation(extra_markers=((0.3, 0.2),))) == 5
+    assert bright(PanelSimulation(hidden_markers=(2,))) == 3
+    assert bright(PanelSimulation(marker_shape="sphere")) == 4
+
+
+def test_same_seed_same_images():
+    config = PanelSimulation(poses=2, distractors=1)
+    one, two, other = (simulate_panel(config, seed) for seed in (4, 4, 5))
+    for a, b, c in zip(one.poses, two.poses, other.poses, strict=True):
+        np.testing.assert_array_equal(a.depth, b.depth)
+        np.testing.assert_array_equal(a.infrared, b.infrared)
+        np.testing.assert_array_equal(a.markers, b.markers)
+        assert (a.depth != c.depth).any()
+
+
+def test_settings_that_cannot_be():
+    with pytest.raises(ValidationError, match="outside the panel"):
+        PanelSimulation(markers=((0, 0), (0.9, 0), (0.2, 0), (0, 0.3)))
+    with pytest.raises(ValidationError, match="hidden_markers"):
+        PanelSimulation(hidden_markers=(4,))
+    with pytest.raises(ValueError, match="does not fit"):
+        simulate_panel(PanelSimulation.ideal(distance_m=(0.4, 0.4), width=96, height=80), 0)
