@@ -1,0 +1,271 @@
+"""Marker files: what programs write, what is missing in them, and real ones."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smoother.errors import RecordingError
+from smoother.io.markers import read_markers
+
+DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
+
+#: Frames, markers, stated rate, share of places seen (percent) of the real files at hand.
+REAL = {
+    "kineticstoolkit/sample_OptiTrack_walking.c3d": (3361, 12, 160.0, 92.6),
+    "kineticstoolkit/sample_probing_acromion_R.c3d": (140, 41, 69.5, 100.0),
+    "kineticstoolkit/sample_probing_medial_epicondyle_R.c3d": (140, 41, 69.5, 100.0),
+    "kineticstoolkit/sample_probing_olecrane_R.c3d": (140, 41, 69.5, 97.6),
+    "kineticstoolkit/sample_probing_radial_styloid_R.c3d": (140, 41, 69.5, 95.6),
+    "kineticstoolkit/sample_probing_ulnar_styloid_R.c3d": (140, 41, 69.5, 100.0),
+    "kineticstoolkit/sample_static.c3d": (700, 41, 69.9, 79.5),
+    "opensim-core/dataWithBlanksForMissingMarkers.trc": (464, 40, 250.0, 19.2),
+    "opensim-core/dataWithEformat.trc": (5, 14, 119.88, 100.0),
+    "opensim-core/dataWithNaNsOfDifferentCases.trc": (5, 14, 250.0, 92.9),
+    "opensim-core/dataWithNaNsWithSpaces.trc": (427, 42, 100.0, 99.9),
+    "opensim-core/exampleFormat.trc": (5, 3, 100.0, 86.7),
+    "opensim-core/gait10dof18musc_walk_CRLF_line_ending.trc": (10, 41, 60.0, 100.0),
+    "opensim-core/std_walking2_markers.trc": (126, 44, 250.0, 49.3),
+    "opensim-core/subject01_static.trc": (300, 49, 60.0, 100.0),
+    "opensim-core/subject01_walk1.trc": (151, 41, 60.0, 100.0),
+    "opensim-core/test_walking.c3d": (806, 40, 250.0, 67.6),
+    "opensim-core/test_walking.trc": (806, 40, 250.0, 67.6),
+    "opensim-core/walking2.c3d": (1249, 44, 250.0, 49.8),
+    "opensim-core/walking5.c3d": (1103, 40, 250.0, 54.5),
+}
+
+HEAD = (
+    "PathFileType\t4\t(X/Y/Z)\tmade.trc\n"
+    "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n"
+    "100\t100\t{frames}\t2\t{unit}\t100\t1\t{frames}\n"
+    "Frame#\tTime\tA\t\t\tB\t\t\n"
+    "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n"
+)
+
+
+def write(folder: Path, rows: str, unit: str = "mm", change=lambda text: text) -> Path:
+    path = folder / "made.trc"
+    text = HEAD.format(frames=len(rows.splitlines()), unit=unit) + "\n" + rows
+    path.write_bytes(change(text).encode())
+    return path
+
+
+def make_c3d(path: Path, position: np.ndarray, *, unit: str = "mm", rate: float = 100.0, labels=None) -> Path:
+    """Points (frames, points, 3) in the file's unit."""
+    file = ezc3d.c3d()
+    count = position.shape[1]
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    file["parameters"]["POINT"]["LABELS"]["value"] = labels or [f"M{k}" for k in range(count)]
+    points = np.ones((4, count, len(position)))
+    points[:3] = np.moveaxis(position, (0, 1, 2), (2, 1, 0))
+    file["data"]["points"] = points
+    file.write(str(path))
+    return path
+
+
+class TestTrc:
+    ROWS = "1\t0.00\t1\t2\t3\t4\t5\t6\n2\t0.01\t10\t20\t30\t40\t50\t60\n"
+
+    @pytest.mark.parametrize(("unit", "metre"), [("mm", 1e-3), ("m", 1.0), (" MM ", 1e-3), ("cm", 1e-2)])
+    def test_units(self, tmp_path, unit, metre):
+        found = read_markers(write(tmp_path, self.ROWS, unit))
+        assert found.names == ("A", "B")
+        np.testing.assert_allclose(found.position[1], np.array([[10, 20, 30], [40, 50, 60]]) * metre)
+        np.testing.assert_allclose(found.t_s, [0, 0.01])
+        assert found.rate_hz == 100
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            lambda text: text.replace("\n", "\r\n"),
+            lambda text: text.replace("\t", ","),
+            lambda text: "\ufeff" + text,
+            lambda text: text.replace("10\t20\t30", "1.0E+01\t2e1\t3.0d+01"),
+            lambda text: text.replace("10\t20\t30", "10,0\t20,0\t 30 "),
+            lambda text: text.replace("60\n", "60\t\t\n\n\n"),
+            lambda text: text.replace("\tA\t\t\tB\t\t", "\t\tA\t\tB"),  # names over the wrong columns
+            lambda text: text.replace("\tX1\tY1\tZ1\tX2\tY2\tZ2\n", "\tX1\tY1\tZ1\tX2\tY2\tZ2\t\n \n"),
+            lambda text: text.replace("\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n", ""),
+            lambda text: text.replace("2\tmm", "7\tmm"),  # a wrong number of markers
+            lambda text: (
+                text[: text.index("Frame#")]
+                + text[text.index("Frame#") :].replace("\t\t", " ").replace("\t", " ")
+            ),
+        ],
+        ids=[
+            *("crlf", "commas", "bom", "exponents", "decimal-commas", "blanks"),
+            *("shifted", "row", "no-axes", "count", "spaces"),
+        ],
+    )
+    def test_habits_of_programs(self, tmp_path, change):
+        found = read_markers(write(tmp_path, self.ROWS, change=change))
+        assert found.names == ("A", "B")
+        np.testing.assert_allclose(found.position[1] * 1000, [[10, 20, 30], [40, 50, 60]])
+        np.testing.assert_allclose(found.position[0] * 1000, [[1, 2, 3], [4, 5, 6]])
+
+    @pytest.mark.parametrize(
+        "cell",
+        ["", "nan", "NaN", "NAN", "  Nan ", "-nan(ind)", "-1.#IND", "1.#QNAN", "#N/A", "NULL", "inf", "-"],
+    )
+    def test_every_spelling_of_nothing(self, tmp_path, cell):
+        found = read_markers(
+            write(tmp_path, f"1\t0\t{cell}\t{cell}\t{cell}\t4\t5\t6\n2\t0.01\t1\t{cell}\t3\t0\t0\t0\n")
+        )
+        assert np.isnan(found.position[0, 0]).all()
+        assert np.isnan(found.position[1, 0]).all()  # a marker is seen with all three coordinates or not
+        np.testing.assert_allclose(found.position[0, 1], [0.004, 0.005, 0.006])
+        assert np.isnan(found.position[1, 1]).all()  # the origin stands for a lost marker
+
+    def test_a_line_that_stops_early_lacks_its_last_markers(self, tmp_path):
+        found = read_markers(write(tmp_path, "1\t0\t1\t2\t3\n2\t0.01\t1\t2\t3\t4\t5\t6\n"))
+        assert np.isnan(found.position[0, 1]).all()
+        assert np.isfinite(found.position[1, 1]).all()
+
+    def test_times_that_were_rounded_are_those_of_the_rate(self, tmp_path):
+        rows = "".join(f"{k + 1}\t{k / 120:.3f}\t1\t2\t3\t4\t5\t{k + 1}\n" for k in range(60))
+        found = read_markers(write(tmp_path, rows, change=lambda text: text.replace("\n100\t", "\n120\t")))
+        np.testing.assert_allclose(np.diff(found.t_s), 1 / 120, atol=1e-12)
+        assert found.t_s[0] == pytest.approx(0, abs=2e-4)
+        assert not found.notes
+
+    def test_times_of_another_rate_are_believed_and_said(self, tmp_path):
+        rows = "".join(f"{k + 1}\t{k / 25}\t1\t2\t3\t4\t5\t6\n" for k in range(20))
+        found = read_markers(write(tmp_path, rows))
+        np.testing.assert_allclose(found.t_s, np.arange(20) / 25)
+        assert "25 Hz" in found.notes[0]
+
+    @pytest.mark.parametrize(
+        ("rows", "said"),
+        [
+            ("", "no frame"),
+            ("1\t0\tone\t2\t3\t4\t5\t6\n", "line 7: 'one' in column 3 is not a number"),
+            ("1\t0\t1\t2\t3\t4\t5\t6\t7\t8\t9\n", "line 7: 11 cells where 2 markers make 8"),
+            ("1\t0.1\t1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n", "time does not go on"),
+        ],
+    )
+    def test_refused_with_the_reason(self, tmp_path, rows, said):
+        with pytest.raises(RecordingError, match=said):
+            read_markers(write(tmp_path, rows))
+
+    def test_refused_headers(self, tmp_path):
+        with pytest.raises(RecordingError, match="no line begins with Frame#"):
+            read_markers(write(tmp_path, self.ROWS, change=lambda text: text.replace("Frame#", "Row")))
+        with pytest.raises(RecordingError, match="unit of length is 'furlong'"):
+            read_markers(write(tmp_path, self.ROWS, "furlong"))
+        with pytest.raises(RecordingError, match="states no Units"):
+            read_markers(write(tmp_path, self.ROWS, ""))
+        with pytest.raises(RecordingError, match="there is no such file"):
+            read_markers(tmp_path / "none.trc")
+        with pytest.raises(RecordingError, match=r"read from \.c3d or \.trc"):
+            read_markers(tmp_path / "none.xlsx")
+
+    @settings(max_examples=40, deadline=None)
+    @given(
+        st.lists(
+            st.lists(
+                st.one_of(st.none(), st.floats(-1e4, 1e4).filter(lambda x: x == 0 or abs(x) > 1e-3)),
+                min_size=3,
+                max_size=3,
+            ),
+            min_size=1,
+            max_size=12,
+        )
+    )
+    def test_what_is_written_is_read(self, tmp_path_factory, marker):
+        """Any numbers and blanks of one marker come back; a coordinate that is missing hides the marker."""
+        rows = "".join(
+            f"{k + 1}\t{k / 100!r}\t" + "\t".join("" if v is None else repr(v) for v in place) + "\t4\t5\t6\n"
+            for k, place in enumerate(marker)
+        )
+        found = read_markers(write(tmp_path_factory.mktemp("trc"), rows, "m"))
+        for place, got in zip(marker, found.position[:, 0], strict=True):
+            if None in place or not any(place):
+                assert np.isnan(got).all()
+            else:
+                np.testing.assert_array_equal(got, place)
+
+
+class TestC3d:
+    def test_unit_time_names_and_missing(self, tmp_path):
+        rng = np.random.default_rng(0)
+        position = rng.uniform(100, 900, (20, 3, 3))
+        position[4, 1] = np.nan
+        position[5, 2] = 0.0
+        found = read_markers(make_c3d(tmp_path / "a.c3d", position, labels=["A ", " B", "C"], rate=120.0))
+        assert found.names == ("A", "B", "C")
+        np.testing.assert_allclose(found.t_s, np.arange(20) / 120, atol=1e-9)
+        assert np.isnan(found.position[4, 1]).all()
+        assert np.isnan(found.position[5, 2]).all()
+        assert np.isfinite(found.position).all(axis=2).sum() == 58
+        np.testing.assert_allclose(found.position[3], position[3] / 1000, rtol=1e-6)  # single precision
+        assert np.isnan(found.residual_m[4, 1])
+        in_metres = read_markers(make_c3d(tmp_path / "b.c3d", position / 1000, unit="m"))
+        np.testing.assert_allclose(in_metres.position[3], position[3] / 1000, rtol=1e-6)
+
+    def test_names_go_on_beyond_255(self, tmp_path):
+        position = np.random.default_rng(1).uniform(1, 2, (4, 300, 3))
+        found = read_markers(make_c3d(tmp_path / "a.c3d", position))
+        assert found.names == tuple(f"M{k}" for k in range(300))
+        np.testing.assert_allclose(found.position[:, 299], position[:, 299] / 1000, rtol=1e-6)
+
+    def test_points_without_names_and_with_the_same(self, tmp_path):
+        position = np.ones((4, 3, 3))
+        found = read_markers(make_c3d(tmp_path / "a.c3d", position, labels=["A", "A", ""]))
+        assert found.names == ("A", "A_2", "unnamed_3")
+        assert any("called A" in note for note in found.notes)
+
+    def test_refused_with_the_reason(self, tmp_path):
+        (tmp_path / "no.c3d").write_text("nothing of the kind")
+        with pytest.raises(RecordingError, match="not a C3D file"):
+            read_markers(tmp_path / "no.c3d")
+        whole = make_c3d(tmp_path / "a.c3d", np.ones((50, 3, 3))).read_bytes()
+        (tmp_path / "cut.c3d").write_bytes(whole[:600])
+        with pytest.raises(RecordingError, match=r"cut\.c3d"):
+            read_markers(tmp_path / "cut.c3d")
+        with pytest.raises(RecordingError, match="holds no point"):
+            read_markers(make_c3d(tmp_path / "b.c3d", np.ones((5, 0, 3))))
+        with pytest.raises(RecordingError, match="unit of length is 'parsec'"):
+            read_markers(make_c3d(tmp_path / "c.c3d", np.ones((5, 3, 3)), unit="parsec"))
+        (tmp_path / "disguised.trc").write_bytes(whole)
+        with pytest.raises(RecordingError, match="C3D file with a wrong name"):
+            read_markers(tmp_path / "disguised.trc")
+
+
+@pytest.mark.real
+@pytest.mark.skipif(DATASETS is None, reason="UNOCCLUDE_DATASETS is not set")
+class TestRealFiles:
+    def test_every_file_at_hand_is_read(self):
+        folder = Path(DATASETS) / "mocap"
+        files = {
+            str(path.relative_to(folder)) for path in folder.rglob("*") if path.suffix in (".c3d", ".trc")
+        }
+        assert set(REAL) <= files
+        for name in sorted(files):  # those that are not listed are read as well, or refused in a sentence
+            try:
+                found = read_markers(folder / name)
+            except RecordingError:
+                assert name not in REAL
+                continue
+            assert np.nanmax(np.abs(found.position)) < 20  # metres, in a room
+            assert (np.diff(found.t_s) > 0).all()
+            if name in REAL:
+                frames, markers, rate, seen = REAL[name]
+                assert (len(found), len(found.names)) == (frames, markers), name
+                assert found.rate_hz == pytest.approx(rate, abs=0.01), name
+                assert 100 * found.seen.mean() == pytest.approx(seen, abs=0.06), name
+
+    def test_the_same_trial_in_both_formats(self):
+        folder = Path(DATASETS) / "mocap" / "opensim-core"
+        trc, c3d = (read_markers(folder / f"test_walking.{kind}") for kind in ("trc", "c3d"))
+        assert trc.names == c3d.names
+        np.testing.assert_allclose(trc.t_s, c3d.t_s, atol=1e-9)
+        np.testing.assert_array_equal(np.isnan(trc.position), np.isnan(c3d.position))
+        # 0.01 mm is what the text holds
+        np.testing.assert_allclose(trc.position, c3d.position, atol=1e-5)
