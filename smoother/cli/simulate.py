@@ -19,6 +19,14 @@ CalibrationOut = Annotated[
     Path | None,
     typer.Option("--calibration-out", metavar="CAL.toml", help="Also write the true calibration of the arm."),
 ]
+Mocap = Annotated[
+    bool,
+    typer.Option(
+        "--mocap",
+        help="Also write what a motion capture of 15 markers would deliver, beside FILE: .c3d, .trc, "
+        "_markers.toml (the map for --markers), and the calibration with [camera_from_mocap].",
+    ),
+]
 PresetName = Annotated[
     str, typer.Option("--preset", metavar="white|realistic|clean", help="Set of errors to start from.")
 ]
@@ -46,6 +54,7 @@ def arm(
     calibration_out: CalibrationOut = None,
     preset: PresetName = "white",
     seed: Seed = 0,
+    mocap: Mocap = False,
     json_file: Json = None,
     force: Force = False,
     **settings: Any,
@@ -57,23 +66,35 @@ def arm(
     from pydantic import ValidationError
 
     from ..io import write_recording
-    from ..simulation import ArmSimulation, simulate_arm
+    from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm
     from .config_file import describe
+    from .mocap_files import MocapFiles
 
     names = preset_names()
     if preset not in names:
         raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(names)}")
     changes = {name: _parsed(name, value) for name, value in settings.items() if value is not None}
     try:
+        mocap_config = MocapSimulation(**_taken(changes, MocapSimulation))
         config = ArmSimulation.preset(preset, **changes)
     except ValidationError as error:
         raise typer.BadParameter(f"setting {describe(error)}") from error
-    check_outputs(force, [output, calibration_out, json_file])
+    if not mocap and mocap_config != MocapSimulation():
+        raise typer.BadParameter("the settings of markers and mocap need --mocap")
+    files = MocapFiles.beside(output, calibration_out) if mocap else None
+    calibration_out = files.calibration if files else calibration_out
+    outputs = [output, calibration_out, *(files.markers if files else ()), json_file]
+    check_outputs(force, outputs)
     simulated = simulate_arm(config, seed)
+    markers = capture(simulated, mocap_config, seed) if files else None
     write_recording(simulated.recording, output, force=force)
     if calibration_out is not None:
-        _write_calibration(simulated.calibration, calibration_out, force)
+        _write_calibration(simulated.calibration, markers, calibration_out, force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
+    if files is not None and markers is not None:
+        files.write(markers, force)
+        found = {"offset_s": markers.offset_s, "skew_ppm": markers.skew_ppm} | markers.extrinsics
+        figures["mocap"] = mocap_config.model_dump(mode="json") | found
     write_json(json_file, figures | {"parameters": simulated.parameters}, force)
     recording = simulated.recording
     rows = [
@@ -82,8 +103,10 @@ def arm(
         ("camera frames", len(recording.arm)),
         ("occluded frames", int(simulated.occluded.sum())),
     ]
+    if markers is not None:
+        rows.append(("mocap frames, 15 markers", len(markers.position)))
     print_table(recording.name, ("what", "value"), rows)
-    say_written(output, calibration_out, json_file)
+    say_written(*outputs)
 
 
 def preset_names() -> list[str]:
@@ -93,22 +116,28 @@ def preset_names() -> list[str]:
     return [preset.value for preset in Preset]
 
 
-def _write_calibration(calibration: Any, path: Path, force: bool) -> None:
+def _taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
+    """The settings of a model, taken out of `changes`."""
+    return {name: changes.pop(name) for name in list(changes) if name in model.model_fields}
+
+
+def _write_calibration(calibration: Any, markers: Any, path: Path, force: bool) -> None:
     from calib.file import CalibrationFile, write_calibration
 
     from ..io.atomic import writing
 
+    file = CalibrationFile().with_arm(calibration)
+    if markers is not None:
+        file = file.with_table("camera_from_mocap", markers.extrinsics)
     with writing(path, force) as temporary:
-        write_calibration(temporary, CalibrationFile().with_arm(calibration))
+        write_calibration(temporary, file)
 
 
 def _with_settings(command: Any) -> Any:
     """The command with an option for every setting of the simulation."""
-    from ..simulation import ArmSimulation
-
     own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
     taken = {parameter.name for parameter in own}
-    fields = {name: field for name, field in ArmSimulation.model_fields.items() if name not in taken}
+    fields = {name: field for name, field in _settings().items() if name not in taken}
     more = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in fields.items()
@@ -123,6 +152,13 @@ def _with_settings(command: Any) -> Any:
     run.__signature__ = inspect.Signature(own + more)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + more}
     return run
+
+
+def _settings() -> dict[str, FieldInfo]:
+    """Every setting of the simulation by name."""
+    from ..simulation import ArmSimulation, MocapSimulation
+
+    return {**ArmSimulation.model_fields, **MocapSimulation.model_fields}
 
 
 def _option(name: str, field: FieldInfo) -> Any:
@@ -159,9 +195,7 @@ def _shown(default: Any) -> str:
 
 def _parsed(name: str, value: Any) -> Any:
     """A list of numbers for the settings that are one, the value as it is for the others."""
-    from ..simulation import ArmSimulation
-
-    if not isinstance(ArmSimulation.model_fields[name].get_default(), tuple):
+    if not isinstance(_settings()[name].get_default(), tuple):
         return value
     try:
         return tuple(float(part) for part in str(value).split(",") if part.strip())

@@ -36,6 +36,7 @@ class SimulatedArm:
         `..._bias_t` (N, 3), `..._matrix` (3, 3), `joint_bias` {joint: (3,)}.
     ideal_imu : the IMU without its errors.
     occluded : (F,) frames in which the camera cannot see the forearm, whatever it says.
+    motion : the motion itself, for further sensors.
     """
 
     recording: Recording
@@ -43,6 +44,7 @@ class SimulatedArm:
     parameters: dict[str, Any]
     ideal_imu: ImuStream
     occluded: BoolArray
+    motion: Motion
 
 
 def true_motion(motion: Motion, t_s: FloatArray) -> Truth:
@@ -127,4 +129,4 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         truth=true_motion(motion, imu.t_s),
         name=f"simulated arm, seed {seed}",
     )
-    return SimulatedArm(recording, calibration, parameters, ideal, hidden[kept])
+    return SimulatedArm(recording, calibration, parameters, ideal, hidden[kept], motion)

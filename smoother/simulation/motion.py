@@ -147,6 +147,15 @@ class ArmMotion:
             places[joint] = elbow + (along[joint] - along["elbow"]) * direction
         return {joint: self._to_camera(place) for joint, place in places.items()}
 
+    def bone_axes(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Elbow's flexion axis, from the medial to the lateral epicondyle, (N, 3), and `R_K_F` (N, 3, 3)."""
+        _, _, R_T_F, _ = self._chain(t_s)
+        # Undo the pronation: what is left turns about the flexion axis only, z of {U}.
+        turn = np.asarray(self._spline(t_s)[:, PRONATION])
+        axis_F = np.stack([np.sin(turn), np.zeros_like(turn), np.cos(turn)], axis=1) @ self._flip
+        lateral = np.einsum("nij,nj->ni", R_T_F, axis_F)
+        return lateral @ self.stage.R_K_T.T, np.asarray(self.stage.R_K_T @ R_T_F)
+
     def other_arm(self, t_s: FloatArray) -> dict[str, FloatArray]:
         """The joints of the other arm, which hangs and sways with the trunk: (N, 3) by joint, m in {K}."""
         sway = self._spline(t_s)[:, POSTURE_SIZE : POSTURE_SIZE + 3] @ self._mirror

@@ -79,4 +79,4 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
         truth=true_motion(motion, imu.t_s),
         name=f"simulated point, seed {seed}",
     )
-    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[kept])
+    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[kept], motion)
