@@ -6,24 +6,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..peers.registry import DEFAULT_ORIENTATION
 from .load import load_arm
-from .methods import MAKERS, choose
+from .methods import METHODS, choose, make_methods, peer_settings
 from .options import (
     Body,
+    BoundaryS,
     Calibration,
     ConfigFile,
     Force,
     Imu,
     Json,
+    Orientation,
     Processes,
     RecordingPath,
     Seed,
     Side,
     Skeleton,
+    SolveLeverArms,
     one_side,
 )
 from .output import check_outputs, print_notes, print_table, write_json
 from .progress import progress_bar
+from .strap import with_strap
 
 if TYPE_CHECKING:
     from ..evaluation import GapTable
@@ -35,8 +40,11 @@ def gaps(
         str, typer.Option("--lengths", metavar="S,S,..", help="Lengths of the gaps to hide, s.")
     ] = "0.5,1,2,3",
     methods: Annotated[
-        str, typer.Option("--methods", metavar="M,M,..", help="Methods to try, or all.")
+        str,
+        typer.Option("--methods", metavar="M,M,..", help=f"Methods to try, or all: {', '.join(METHODS)}."),
     ] = "graph",
+    orientation: Orientation = DEFAULT_ORIENTATION,
+    boundary_s: BoundaryS = None,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
     seed: Seed = 0,
@@ -50,6 +58,7 @@ def gaps(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
+    solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -64,16 +73,18 @@ def gaps(
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
+    settings = peer_settings(names, orientation, boundary_s)
     check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     recording, calibration = load_arm(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
     )
+    told = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("hiding and recovering") as progress:
         table = evaluate_gaps(
             recording,
             lengths_s,
-            {name: MAKERS[name](calibration, config, None) for name in names},
+            make_methods(names, told, config, settings),
             seed=seed,
             repetitions=repetitions,
             gaps_per_run=gaps_per_run,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from ..errors import UnoccludeError
+from ..peers.registry import DEFAULT_ORIENTATION, ORIENTATIONS, PEERS
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -14,19 +18,11 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
     Method = Callable[[Recording], Recovery]
-    Maker = Callable[[ArmCalibration | None, Config, Callable[[float, str], None] | None], Method]
+    Progress = Callable[[float, str], None]
 
-
-def _graph(
-    calibration: ArmCalibration | None, config: Config, progress: Callable[[float, str], None] | None
-) -> Method:
-    from .. import smooth
-
-    return lambda recording: smooth(recording, calibration, config, progress)
-
-
-#: By name: from a calibration, a configuration and a progress function to a method.
-MAKERS: dict[str, Maker] = {"graph": _graph}
+GRAPH = "graph"
+#: Every method, ours first, then the peers, the strongest first.
+METHODS = (GRAPH, *PEERS)
 
 
 def choose(names: str) -> list[str]:
@@ -39,10 +35,106 @@ def choose(names: str) -> list[str]:
     """
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     if wanted == ["all"]:
-        return list(MAKERS)
+        return list(METHODS)
     for name in wanted:
-        if name not in MAKERS:
-            raise typer.BadParameter(f"there is no method '{name}'; methods: {', '.join(MAKERS)}")
+        if name not in METHODS:
+            raise typer.BadParameter(f"there is no method '{name}'; methods: {', '.join(METHODS)}")
     if not wanted:
-        raise typer.BadParameter(f"name a method; methods: {', '.join(MAKERS)}")
+        raise typer.BadParameter(f"name a method; methods: {', '.join(METHODS)}")
     return list(dict.fromkeys(wanted))
+
+
+@dataclass(frozen=True)
+class PeerSettings:
+    """What the command line sets for the peers.
+
+    Attributes
+    ----------
+    orientation : the filter of those that need one.
+    options : by name; each goes to the chosen methods that know it.
+    """
+
+    orientation: str = DEFAULT_ORIENTATION
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def for_method(self, name: str) -> dict[str, Any]:
+        """The options that a method knows."""
+        return {key: value for key, value in self.options.items() if key in PEERS[name].options}
+
+
+def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> PeerSettings:
+    """Check what was set for the peers among the chosen methods.
+
+    Raises
+    ------
+    typer.BadParameter
+        A value is out of range, or nothing that was chosen knows the option.
+    """
+    if orientation not in ORIENTATIONS:
+        raise typer.BadParameter(f"--orientation is one of {', '.join(ORIENTATIONS)}, not '{orientation}'")
+    if boundary_s is None:
+        return PeerSettings(orientation)
+    if not 0.05 <= boundary_s <= 10.0:
+        raise typer.BadParameter("--boundary-s is a time between 0.05 and 10 s")
+    settings = PeerSettings(orientation, {"boundary_s": boundary_s})
+    if not any(name in PEERS and settings.for_method(name) for name in names):
+        raise typer.BadParameter("--boundary-s belongs to the method linear-drift")
+    return settings
+
+
+class SharedGraph:
+    """The graph's recovery of a recording, solved once and kept until another recording comes.
+
+    What it cannot solve is kept too: the peers fail with the same sentence.
+    """
+
+    def __init__(
+        self, calibration: ArmCalibration | None, config: Config, progress: Progress | None = None
+    ) -> None:
+        self._calibration, self._config, self._progress = calibration, config, progress
+        self._recording: Recording | None = None
+        self._answer: Recovery | UnoccludeError | None = None
+
+    def __call__(self, recording: Recording) -> Recovery:
+        """The recovery of this very object."""
+        if self._recording is not recording:
+            self._answer = self._solve(recording)
+            self._recording = recording
+        if isinstance(self._answer, UnoccludeError):
+            raise self._answer
+        assert self._answer is not None
+        return self._answer
+
+    def _solve(self, recording: Recording) -> Recovery | UnoccludeError:
+        from .. import smooth
+
+        try:
+            return smooth(recording, self._calibration, self._config, self._progress)
+        except UnoccludeError as error:
+            return error
+
+
+def make_methods(
+    names: Sequence[str],
+    calibration: ArmCalibration | None,
+    config: Config,
+    settings: PeerSettings | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Method]:
+    """The chosen methods by name; the peers are told what the graph finds, which they share.
+
+    Called in turn on the same recording object, the graph is solved once. Without a calibration the peers
+    get the one that the graph found; with one they get it, and the graph's clock.
+    """
+    graph, settings = SharedGraph(calibration, config, progress), settings or PeerSettings()
+
+    def peer(name: str) -> Method:
+        def run(recording: Recording) -> Recovery:
+            from ..peers.registry import recover
+
+            told = graph(recording)
+            return recover(recording, told, name, settings.orientation, settings.for_method(name))
+
+        return run
+
+    return {name: graph if name == GRAPH else peer(name) for name in names}

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ..peers.registry import ORIENTATIONS
+
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
 Output = Annotated[
     Path, typer.Option("-o", "--output", metavar="FILE", help="What to write.", show_default=False)
@@ -43,6 +45,29 @@ Processes = Annotated[
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the figures as JSON.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
+Orientation = Annotated[
+    str,
+    typer.Option(
+        "--orientation",
+        metavar="|".join(ORIENTATIONS),
+        help="The orientation filter of the methods beside the graph.",
+    ),
+]
+BoundaryS = Annotated[
+    float | None,
+    typer.Option(
+        "--boundary-s",
+        metavar="S",
+        help="For linear-drift: visible time on both sides of a gap that its ends are fitted through; 0.5 s.",
+    ),
+]
+SolveLeverArms = Annotated[
+    bool,
+    typer.Option(
+        "--solve-lever-arms",
+        help="Also find how far the tracked strap lies from the IMU; without this it is the IMU's place.",
+    ),
+]
 
 
 def one_side(side: str | None) -> str | None:

@@ -7,26 +7,31 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..peers.registry import DEFAULT_ORIENTATION
 from .found import found_figures, print_arm, print_camera, print_clock, print_open
 from .load import load_arm
-from .methods import MAKERS, choose
+from .methods import METHODS, choose, make_methods, peer_settings
 from .options import (
     Body,
+    BoundaryS,
     Calibration,
     ConfigFile,
     Force,
     Imu,
     Json,
+    Orientation,
     Output,
     Processes,
     RecordingPath,
     Report,
     Side,
     Skeleton,
+    SolveLeverArms,
     one_side,
 )
 from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
+from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
     from calib.found import Found
@@ -41,7 +46,11 @@ def smooth(
     output: Output,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
-    method: Annotated[str, typer.Option("--method", metavar="M", help="How to recover.")] = "graph",
+    method: Annotated[
+        str, typer.Option("--method", metavar="M", help=f"How to recover: {', '.join(METHODS)}.")
+    ] = "graph",
+    orientation: Orientation = DEFAULT_ORIENTATION,
+    boundary_s: BoundaryS = None,
     imu: Imu = None,
     skeleton: Skeleton = None,
     side: Side = None,
@@ -54,13 +63,7 @@ def smooth(
         float | None,
         typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
     ] = None,
-    solve_lever_arms: Annotated[
-        bool,
-        typer.Option(
-            "--solve-lever-arms",
-            help="Also find how far the tracked strap lies from the IMU; without this it is the IMU's place.",
-        ),
-    ] = False,
+    solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -73,6 +76,7 @@ def smooth(
     names = choose(method)
     if len(names) != 1:
         raise typer.BadParameter("--method takes one method; `unocclude compare` runs several")
+    settings = peer_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
@@ -82,7 +86,7 @@ def smooth(
     )
     told = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("recovering") as progress:
-        recovery = MAKERS[names[0]](told, config, progress)(recording)
+        recovery = make_methods(names, told, config, settings, progress)[names[0]](recording)
     recovery = with_given(recovery, calibration)
     if solve_lever_arms:
         recovery = with_strap_note(recovery)
@@ -97,41 +101,6 @@ def smooth(
     write_json(json_file, smooth_figures(recording, recovery), force)
     print_recovery(recording, recovery)
     say_written(output, report, json_file)
-
-
-#: How far the camera's strap may lie from the IMU where that is to be found, m an axis.
-STRAP_SIGMA_M = 0.02
-
-
-def with_strap(calibration: ArmCalibration | None, recording: Recording) -> ArmCalibration:
-    """The calibration with the strap's lever arm as a variable, unless it holds one."""
-    import numpy as np
-
-    from ..calibration import ArmCalibration, LeverArm
-
-    calibration = calibration or ArmCalibration(side=recording.side)
-    if "strap" not in recording.arm.present:
-        raise typer.BadParameter(
-            "--solve-lever-arms is for recordings with a tracked strap;"
-            " lever arms of the joints are found without it"
-        )
-    strap = LeverArm(np.zeros(3), np.full(3, STRAP_SIGMA_M))
-    return replace(calibration, lever_arms={"strap": strap, **calibration.lever_arms})
-
-
-def with_strap_note(recovery: Recovery) -> Recovery:
-    """The recovery with a note that its positions are the IMU's, not the strap's."""
-    import numpy as np
-
-    arm = recovery.calibration
-    if arm is None or "strap" not in arm.lever_arms:
-        return recovery
-    lever = arm.lever_arms["strap"]
-    note = (
-        f"The tracked strap was found {1e3 * np.linalg.norm(lever.position_m):.1f} mm from the IMU; positions"
-        " are those of the IMU, and a reference of the strap is that far off."
-    )
-    return replace(recovery, notes=(*recovery.notes, note))
 
 
 def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:

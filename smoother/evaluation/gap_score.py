@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..recording import JOINTS, BoolArray, FloatArray, Recording
 from ..result import Recovery
@@ -88,7 +89,7 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, of
     reference = recording.arm.joint(joint)[frames]
     t_s = recording.arm.t_s[frames] + offset
     if joint == "strap":
-        known, covariance = recovery.position, recovery.pose_covariance[:, :3, :3]
+        known, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
     else:
         known = recovery.joints[joint]
         covariance = recovery.joint_covariance.get(joint, np.full((len(recovery), 3, 3), np.nan))
@@ -98,6 +99,18 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, of
     noise = camera_noise(recovery, joint)
     scored = np.ones(len(t_s), dtype=bool)
     return _hidden(joint, answer, reference, stated + noise, np.full(len(t_s), np.nan), scored, stated)
+
+
+def strap_position(recovery: Recovery) -> FloatArray:
+    """The strap (N, 3), m in {K}: the IMU itself, or where its lever arm puts it if one was solved."""
+    levers = {} if recovery.calibration is None else recovery.calibration.lever_arms
+    known = np.isfinite(recovery.quaternion).all(axis=1)
+    if "strap" not in levers or not known.any():
+        return recovery.position
+    strap = np.full_like(recovery.position, np.nan)
+    turned = Rotation.from_quat(recovery.quaternion[known], scalar_first=True)
+    strap[known] = recovery.position[known] + turned.apply(levers["strap"].position_m)
+    return strap
 
 
 def _reference_joint(recording: Recording, recovery: Recovery, gap: HiddenGap) -> str | None:

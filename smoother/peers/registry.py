@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..result import Recovery
     from .scene import Peer
 
+#: Orientation filters; each is the function of that name in `peers/orientation/`.
+ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
 #: The filter that peers get unless another is asked for.
 DEFAULT_ORIENTATION = "vqf"
 
@@ -72,7 +74,7 @@ def recover(
     recording : one arm and its forearm IMU; its truth is not looked at.
     told : the graph's recovery of this very recording: calibration, clock, samples believed, gravity, gaps.
     method : one of `PEERS`.
-    orientation : one of `peers.orientation.ORIENTATIONS`.
+    orientation : one of `ORIENTATIONS`.
     options : of the method, see `PeerEntry.options`.
 
     Raises
@@ -81,7 +83,6 @@ def recover(
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
     from .answer import answer
-    from .orientation import ORIENTATIONS
     from .told import scenes_of
 
     options = dict(options or {})

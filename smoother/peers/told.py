@@ -35,7 +35,7 @@ def scenes_of(recording: Recording, told: Recovery, orientation: str = "vqf") ->
     ----------
     recording : one arm and its forearm IMU; its truth is not looked at.
     told : the graph's recovery of this very recording.
-    orientation : which filter, see `peers.orientation.ORIENTATIONS`.
+    orientation : which filter, see `peers.registry.ORIENTATIONS`.
 
     Raises
     ------

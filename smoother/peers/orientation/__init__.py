@@ -21,9 +21,6 @@ from .samples import EvenSamples, even_samples
 #: A filter: even samples in, quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` out.
 Filter = Callable[[EvenSamples], FloatArray]
 
-#: The filters' names; each is the function of that name in the module of that name.
-ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
-
 
 def orientation_filter(name: str) -> Filter:
     """The filter of a name."""
@@ -38,7 +35,7 @@ def attitude_by(
 
     Parameters
     ----------
-    name : one of `ORIENTATIONS`.
+    name : one of `peers.registry.ORIENTATIONS`.
     signal, imu : a stretch without a pause, as a signal and as samples.
     rate_hz : the filter's rate.
     gyroscope_bias : (3,) rad/s, taken off before the filter.
@@ -48,4 +45,4 @@ def attitude_by(
     return InertialAttitude(samples.t, Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]), gyroscope_bias)
 
 
-__all__ = ["ORIENTATIONS", "EvenSamples", "Filter", "attitude_by", "orientation_filter"]
+__all__ = ["EvenSamples", "Filter", "attitude_by", "orientation_filter"]
