@@ -73,7 +73,7 @@ def names_given(known: ArmCalibration | None) -> tuple[str, ...]:
 
 
 def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | None:
-    """What a recovery found; None for methods that need no calibration.
+    """What a recovery found; None for methods that need no calibration, or that find no orientation.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | 
     recording : what it was made of; tells how far the clock wandered.
     """
     arm = recovery.calibration
-    if arm is None:
+    if arm is None or not np.isfinite(recovery.quaternion).any():
         return None
     given = recovery.figures.get(GIVEN, ())
     assert isinstance(given, tuple | list)

@@ -18,6 +18,11 @@ from .scene import Path, Scene
 #: What of the graph's figures a peer was told, and its result repeats.
 TOLD_FIGURES = ("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m")
 
+TOLD = (
+    "calibration, clock, gravity and what is occluded are the graph's, which every method to compare with is"
+    " told; only the path between is this method's"
+)
+
 
 def answer(
     recording: Recording,
@@ -73,7 +78,7 @@ def answer(
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
-        notes=tuple(dict.fromkeys((*(note for path in paths for note in path.notes), *told.notes))),
+        notes=tuple(dict.fromkeys((*(note for path in paths for note in path.notes), TOLD, *told.notes))),
         config=told.config,
         figures={name: told.figures[name] for name in TOLD_FIGURES if name in told.figures}
         | (settings or {}),
