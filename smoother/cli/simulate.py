@@ -33,19 +33,29 @@ PresetName = Annotated[
 
 
 class SimulateGroup(TyperGroup):
-    """Makes `arm` when it is asked for: its options are the simulation's settings, slow to read."""
+    """Makes a command when it is asked for: its options are the simulation's settings, slow to read."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of the commands."""
-        return ["arm"]
+        return ["arm", "panel"]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, or None."""
-        if cmd_name != "arm":
-            return None
         app = typer.Typer(add_completion=False, rich_markup_mode=None)
-        example = "Example: unocclude simulate arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"
-        app.command("arm", epilog=example)(_with_settings(arm))
+        if cmd_name == "arm":
+            example = (
+                "Example: unocclude simulate arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"
+            )
+            app.command("arm", epilog=example)(with_settings(arm, _settings()))
+        elif cmd_name == "panel":
+            from . import simulate_panel
+
+            example = "Example: unocclude simulate panel -o session --poses 8 --seed 7 --mcap session.mcap"
+            app.command("panel", epilog=example)(
+                with_settings(simulate_panel.panel, simulate_panel.settings())
+            )
+        else:
+            return None
         return typer.main.get_command(app)
 
 
@@ -133,11 +143,11 @@ def _write_calibration(calibration: Any, markers: Any, path: Path, force: bool) 
         write_calibration(temporary, file)
 
 
-def _with_settings(command: Any) -> Any:
-    """The command with an option for every setting of the simulation."""
+def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
+    """The command with an option for every setting of a simulation."""
     own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
     taken = {parameter.name for parameter in own}
-    fields = {name: field for name, field in _settings().items() if name not in taken}
+    fields = {name: field for name, field in settings.items() if name not in taken}
     more = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in fields.items()

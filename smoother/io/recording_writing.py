@@ -53,7 +53,7 @@ def write_recording(
         output.metadata(METADATA, metadata)
         outgoing = []
         for imu in file.imus:
-            outgoing.append(_imu(output, imu))
+            outgoing.append(imu_messages(output, imu))
         for arm in file.arms:
             outgoing.append(arm_messages(output, arm))
         for poses in file.poses:
@@ -124,7 +124,8 @@ def _free(topic: str, taken: set[str]) -> str:
     return free
 
 
-def _imu(output: Output, imu: ImuSamples) -> Outgoing:
+def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
+    """Messages of an IMU, on its topic."""
     parts = [
         wire.timestamp(1, "stamp"),
         wire.text(2, imu.frame_id),

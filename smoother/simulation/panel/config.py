@@ -32,6 +32,9 @@ class PanelSimulation(BaseModel):
     )
     hidden_markers: tuple[int, ...] = Field(default=(), description="markers that the camera cannot see")
     marker_shape: Literal["disc", "sphere"] = "disc"
+    marker_height_m: float = Field(
+        default=0.0, ge=0, le=0.1, description="centre of a spherical marker above the panel, m"
+    )
     marker_diameter_m: float = Field(default=0.016, gt=0.002, le=0.06, description="of a marker, m")
 
     distance_m: Point = Field(default=(1.2, 1.9), description="panel's centre to camera, from and to, m")
@@ -70,6 +73,28 @@ class PanelSimulation(BaseModel):
     quantised: bool = Field(default=True, description="round depths to whole millimetres")
     mocap_noise_m: float = Field(default=0.0002, ge=0, description="sigma of a mocap marker, m an axis")
 
+    hold_s: float = Field(default=2.0, ge=1, le=60, description="how long each pose is held, s")
+    move_s: float = Field(default=2.5, ge=1, le=60, description="from one pose to the next, s")
+    sway_deg: float = Field(default=0.05, ge=0, description="rms of the hand's sway in a hold, degrees")
+    camera_tilt_deg: float = Field(
+        default=0.0,
+        ge=0,
+        le=60,
+        description="the camera and its base IMU are tilted anew for each pose, up to",
+    )
+    imu_mounting_deg: float = Field(
+        default=3.0, ge=0, le=180, description="the panel's IMU sits off the panel's axes, degrees"
+    )
+    imu_rate_hz: float = Field(default=100.0, ge=20, le=1000, description="IMU samples a second")
+    accelerometer_noise: float = Field(default=0.002, ge=0, description="density, m/s^2/sqrt(Hz)")
+    gyroscope_noise: float = Field(default=0.0002, ge=0, description="density, rad/s/sqrt(Hz)")
+    accelerometer_bias: float = Field(default=0.02, ge=0, description="sigma of the bias, m/s^2 an axis")
+    gyroscope_bias: float = Field(default=0.005, ge=0, description="sigma of the bias, rad/s an axis")
+    imu_scale: float = Field(default=0.001, ge=0, description="sigma of each axis' scale error")
+    magnetometer: bool = Field(default=False, description="both IMUs have a magnetometer")
+    magnetometer_noise: float = Field(default=0.4, ge=0, description="sigma of a sample, uT an axis")
+    magnetometer_bias: float = Field(default=0.5, ge=0, description="sigma of what iron adds, uT an axis")
+
     @classmethod
     def ideal(cls, **changes: Any) -> Self:
         """No error at all and nobody in the picture: for tests of the geometry."""
@@ -80,6 +105,14 @@ class PanelSimulation(BaseModel):
             "halo_m": 0.0,
             "flying": 0.0,
             "mocap_noise_m": 0.0,
+            "sway_deg": 0.0,
+            "accelerometer_noise": 0.0,
+            "gyroscope_noise": 0.0,
+            "accelerometer_bias": 0.0,
+            "gyroscope_bias": 0.0,
+            "imu_scale": 0.0,
+            "magnetometer_noise": 0.0,
+            "magnetometer_bias": 0.0,
         }
         return cls(**{**none, **changes})
 

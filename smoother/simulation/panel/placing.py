@@ -82,6 +82,25 @@ def place_camera(rng: np.random.Generator) -> FloatArray:
     return np.asarray((heading * Rotation.from_matrix(level) * off * lean).as_matrix())
 
 
+def tilt_camera(R_W_K: FloatArray, most_deg: float, rng: np.random.Generator) -> FloatArray:
+    """R_W_K after a turn of the tripod's head: by up to `most_deg` about each of the camera's axes."""
+    turn = Rotation.from_rotvec(np.radians(rng.uniform(-most_deg, most_deg, 3)))
+    return np.asarray(R_W_K @ turn.as_matrix())
+
+
+def place_base(rng: np.random.Generator) -> FloatArray:
+    """R_K_B (3, 3) of an IMU on top of the camera: any side up, some degrees off."""
+    side = Rotation.create_group("O")[int(rng.integers(24))]
+    off = Rotation.from_rotvec(np.radians(rng.normal(0, 3, 3)))
+    return np.asarray((off * side).as_matrix())
+
+
+def place_imu(off_deg: float, rng: np.random.Generator) -> FloatArray:
+    """R_P_I (3, 3) of an IMU that was lined up with the panel by eye: off by `off_deg` about some axis."""
+    axis = rng.normal(size=3)
+    return np.asarray(Rotation.from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis)).as_matrix())
+
+
 def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """R_K_E (3, 3) and the mocap's origin in {K} (3,), m: on the floor, z up to a degree, any heading."""
     R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))

@@ -105,7 +105,9 @@ def build_scene(
     scene.add("board", _in_camera(scene, _board(config)))
     if config.marker_shape == "sphere":
         for index in _shown(config):
-            ball = _sphere(config.marker_diameter_m / 2, np.append(config.markers[index], 0.0), 40)
+            ball = _sphere(
+                config.marker_diameter_m / 2, np.append(config.markers[index], config.marker_height_m), 40
+            )
             scene.add("marker", _in_camera(scene, ball))
     scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, -_CAMERA_HEIGHT_M]))
     towards = R_K_W.T @ [0, 0, 1.0]

@@ -1,4 +1,4 @@
-"""`simulate_panel`: images, mocap markers and truth of a panel held before a depth camera."""
+"""`simulate_panel`: images, mocap markers, IMUs and truth of a panel held before a depth camera."""
 
 from __future__ import annotations
 
@@ -7,10 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FloatArray
+from ...recording import FloatArray, ImuStream
 from .config import PanelSimulation
+from .inertial import Held, imu_stream
 from .lens import Lens
-from .placing import place_camera, place_mocap, place_panel
+from .placing import (
+    panel_corners,
+    place_base,
+    place_camera,
+    place_imu,
+    place_mocap,
+    place_panel,
+    tilt_camera,
+)
 from .render import render
 from .scene import Scene, add_distractor, build_scene
 from .sensor import depth_image, infrared_image
@@ -25,6 +34,7 @@ class PanelPose:
 
     Attributes
     ----------
+    t_s : time of the images, in the middle of the hold; the clock is the IMUs'.
     depth : (height, width) uint16, mm along the optical axis, 0 = none (float where not quantised).
     infrared : (height, width) uint16.
     marker_names : of the mocap markers, in the order they come in.
@@ -32,8 +42,10 @@ class PanelPose:
     marker_order : (n,) which marker of the panel's definition each of them is.
     R_K_P, p_K_P : (3, 3) and (3,) m, the panel in the camera.
     marker_pixels : (n, 2) exact pixels of the markers' centres, in the order of the definition.
+    R_W_K : (3, 3) the camera in the world, z up.
     """
 
+    t_s: float
     depth: NDArray[np.uint16] | FloatArray
     infrared: NDArray[np.uint16]
     marker_names: tuple[str, ...]
@@ -42,6 +54,7 @@ class PanelPose:
     R_K_P: FloatArray
     p_K_P: FloatArray
     marker_pixels: FloatArray
+    R_W_K: FloatArray
 
 
 @dataclass(frozen=True)
@@ -53,17 +66,22 @@ class SimulatedPanel:
     config, seed : what they were made of.
     lens : the camera's intrinsics.
     poses : the panel poses.
-    R_K_E, t_K_E : the answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E, m.
-    R_W_K : the camera in the world, z up.
+    imu_panel, imu_base : the IMU on the panel and the one on the camera, over the whole session.
+    R_K_E, t_K_E : the answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E, m. Where the
+        camera is tilted between the poses, it holds for the first.
+    R_K_B, R_P_I : the answer of `calibrate world`: camera from base IMU, panel from its IMU.
     """
 
     config: PanelSimulation
     seed: int
     lens: Lens
     poses: tuple[PanelPose, ...]
+    imu_panel: ImuStream
+    imu_base: ImuStream
     R_K_E: FloatArray
     t_K_E: FloatArray
-    R_W_K: FloatArray
+    R_K_B: FloatArray
+    R_P_I: FloatArray
 
 
 def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
@@ -76,15 +94,23 @@ def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
     ValueError
         The panel does not fit into the image at the configured distances.
     """
-    streams = np.random.SeedSequence(seed).spawn(config.poses + 1)
+    streams = np.random.SeedSequence(seed).spawn(config.poses + 2)
     rng = np.random.default_rng(streams[0])
     lens = make_lens(config)
     R_W_K = place_camera(rng)
     R_K_E, t_K_E = place_mocap(R_W_K, rng)
-    poses = tuple(
-        _pose(config, lens, R_W_K, R_K_E, t_K_E, np.random.default_rng(stream)) for stream in streams[1:]
-    )
-    return SimulatedPanel(config, seed, lens, poses, R_K_E, t_K_E, R_W_K)
+    mocap_W = (R_W_K @ R_K_E, R_W_K @ t_K_E)
+    poses = []
+    for number, stream in enumerate(streams[1:-1]):
+        own = np.random.default_rng(stream)
+        tilted = tilt_camera(R_W_K, config.camera_tilt_deg, own) if number else R_W_K
+        poses.append(_pose(config, lens, number, tilted, mocap_W, own))
+    rng = np.random.default_rng(streams[-1])
+    R_K_B, R_P_I = place_base(rng), place_imu(config.imu_mounting_deg, rng)
+    panel, camera = _bodies(config, poses, seed)
+    imu_panel = imu_stream("panel", panel, R_P_I, config, rng)
+    imu_base = imu_stream("base", camera, R_K_B, config, rng)
+    return SimulatedPanel(config, seed, lens, tuple(poses), imu_panel, imu_base, R_K_E, t_K_E, R_K_B, R_P_I)
 
 
 def make_lens(config: PanelSimulation) -> Lens:
@@ -100,12 +126,18 @@ def make_lens(config: PanelSimulation) -> Lens:
     )
 
 
+def marker_points(config: PanelSimulation) -> FloatArray:
+    """Centres of the markers (n, 3), m in {P}."""
+    height = config.marker_height_m if config.marker_shape == "sphere" else 0.0
+    return np.column_stack([config.markers, np.full(len(config.markers), height)])
+
+
 def _pose(
     config: PanelSimulation,
     lens: Lens,
+    number: int,
     R_W_K: FloatArray,
-    R_K_E: FloatArray,
-    t_K_E: FloatArray,
+    mocap_W: tuple[FloatArray, FloatArray],
     rng: np.random.Generator,
 ) -> PanelPose:
     R_K_P, p_K_P = place_panel(config, lens, rng)
@@ -114,20 +146,32 @@ def _pose(
     ideal = render(scene, lens)
     infrared = infrared_image(ideal, config, rng)
     depth = depth_image(ideal, config, rng)
-    flat = np.column_stack([config.markers, np.zeros(len(config.markers))])
-    true_K = flat @ R_K_P.T + p_K_P
-    order = rng.permutation(len(flat))
+    true_K = marker_points(config) @ R_K_P.T + p_K_P
+    order = rng.permutation(len(true_K))
     noise = config.mocap_noise_m * rng.normal(size=true_K.shape)
-    markers = ((true_K - t_K_E) @ R_K_E + noise)[order]
-    names = tuple(f"M{number:02d}" for number in rng.permutation(np.arange(1, 1 + len(flat))))
-    return PanelPose(depth, infrared, names, markers, order, R_K_P, p_K_P, lens.project(true_K))
+    R_W_E, t_W_E = mocap_W
+    markers = ((true_K @ R_W_K.T - t_W_E) @ R_W_E + noise)[order]
+    names = tuple(f"M{number:02d}" for number in rng.permutation(np.arange(1, 1 + len(true_K))))
+    t_s = (number + 0.5) * config.hold_s + number * config.move_s
+    pixels = lens.project(true_K)
+    return PanelPose(t_s, depth, infrared, names, markers, order, R_K_P, p_K_P, pixels, R_W_K)
+
+
+def _bodies(config: PanelSimulation, poses: list[PanelPose], seed: int) -> tuple[Held, Held]:
+    """The panel (a point near its middle) and the camera, from pose to pose."""
+    R_W_K = np.array([pose.R_W_K for pose in poses])
+    R_K_P = np.array([pose.R_K_P for pose in poses])
+    middle = panel_corners(config).mean(axis=0) + np.array([0.05, 0.03, -0.01])
+    p_K = np.array([pose.R_K_P @ middle + pose.p_K_P for pose in poses])
+    p_W = np.einsum("nij,nj->ni", R_W_K, p_K)
+    times = (config.hold_s, config.move_s)
+    panel = Held(R_W_K @ R_K_P, p_W, *times, config.sway_deg, seed)
+    return panel, Held(R_W_K, np.zeros((len(poses), 3)), *times)
 
 
 def _distract(scene: Scene, lens: Lens, count: int, rng: np.random.Generator) -> None:
     """Put bright balls beside the panel, wherever there is room in the image."""
     import cv2
-
-    from .placing import panel_corners
 
     outline = lens.project(panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P).astype(np.float32)
     rays = lens.rays()
@@ -136,10 +180,9 @@ def _distract(scene: Scene, lens: Lens, count: int, rng: np.random.Generator) ->
         row, column = rng.integers(10, lens.height - 10), rng.integers(10, lens.width - 10)
         if cv2.pointPolygonTest(outline, (float(column), float(row)), True) > -_DISTRACTOR_FROM_PANEL_PX:
             continue
-        ray = rays[row, column]
-        z = float(scene.cast(ray[None]).z[0])
+        z = float(scene.cast(rays[row, column][None]).z[0])
         if np.isfinite(z):
-            add_distractor(scene, ray, rng.uniform(1.0, min(z - 0.05, 2.0)))
+            add_distractor(scene, rays[row, column], rng.uniform(1.0, min(z - 0.05, 2.0)))
             placed += 1
         if placed == count:
             return
