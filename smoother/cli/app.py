@@ -6,7 +6,20 @@ from typing import Annotated
 
 import typer
 
-from . import calibrate, config, demo, doctor, export, gaps, imports, info, simulate, smooth, validate
+from . import (
+    calibrate,
+    calibrate_clock,
+    config,
+    demo,
+    doctor,
+    export,
+    gaps,
+    imports,
+    info,
+    simulate,
+    smooth,
+    validate,
+)
 
 _CSV_EXAMPLE = """Example: unocclude import csv session -o session.mcap
 
@@ -94,6 +107,10 @@ def _calibrate_root() -> None:
 _calibrate.command("motion", epilog="Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml")(
     calibrate.motion
 )
+_calibrate.command(
+    "clock",
+    epilog="Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
+)(calibrate_clock.clock)
 app.add_typer(_calibrate, name="calibrate")
 
 _simulate = _app("Make a recording with truth.", cls=simulate.SimulateGroup)

@@ -1,0 +1,146 @@
+"""The page of `calibrate clock`: links, residuals, the beep's end, the motion's line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from calib.clock_links import ClockNetwork, Leftover, Receptions
+from calib.clock_motion import MotionClock
+from calib.clock_sound import Beep
+from calib.clock_words import next_time, open_questions, verdict
+
+from .look import OCCLUDED, VISIBLE, dress
+from .sheet import figure, listing, tabulated, write_sheet
+
+
+def write_clock_report(
+    path: str | os.PathLike[str],
+    session: str,
+    network: ClockNetwork,
+    heard: Sequence[Receptions] = (),
+    beeps: Sequence[Beep] = (),
+    motion: MotionClock | None = None,
+    *,
+    force: bool = False,
+) -> None:
+    """Write the page of a solved clock network."""
+    write_sheet(
+        path,
+        f"Clocks: {session}",
+        "Offsets are of this session alone.",
+        verdict(network),
+        _sections(network, heard, beeps, motion),
+        force=force,
+    )
+
+
+def _sections(
+    network: ClockNetwork, heard: Sequence[Receptions], beeps: Sequence[Beep], motion: MotionClock | None
+) -> Iterator[str]:
+    yield listing("For the next recording", next_time(network, heard, beeps, motion))
+    rows = [
+        (
+            link.from_clock,
+            link.to_clock,
+            f"{link.offset_s:+.6f}",
+            f"{1e3 * link.sigma_s:.3f}",
+            f"{link.at_s:.3f}",
+            f"{link.skew_ppm:+.2f} ± {link.skew_sigma_ppm:.2f}",
+        )
+        for link in network.links()
+    ]
+    columns = ("from", "to", "offset, s", "sigma, ms", "at (clock from), s", "skew, parts in a million")
+    yield tabulated(
+        "Links",
+        "t_to = t_from + offset + skew (t_from - at), for every two clocks that hang together.",
+        columns,
+        rows,
+    )
+    for left in network.leftovers:
+        if len(left.residual_s) > 1:
+            yield figure(
+                f"What is left: {left.source}",
+                "How far each time is from what the solved clocks say; the band is one standard"
+                " deviation. Crosses were"
+                " set aside.",
+                residuals(left),
+            )
+    for beep in beeps:
+        yield figure(
+            f"The beep that ends at {beep.end_s:.4f} s",
+            f"Level of the tone of {beep.frequency_hz:.0f} Hz about its end, what was fitted to it, and"
+            " the end that was"
+            f" found (to {1e3 * beep.sigma_s:.2f} ms).",
+            beep_end(beep),
+        )
+    if motion is not None:
+        yield figure(
+            "The clock in the motion",
+            "Clock offset of each stretch of the recording with its sigma, and the line through them."
+            " Crosses do not fit.",
+            motion_line(motion),
+        )
+    yield listing("What stayed open", open_questions(network, heard, beeps, motion), "Nothing stayed open.")
+
+
+def residuals(left: Leftover) -> go.Figure:
+    """Residuals of a source over time, a colour a node."""
+    drawn = go.Figure()
+    names = np.array(left.node)
+    first = float(left.t_s.min())
+    for name in dict.fromkeys(left.node):
+        mine = names == name
+        symbols = np.where(left.used[mine], "circle", "x").tolist()
+        drawn.add_trace(
+            go.Scatter(
+                x=left.t_s[mine] - first,
+                y=1e3 * left.residual_s[mine],
+                mode="markers",
+                marker={"symbol": symbols, "size": 8},
+                name=name,
+            )
+        )
+    limit = max(4 * left.sigma_s, 1.2 * float(np.abs(left.residual_s[left.used]).max(initial=0.0)))
+    drawn.add_hrect(-1e3 * left.sigma_s, 1e3 * left.sigma_s, fillcolor=VISIBLE, opacity=0.12, line_width=0)
+    drawn.update_yaxes(title_text="residual, ms", range=[-1e3 * limit, 1e3 * limit])
+    drawn.update_xaxes(title_text="time after the first, s")
+    return dress(drawn, 320)
+
+
+def beep_end(beep: Beep) -> go.Figure:
+    """The envelope about a beep's end."""
+    drawn = go.Figure()
+    t = 1e3 * (beep.t_s - beep.end_s)
+    size = float(beep.fitted[0])
+    for values, name, colour in ((beep.envelope, "heard", VISIBLE), (beep.fitted, "fitted", OCCLUDED)):
+        drawn.add_trace(go.Scatter(x=t, y=values / size, mode="lines", name=name, line={"color": colour}))
+    drawn.add_vline(0.0, line_dash="dash", line_color="#111111")
+    drawn.update_xaxes(title_text="time from the end, ms")
+    drawn.update_yaxes(title_text="level", rangemode="tozero")
+    return dress(drawn, 320)
+
+
+def motion_line(motion: MotionClock) -> go.Figure:
+    """Offsets of the stretches and the line through them."""
+    drawn, link = go.Figure(), motion.link
+    symbols = np.where(motion.used, "circle", "x").tolist()
+    drawn.add_trace(
+        go.Scatter(
+            x=motion.t_s,
+            y=1e3 * motion.offset_s,
+            mode="markers",
+            name="stretch",
+            error_y={"array": 1e3 * motion.sigma_s},
+            marker={"symbol": symbols, "size": 9, "color": VISIBLE},
+        )
+    )
+    ends = np.array([motion.t_s.min() - 5.0, motion.t_s.max() + 5.0])
+    line = link.offset_s + 1e-6 * link.skew_ppm * (ends - link.at_s)
+    drawn.add_trace(go.Scatter(x=ends, y=1e3 * line, mode="lines", name="line", line={"color": OCCLUDED}))
+    drawn.update_xaxes(title_text="time on the camera's clock, s")
+    drawn.update_yaxes(title_text="IMU minus camera, ms")
+    return dress(drawn, 340)
