@@ -1,0 +1,181 @@
+"""A plane through depth pixels: robust, with what a constant error of the depth would do to it.
+
+In a pinhole camera the inverse depth of a plane is linear in the ray: 1/z = theta . (x, y, 1), where a point
+p = z (x, y, 1) of the plane fulfils theta . p = 1; the normal is theta / |theta|, the distance 1 / |theta|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.errors import CalibrationError
+from smoother.recording import BoolArray, FloatArray
+
+#: A pixel farther from the plane than this many sigmas does not take part.
+OUTLIER = 3.5
+#: Nothing nearer to the plane than this is an outlier, m: a camera counts in millimetres.
+LEAST_OUTLIER_M = 0.004
+#: A start is tried on so many triples of pixels.
+TRIPLES = 200
+#: Fewer pixels than this, or than this share of those given, make no plane.
+FEWEST, LEAST_SHARE = 60, 0.3
+#: Step of the depth's offset for the derivatives, m.
+STEP_M = 0.01
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane in the camera frame {K}.
+
+    Attributes
+    ----------
+    theta : (3,) 1/m; points fulfil theta . p = 1.
+    covariance : (3, 3) of theta, widened for errors that neighbouring pixels share.
+    offset_rate, offset_curve : (3,) first and half the second derivative of theta after a constant depth
+        error (m) that is taken off every depth.
+    inliers : (N,) pixels that took part.
+    residuals_m : (N,) depth minus the plane's depth.
+    noise_m : standard deviation of a pixel's depth.
+    share_common : factor by which errors shared among neighbours widen sigma.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    offset_rate: FloatArray
+    offset_curve: FloatArray
+    inliers: BoolArray
+    residuals_m: FloatArray
+    noise_m: float
+    share_common: float
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal (3,), towards the camera."""
+        return -self.theta / np.linalg.norm(self.theta)
+
+    def at_offset(self, offset_m: float) -> FloatArray:
+        """`theta` if every depth is too long by `offset_m`."""
+        return self.theta + offset_m * (self.offset_rate + offset_m * self.offset_curve)
+
+    def meet(self, rays: FloatArray, offset_m: float = 0.0) -> FloatArray:
+        """Where rays (N, 2) meet the plane, (N, 3) m."""
+        return on_plane(self.at_offset(offset_m), rays)
+
+
+def on_plane(theta: FloatArray, rays: FloatArray) -> FloatArray:
+    """Where rays (..., 2) meet the plane theta . p = 1, (..., 3)."""
+    full = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
+    return full / (full @ theta)[..., None]
+
+
+def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: str = "the view") -> Plane:
+    """Fit a plane to depth pixels, most of which lie on it.
+
+    Least median of squares over random triples, then least squares on what lies near, twice. Sigma is that of
+    the pixels' noise, widened by what the means of blocks of neighbouring pixels scatter more than
+    independent pixels would.
+
+    Parameters
+    ----------
+    pixels : (N, 2) whole pixels, for neighbourhood.
+    rays : (N, 2) undistorted.
+    depth_m : (N,) all finite.
+    what : name of the view in messages.
+
+    Raises
+    ------
+    CalibrationError
+        Too few pixels, or they do not lie on a plane.
+    """
+    if len(depth_m) < FEWEST:
+        raise CalibrationError(
+            f"{what}: depth is missing under the panel ({len(depth_m)} pixels have one); see that the camera"
+            " measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
+        )
+    full = np.column_stack([rays, np.ones(len(rays))])
+    theta = _start(full, 1 / depth_m)
+    inliers = np.ones(len(depth_m), dtype=bool)
+    for _ in range(6):
+        residuals = depth_m - 1 / (full @ theta)
+        noise = 1.4826 * float(np.median(np.abs(residuals[inliers] - np.median(residuals[inliers]))))
+        within = np.abs(residuals) <= max(OUTLIER * noise, LEAST_OUTLIER_M)
+        within &= ~_beside(~within, pixels)
+        if within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
+            raise CalibrationError(
+                f"{what}: the depth under the panel is no plane: only {within.sum()} of {len(within)} pixels agree; see"
+                " that nothing stands before it."
+            )
+        theta = _least_squares(full[within], depth_m[within])
+        if (within == inliers).all():
+            break
+        inliers = within
+    residuals = depth_m - 1 / (full @ theta)
+    noise = float(np.std(residuals[inliers], ddof=3))
+    common = _common(pixels[inliers], residuals[inliers])
+    jacobian = full[inliers] * depth_m[inliers, None] ** 2  # of the depth after theta, without its sign
+    covariance: FloatArray = np.linalg.inv(jacobian.T @ jacobian) * (max(noise, 2e-4) * common) ** 2
+    low, high = (_least_squares(full[inliers], depth_m[inliers] - step) for step in (-STEP_M, STEP_M))
+    return Plane(
+        theta=theta,
+        covariance=covariance,
+        offset_rate=(high - low) / (2 * STEP_M),
+        offset_curve=(high + low - 2 * theta) / (2 * STEP_M**2),
+        inliers=inliers,
+        residuals_m=residuals,
+        noise_m=noise,
+        share_common=common,
+    )
+
+
+def _start(full: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Least median of squares over random triples."""
+    rng = np.random.default_rng(0)
+    triples = rng.integers(0, len(full), (TRIPLES, 3))
+    matrices = full[triples]
+    usable = np.abs(np.linalg.det(matrices)) > 1e-9
+    if not usable.any():
+        return np.linalg.lstsq(full, inverse, rcond=None)[0]
+    thetas = np.linalg.solve(matrices[usable], inverse[triples[usable]][..., None])[..., 0]
+    some = rng.permutation(len(full))[:1500]
+    misfit = np.median(np.abs(full[some] @ thetas.T - inverse[some, None]), axis=0)
+    return np.asarray(thetas[np.argmin(misfit)])
+
+
+def _least_squares(full: FloatArray, depth_m: FloatArray) -> FloatArray:
+    """The depth's own least squares, as two linear ones in the inverse depth, weighted with z^2."""
+    weight = depth_m**2
+    for _ in range(2):
+        theta = np.linalg.lstsq(full * weight[:, None], weight / depth_m, rcond=None)[0]
+        weight = depth_m / (full @ theta)
+    return np.asarray(theta, dtype=np.float64)
+
+
+def _beside(bad: BoolArray, pixels: FloatArray) -> BoolArray:
+    """Pixels next to a patch of outliers: the rim of a hand, or flying pixels, pulls them along."""
+    import cv2
+
+    whole = np.rint(pixels).astype(int)
+    corner = whole.min(axis=0) - 2
+    image = np.zeros(whole.max(axis=0)[::-1] - corner[::-1] + 3, np.uint8)
+    at = (whole[:, 1] - corner[1], whole[:, 0] - corner[0])
+    image[at] = bad
+    patches = cv2.morphologyEx(image, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    return np.asarray(cv2.dilate(patches, np.ones((5, 5), np.uint8))[at] > 0)
+
+
+def _common(pixels: FloatArray, residuals: FloatArray) -> float:
+    """Square root of (scatter of block means) / (what independent pixels would give), at least 1."""
+    worst = 1.0
+    for side in (4, 8, 16):
+        cells = np.floor(pixels / side).astype(int)
+        cells -= cells.min(axis=0)
+        _, cell = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
+        count = np.bincount(cell)
+        mean = np.bincount(cell, residuals) / count
+        large = count >= side * side / 2
+        if large.sum() >= 12:
+            ratio = float(np.mean(mean[large] ** 2 * count[large]) / np.mean(residuals**2))
+            worst = max(worst, np.sqrt(ratio))
+    return worst
