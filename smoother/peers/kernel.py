@@ -1,0 +1,176 @@
+"""One Gaussian process over positions, seen through two linear maps: positions and accelerations.
+
+Feng (Glasgow thesis, 2014), chapter 4: positions at a high rate have the prior N(0, Sigma); the camera sees
+some of them (K_p, 4.17), the accelerometer their second differences (K_a, 4.13, each belonging to the centre
+of its three), and the joint covariance of all measurements is K Sigma K' plus their noise (4.21). K Sigma K'
+is written out here as differences of the kernel, so frames and samples may lie at any times, and the second
+difference keeps its own step whatever the IMU's rate: a step of 1/1000 s would leave nothing but rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from ..recording import FloatArray
+
+#: Step of the differences, s (theirs).
+STEP_S = 1.0 / 90.0
+_SECOND = ((-1, 1.0), (0, -2.0), (1, 1.0))
+_FIRST = ((-0.5, -1.0), (0.5, 1.0))
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Hyper-parameters: cov(p(t), p(t + d)) = variance exp(-rate d^2) (2.14), and the sensors' noise.
+
+    Attributes
+    ----------
+    variance : v0, m^2.
+    rate : w, 1/s^2.
+    position_sigma, acceleration_sigma : m and m/s^2.
+    """
+
+    variance: float = 5.66e4 * 1e-6
+    rate: float = 4.19
+    position_sigma: float = 0.008
+    acceleration_sigma: float = 0.100
+
+    def __call__(self, apart: FloatArray) -> FloatArray:
+        """Covariance of positions so far apart in time, s."""
+        return np.asarray(self.variance * np.exp(-self.rate * apart**2))
+
+
+#: What was published (section 4.5.2): v0 = 5.66e4 mm^2, w = 4.19, 8 mm, 100 mm/s^2.
+PUBLISHED = Kernel()
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Positions (f, c) m at frame_t (f,), accelerations (n, c) m/s^2 at acc_t (n,); columns share times."""
+
+    frame_t: FloatArray
+    position: FloatArray
+    acc_t: FloatArray
+    acceleration: FloatArray
+
+    def between(self, start_s: float, end_s: float) -> Measurements:
+        """Those of a stretch of time, its ends included."""
+        f = (self.frame_t >= start_s) & (self.frame_t <= end_s)
+        a = (self.acc_t >= start_s) & (self.acc_t <= end_s)
+        return Measurements(self.frame_t[f], self.position[f], self.acc_t[a], self.acceleration[a])
+
+    @property
+    def targets(self) -> FloatArray:
+        """M_all (4.19), (f + n, c)."""
+        return np.vstack([self.position, self.acceleration])
+
+
+def _mapped(
+    kernel: Kernel,
+    t: FloatArray,
+    rows: tuple[tuple[float, float], ...],
+    other: FloatArray,
+    columns: tuple[tuple[float, float], ...],
+) -> FloatArray:
+    """Covariance of two differences of positions: their weights at shifts in `STEP_S`s."""
+    apart = t[:, None] - other[None, :]
+    total = np.zeros_like(apart)
+    shifts: dict[float, float] = {}
+    for i, a in rows:
+        for j, b in columns:
+            shifts[i - j] = shifts.get(i - j, 0.0) + a * b
+    for shift, weight in shifts.items():
+        total += weight * kernel(apart + shift * STEP_S)
+    return total
+
+
+_VALUE = ((0, 1.0),)
+
+
+def joint_covariance(kernel: Kernel, frame_t: FloatArray, acc_t: FloatArray) -> FloatArray:
+    """K_all Sigma K_all' and the noise on its diagonal (4.21), (f + n, f + n)."""
+    to_acc = STEP_S**-2
+    pp = kernel(frame_t[:, None] - frame_t[None, :])
+    pa = _mapped(kernel, frame_t, _VALUE, acc_t, _SECOND) * to_acc
+    aa = _mapped(kernel, acc_t, _SECOND, acc_t, _SECOND) * to_acc**2
+    C = np.block([[pp, pa], [pa.T, aa]])
+    noise = np.repeat([kernel.position_sigma, kernel.acceleration_sigma], [len(frame_t), len(acc_t)])
+    C[np.diag_indices_from(C)] += noise**2
+    return C
+
+
+def condition(
+    kernel: Kernel, seen: Measurements, at: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions given the measurements (4.24, with the covariance 4.23 belongs to).
+
+    Parameters
+    ----------
+    at : (k,) times, s.
+
+    Returns
+    -------
+    position, velocity : (k, c) m and m/s.
+    variance : (k,) m^2 of the position, the same for all columns.
+    """
+    factor = cho_factor(joint_covariance(kernel, seen.frame_t, seen.acc_t), lower=True, check_finite=False)
+    weights = cho_solve(factor, seen.targets, check_finite=False)
+    cross = _to_measurements(kernel, at, _VALUE, seen)
+    moving = _to_measurements(kernel, at, _FIRST, seen) / STEP_S
+    explained = np.einsum("ij,ji->i", cross, cho_solve(factor, cross.T, check_finite=False))
+    variance = np.maximum(kernel.variance - explained, 0.0)
+    return cross @ weights, moving @ weights, variance
+
+
+def _to_measurements(
+    kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], seen: Measurements
+) -> FloatArray:
+    return np.hstack(
+        [
+            _mapped(kernel, at, rows, seen.frame_t, _VALUE),
+            _mapped(kernel, at, rows, seen.acc_t, _SECOND) * STEP_S**-2,
+        ]
+    )
+
+
+def log_likelihood(kernel: Kernel, seen: Measurements) -> float:
+    """Log-density of the measurements under the prior (2.13), all columns together."""
+    factor = cho_factor(joint_covariance(kernel, seen.frame_t, seen.acc_t), lower=True, check_finite=False)
+    targets = seen.targets
+    quadratic = float(np.sum(targets * cho_solve(factor, targets, check_finite=False)))
+    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+    count, columns = targets.shape
+    return -0.5 * (quadratic + columns * (log_determinant + count * np.log(2.0 * np.pi)))
+
+
+def predict(
+    kernel: Kernel, seen: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
+) -> tuple[FloatArray, FloatArray]:
+    """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3).
+
+    At each time the last `order` frames that have arrived, and the accelerations from the oldest of them up
+    to now. Without accelerations in `seen` it is the position-only predictor.
+
+    Parameters
+    ----------
+    seen : frame_t are the times that the frames show; they arrive `latency_s` later.
+    at : (k,) increasing times, s.
+
+    Returns
+    -------
+    (k, c) predicted positions, m, and (k,) their standard deviations; nan before the first frame arrives.
+    """
+    mean, sigma = np.full((len(at), seen.position.shape[1]), np.nan), np.full(len(at), np.nan)
+    arrived = np.searchsorted(seen.frame_t + latency_s, at + 1e-9, side="right")
+    for k in np.flatnonzero(arrived):
+        frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
+        frame_t, position = seen.frame_t[frames], seen.position[frames]
+        a, b = np.searchsorted(seen.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
+        level = position.mean(axis=0)
+        window = Measurements(frame_t, position - level, seen.acc_t[a:b], seen.acceleration[a:b])
+        found, _, variance = condition(kernel, window, at[k : k + 1])
+        mean[k], sigma[k] = found[0] + level, np.sqrt(variance[0])
+    return mean, sigma
