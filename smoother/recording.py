@@ -7,7 +7,7 @@ IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 
 import numpy as np
@@ -59,6 +59,9 @@ class ImuStream:
     acc : (N, 3) specific force, m/s^2 (at rest about +9.81 upwards).
     gyro : (N, 3) angular velocity, rad/s.
     mag : (N, 3) magnetic field in the sensor's unit, or None.
+    mag_calibrated : `mag` is corrected, of length 1 in the field where it was calibrated.
+    accelerometer_density, gyroscope_density : white noise measured of this sensor, m/s^2/sqrt(Hz) and
+        rad/s/sqrt(Hz); None where nobody did.
     """
 
     name: str
@@ -66,6 +69,9 @@ class ImuStream:
     acc: FloatArray
     gyro: FloatArray
     mag: FloatArray | None = None
+    mag_calibrated: bool = False
+    accelerometer_density: float | None = None
+    gyroscope_density: float | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -78,7 +84,7 @@ class ImuStream:
     def select(self, keep: BoolArray | slice) -> ImuStream:
         """The same stream with the kept samples only."""
         mag = None if self.mag is None else self.mag[keep]
-        return ImuStream(self.name, self.t_s[keep], self.acc[keep], self.gyro[keep], mag)
+        return replace(self, t_s=self.t_s[keep], acc=self.acc[keep], gyro=self.gyro[keep], mag=mag)
 
 
 @dataclass(frozen=True)
