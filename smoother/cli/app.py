@@ -81,7 +81,7 @@ app.command("validate", epilog="Example: unocclude validate recovered.mcap --tru
 app.command(
     "gaps", epilog="Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"
 )(gaps.gaps)
-app.command("export", epilog="Example: unocclude export recovered.mcap --format csv -o recovered.csv")(
+app.command("export", epilog="Example: unocclude export recovered.mcap --format trc -o recovered.trc")(
     export.export
 )
 app.command("config", epilog="Example: unocclude config > settings.toml")(config.config)

@@ -9,12 +9,15 @@ import typer
 
 from ..errors import UnoccludeError
 from .options import Force, Json, Output, Side, one_side
-from .output import check_outputs, say, write_json
+from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
+    from ..io.prepare_export import Export
+    from ..recording import FloatArray
     from ..result import Recovery
 
-FORMATS = ("csv",)
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FRAMES = ("camera", "opensim")
 
 
 def export(
@@ -26,16 +29,39 @@ def export(
         str, typer.Option("--format", metavar="|".join(FORMATS), help="Format to write.", show_default=False)
     ],
     side: Side = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            "--frame",
+            metavar="|".join(FRAMES),
+            help="Axes of trc (default opensim) and c3d (default camera); opensim: y up against gravity, x"
+            " level towards the camera, origin in the camera.",
+            show_default=False,
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            help="Rows a second of trc, mot and c3d.  [default: the IMU's]",
+            show_default=False,
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result as a table: one row a sample of the forearm IMU."""
-    from ..io import export_csv, read_recovery
+    """Write a result in a format that other programs open; one file an arm.
 
-    if format_name not in FORMATS:
-        raise typer.BadParameter(
-            f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}"
-        )
+    csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
+    camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
+    before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
+    angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
+    straight line bridges a stretch without an answer.
+    """
+    from ..io import read_recovery
+
+    _check(format_name, frame, rate)
     side = one_side(side)
     found = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
     if not found:
@@ -44,13 +70,24 @@ def export(
         )
     files = output_names(output, found)
     check_outputs(force, [*files, json_file], [result])
-    for recovery, path in zip(found, files, strict=True):
-        export_csv(recovery, path, force=force)
-        say(f"written: {path} ({len(recovery)} rows)")
-    figures = [
-        {"file": str(path), "rows": len(recovery), "side": recovery.side}
-        for recovery, path in zip(found, files, strict=True)
-    ]
+    # All arms are ready before the first is written.
+    exports = _prepared(result, found, format_name, frame, rate)
+    figures = []
+    for recovery, path, ready in zip(found, files, exports, strict=True):
+        ready.write(path, force)
+        say(f"written: {path} ({ready.rows} rows)")
+        figures.append(
+            {
+                "file": str(path),
+                "rows": ready.rows,
+                "side": recovery.side,
+                "rate_hz": ready.rate_hz,
+                "frame": ready.frame,
+                "origin_ns": recovery.origin_ns,
+                "notes": ready.notes,
+            }
+        )
+    print_notes(note for ready in exports for note in ready.notes)
     write_json(json_file, {"files": figures}, force)
 
 
@@ -65,3 +102,45 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
         mark = f"{side}{again + 1}" if again else side
         names.append(output.with_name(f"{output.stem}_{mark}{output.suffix}"))
     return names
+
+
+def _check(format_name: str, frame: str | None, rate: float | None) -> None:
+    """Refuse what cannot be meant, before any work is done for it."""
+    from ..io.prepare_export import WITH_FRAME, WITH_RATE
+
+    if format_name not in FORMATS:
+        raise typer.BadParameter(
+            f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}"
+        )
+    if frame not in (None, *FRAMES):
+        raise typer.BadParameter(f"--frame is {' or '.join(FRAMES)}, not '{frame}'")
+    if frame is not None and format_name not in WITH_FRAME:
+        raise typer.BadParameter(f"--frame is for {' and '.join(WITH_FRAME)}, not for {format_name}")
+    if rate is not None and format_name not in WITH_RATE:
+        raise typer.BadParameter(f"--rate is for {', '.join(WITH_RATE)}, not for {format_name}")
+    if rate is not None and not 1 <= rate <= 10_000:
+        raise typer.BadParameter(f"--rate is between 1 and 10000 Hz, not {rate:g}")
+
+
+def _prepared(
+    result: Path, found: list[Recovery], format_name: str, frame: str | None, rate: float | None
+) -> list[Export]:
+    import numpy as np
+
+    from .. import __version__
+    from ..io.prepare_export import DEFAULT_FRAME, prepare_export
+
+    wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
+    level_down = None
+    if wants_up and not all(np.isfinite(recovery.gravity_direction).all() for recovery in found):
+        level_down = _level_down(result)
+    return [prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in found]
+
+
+def _level_down(result: Path) -> FloatArray | None:
+    """Down in the axes of a camera that stands level; None where the recording does not say its axes."""
+    from ..io import open_recording
+
+    file = open_recording(result)
+    known = [file.camera_frame, *(arm.camera_frame for arm in file.arms)]
+    return next((frame.down for frame in known if frame is not None), None)

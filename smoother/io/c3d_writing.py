@@ -63,12 +63,7 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
         the format.
     """
     frames = len(content.position)
-    if frames > MOST_FRAMES:
-        slower = np.floor(100 * content.rate_hz * MOST_FRAMES / frames) / 100
-        raise UnoccludeError(
-            f"{path}: a C3D file holds {MOST_FRAMES} frames at most and this would have {frames};"
-            f" give --rate {slower:g} or less, or export to trc or parquet"
-        )
+    check_frames(path, frames, content.rate_hz)
     file = _assemble(content)
     with writing(path, force) as temporary:
         named = temporary.with_name(f"{temporary.name}.c3d")  # ezc3d insists on the ending
@@ -78,6 +73,22 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
             os.replace(named, temporary)
         finally:
             named.unlink(missing_ok=True)
+
+
+def check_frames(name: str | os.PathLike[str], frames: int, rate_hz: float) -> None:
+    """Refuse what is too long for the format.
+
+    Raises
+    ------
+    UnoccludeError
+        There are more frames than a C3D file holds.
+    """
+    if frames > MOST_FRAMES:
+        slower = np.floor(100 * rate_hz * MOST_FRAMES / frames) / 100
+        raise UnoccludeError(
+            f"{name}: a C3D file holds {MOST_FRAMES} frames at most and this would have {frames};"
+            f" give --rate {slower:g} or less, or export to trc or parquet"
+        )
 
 
 def _assemble(content: C3dContent) -> Any:

@@ -51,7 +51,8 @@ def write_trc(
         ["Frame#", "Time", *(cell for name in names for cell in (name, "", ""))],
         ["", "", *(f"{axis}{number}" for number in range(1, len(names) + 1) for axis in "XYZ")],
     ]
-    line = "%d\t%.9f" + f"\t%.{DECIMALS}f" * (3 * len(names)) + "\n"
+    # A tab ends every row: OpenSim drops an empty cell at the end of a line.
+    line = "%d\t%.9f" + f"\t%.{DECIMALS}f" * (3 * len(names)) + "\t\n"
     with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         file.write("".join("\t".join(cells) + "\n" for cells in head) + "\n")
         for start in range(0, len(t_s), _ROWS):

@@ -83,7 +83,7 @@ def test_no_arguments_show_help(capsys):
         (["gaps", "a.mcap", "--lengths", "0.5,long"], "--lengths takes seconds"),
         (["gaps", "a.mcap", "--lengths", "-1"], "--lengths takes seconds"),
         (["gaps", "a.mcap", "--methods", "graph,magic"], "there is no method 'magic'"),
-        (["export", "a.mcap", "--format", "trc", "-o", "b.trc"], "'trc' is not available; formats: csv"),
+        (["export", "a.mcap", "--format", "bvh", "-o", "b.bvh"], "'bvh' is not available; formats: csv"),
         (["simulate", "arm", "-o", "a.mcap", "--preset", "ugly"], "no preset 'ugly'; presets: clean, white"),
         (["simulate", "arm", "-o", "a.mcap", "--imu-rate-hz", "1"], "imu_rate_hz"),
         (["simulate", "arm", "-o", "a.mcap", "--occlusion-lengths-s", "1,x"], "takes numbers"),
