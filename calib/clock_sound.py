@@ -24,7 +24,7 @@ FRAME_S, HOP_S = 0.010, 0.0025
 TONES_HZ = (400.0, 12_000.0)
 #: A beep lasts at least this long, s, stands so far above the quiet, dB, and ends when it fell so far, dB.
 SHORTEST_S = 0.03
-LOUD_DB = 12.0
+LOUD_DB = 18.0
 FALL_DB = 8.0
 KNEE_DB = 3.0
 #: Two beeps nearer than this are one, s.
@@ -143,7 +143,7 @@ def _clearest(
         best = np.where(np.abs(frequency - tone_hz) <= 1.5 * (frequency[1] - frequency[0]), best, -np.inf)
     at = int(np.argmax(best))
     frame = int(np.argmax(lasting[:, at]))
-    return level[:, at], at, float(level[frame, at])
+    return level[:, at], at, float(minimum_filter1d(level[:, at], frames)[frame])
 
 
 def _runs(level: FloatArray) -> list[tuple[int, int]]:

@@ -86,8 +86,10 @@ def open_questions(
     if weak:
         pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
         said.append(
-            f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may drift"
-            f" by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the time that"
+            f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
+            " drift"
+            f" by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
+            " time that"
             " it is stated for"
         )
     said += [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,7 @@ def read_sound(
             rate, data = wavfile.read(path)
     except FileNotFoundError as error:
         raise RecordingError(f"{path} does not exist; check the name.") from error
-    except (ValueError, OSError, EOFError, IndexError, KeyError) as error:
+    except (ValueError, OSError, EOFError, IndexError, KeyError, struct.error) as error:
         raise RecordingError(
             f"{path} is not a WAV file that can be read ({' '.join(str(error).split())}); save it as"
             " 16-bit PCM."

@@ -1,0 +1,87 @@
+"""Simulated clocks that hear broadcasts, and beeps in a room, with their truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from calib.clock_links import ClockLink, Receptions
+
+from ..recording import FloatArray
+
+#: Bluetooth stamps count in steps of this, s.
+STEP_S = 0.3125e-3
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Nodes whose clocks read tau + offset + skew tau."""
+
+    offset_s: FloatArray
+    skew: FloatArray
+
+    def read(self, node: int, tau: float) -> float:
+        """What a node's clock shows at a true time."""
+        return float(tau + self.offset_s[node] + self.skew[node] * tau)
+
+    def error_s(self, link: ClockLink) -> float:
+        """Error of a link between nodes called n0, n1, .. at the time that it is stated for."""
+        u, v = int(link.from_clock[1:]), int(link.to_clock[1:])
+        tau = (link.at_s - self.offset_s[u]) / (1 + self.skew[u])
+        return link.offset_s - (self.read(v, tau) - self.read(u, tau))
+
+    def skew_error_ppm(self, link: ClockLink) -> float:
+        """Error of a link's skew."""
+        u, v = int(link.from_clock[1:]), int(link.to_clock[1:])
+        return link.skew_ppm - 1e6 * ((1 + self.skew[v]) / (1 + self.skew[u]) - 1)
+
+
+def broadcast(
+    seed: int,
+    nodes: int = 3,
+    rounds: int = 20,
+    span_s: float = 900.0,
+    missed: float = 0.2,
+    late: float = 0.05,
+    start_s: float = 0.0,
+) -> tuple[Clocks, Receptions]:
+    """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast."""
+    rng = np.random.default_rng(seed)
+    offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1) + start_s])
+    skew = np.concatenate([[0.0, 390e-6], rng.uniform(-4e-4, 4e-4, nodes)])[:nodes]
+    clocks, rows = Clocks(offset, skew), []
+    for number, tau in enumerate(np.sort(rng.uniform(0, span_s, rounds)).tolist()):
+        for node in range(nodes):
+            if rng.random() < missed:
+                continue
+            t = clocks.read(node, tau) + (rng.uniform(0.005, 0.1) if rng.random() < late else 0.0)
+            rows.append((number, f"n{node}", np.floor(t / STEP_S) * STEP_S))
+    event, name, t_s = zip(*rows, strict=True)
+    sigma = np.full(len(rows), STEP_S / np.sqrt(12))
+    return clocks, Receptions(np.array(event), name, np.array(t_s), sigma, "broadcast")
+
+
+def beep(
+    seed: int, rate_hz: int = 16000, quiet_db: float = 25.0, room_s: float | None = None, voice: bool = True
+) -> tuple[FloatArray, float, float]:
+    """A buzzer near a microphone, in a room where somebody speaks: samples, the beep's end (s), its"
+    " tone (Hz).
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(4 * rate_hz) / rate_hz
+    tone, end, lasts = rng.uniform(1800, 4500), rng.uniform(1.5, 3.0), rng.uniform(0.1, 0.8)
+    rise = 1 - np.exp(-np.maximum(t - end + lasts, 0) / 0.003)
+    ring = np.exp(-np.maximum(t - end, 0) / rng.uniform(0.0003, 0.003))
+    sound = np.sin(2 * np.pi * tone * t + rng.uniform(0, 2 * np.pi)) * rise * ring
+    room_s = room_s if room_s is not None else float(rng.choice([0.0, 0.2, 0.4]))
+    if room_s > 0:  # the echo dies by 60 dB in room_s; its level is 10 dB below the buzzer's
+        count = int(room_s * rate_hz)
+        echo = rng.normal(size=count) * 10 ** (-3 * np.arange(count) / count)
+        echo *= 0.3 / np.sqrt((echo**2).sum())
+        sound = fftconvolve(sound, np.concatenate([[1.0], np.zeros(int(0.002 * rate_hz)), echo]))[: len(t)]
+    if voice:
+        harmonics = [np.sin(2 * np.pi * 150 * k * t + rng.uniform(0, 6)) / k for k in range(1, 20)]
+        sound = sound + 0.1 * sum(harmonics) * (np.sin(2 * np.pi * 3 * t + rng.uniform(0, 6)) > 0.2)
+    return sound + np.sqrt(0.5) * 10 ** (-quiet_db / 20) * rng.normal(size=len(t)), end, tone

@@ -1,0 +1,113 @@
+"""How good the clocks are: `python tools/clock_accuracy.py [sound|broadcast|motion|skew] [--seeds N]`.
+
+Everything is simulated, with its truth: beeps in rooms with a voice, broadcasts with missing and late
+receptions (steps of 0.3125 ms), the realistic arm, and 15 minutes of it with a clock that runs 390 ppm fast.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib.clock_motion import clock_from_motion
+from calib.clock_network import solve_clocks
+from calib.clock_sound import find_beeps
+from smoother.config import Config
+from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.simulation.clocks import beep, broadcast
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calib"))
+from clocks import beep, broadcast
+
+ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
+SKEW = 390e-6
+
+
+def show(name: str, errors_ms: list[float], sigmas_ms: list[float], more: str = "") -> None:
+    """Print one line of figures."""
+    error, sigma = np.array(errors_ms), np.array(sigmas_ms)
+    print(
+        f"{name:34} rms {np.sqrt(np.mean(error**2)):7.3f} ms  max {np.abs(error).max():7.3f} ms  stated"
+        f" {np.median(sigma):6.3f} ms  squared error / sigma^2 {np.mean((error / sigma) ** 2):5.2f}  {more}",
+        flush=True,
+    )
+
+
+def sound(seeds: int) -> None:
+    """The end of a beep."""
+    for rate_hz, quiet_db in ((16000, 25.0), (44100, 25.0), (16000, 10.0)):
+        errors, sigmas = [], []
+        for seed in range(seeds):
+            samples, end, _ = beep(seed, rate_hz, quiet_db)
+            nearest = min(find_beeps(samples, rate_hz), key=lambda each: abs(each.end_s - end))
+            errors.append(1e3 * (nearest.end_s - end))
+            sigmas.append(1e3 * nearest.sigma_s)
+        show(f"sound, {rate_hz} Hz, noise -{quiet_db:.0f} dB", errors, sigmas)
+
+
+def broadcasts(seeds: int) -> None:
+    """Offsets from receptions."""
+    for nodes, rounds, span_s in ((2, 20, 900.0), (5, 20, 900.0), (3, 20, 5.0), (3, 8, 60.0)):
+        errors, sigmas, skews = [], [], []
+        for seed in range(seeds):
+            clocks, heard = broadcast(seed, nodes=nodes, rounds=rounds, span_s=span_s)
+            for link in solve_clocks([heard]).links():
+                errors.append(1e3 * clocks.error_s(link))
+                sigmas.append(1e3 * link.sigma_s)
+                skews.append(clocks.skew_error_ppm(link))
+        name = f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s"
+        show(name, errors, sigmas, f"skew rms {np.sqrt(np.mean(np.square(skews))):.2f} ppm")
+
+
+def motion(seeds: int) -> None:
+    """Offset of the realistic arm (30-40 s) from motion."""
+    errors, sigmas = [], []
+    for seed in range(seeds):
+        simulated = simulate_arm(ArmSimulation.preset("realistic"), seed)
+        link = clock_from_motion(simulated.recording, None, ONE_PROCESS).link
+        errors.append(1e3 * (link.offset_s - simulated.parameters["clock_offset_s"]))
+        sigmas.append(1e3 * link.sigma_s)
+    show("motion, realistic arm", errors, sigmas)
+
+
+def skew(seeds: int) -> None:
+    """15 minutes of the realistic arm with an IMU whose clock runs 390 ppm fast."""
+    errors, sigmas, skews = [], [], []
+    for seed in range(max(seeds // 8, 2)):
+        config = ArmSimulation.preset("realistic", protocol="random", duration_s=900.0)
+        simulated = simulate_arm(config, seed)
+        imu = simulated.recording.imu
+        fast = replace(simulated.recording, imu=replace(imu, t_s=imu.t_s * (1 + SKEW)))
+        link = clock_from_motion(fast, None, ONE_PROCESS).link
+        true = (link.at_s + simulated.parameters["clock_offset_s"]) * (1 + SKEW) - link.at_s
+        errors.append(1e3 * (link.offset_s - true))
+        sigmas.append(1e3 * link.sigma_s)
+        skews.append(link.skew_ppm - 1e6 * SKEW)
+    show("motion, 15 minutes, 390 ppm", errors, sigmas, f"skew max {np.abs(skews).max():.1f} ppm off")
+
+
+PARTS: dict[str, Callable[[int], None]] = {
+    "sound": sound,
+    "broadcast": broadcasts,
+    "motion": motion,
+    "skew": skew,
+}
+
+
+def main() -> None:
+    """Run the parts asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "parts", nargs="*", choices=[[], *PARTS], help="what to measure; all if none is named"
+    )
+    parser.add_argument("--seeds", type=int, default=16)
+    options = parser.parse_args()
+    for name in options.parts or PARTS:
+        PARTS[name](options.seeds)
+
+
+if __name__ == "__main__":
+    main()
