@@ -41,6 +41,11 @@ def position_at(t_known: FloatArray, position: FloatArray, t_s: FloatArray) -> F
     return _piecewise(t_known, position, t_s, _cubic)
 
 
+def orientation_at(t_known: FloatArray, quaternion: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Orientations (M, 4) read at other times (N, 4): slerp, nan outside and across holes."""
+    return _piecewise(t_known, quaternion, t_s, _slerp)
+
+
 def linear_at(t_known: FloatArray, values: FloatArray, t_s: FloatArray) -> FloatArray:
     """Values (M, D) read at other times (N, D): linear, so that variances stay positive."""
     return _piecewise(t_known, values, t_s, _linear)

@@ -1,0 +1,215 @@
+"""A truth brought to a result: its frame to the camera's, its clock to the IMU's, and how that was done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import RecordingError
+from ..recording import CameraFrame, FloatArray, IntArray, Truth
+from ..result import Recovery
+from .marker_map import map_by_names, read_marker_map
+from .mocap_clock import MocapClock, align_clock
+from .mocap_frame import CameraFromMocap, imu_in_mocap, solve_frame, solve_plate_place, stated_frame
+from .mocap_motion import MocapMotion, motion_of_markers, motion_of_truth
+from .truth_file import read_truth
+
+#: Mocap kept beyond the ends of the result, s.
+MARGIN_S = 1.0
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the truth was brought to the result.
+
+    Attributes
+    ----------
+    kind : "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the
+        frame from a calibration file, the clock solved) or "solved" (both solved from the recording).
+    clock, frame : what was used; None where the kind is "none".
+    landmarks : positions (M, 3) m in {K} of single markers on the bones, by name, at the truth's times.
+    notes : what a reader must know, one sentence each.
+    """
+
+    kind: Literal["none", "calibration", "solved"] = "none"
+    clock: MocapClock | None = None
+    frame: CameraFromMocap | None = None
+    landmarks: dict[str, FloatArray] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What every title of a result says of it; "" where nothing was aligned."""
+        return {
+            "none": "",
+            "calibration": "clock aligned, frame from the calibration",
+            "solved": "aligned: frame and clock of the truth solved from this recording",
+        }[self.kind]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values by name, as `--json` writes them."""
+        clock, frame = self.clock, self.frame
+        found: dict[str, Any] = {
+            "alignment": self.kind,
+            "clock": {
+                "offset_s": 0.0 if clock is None else clock.offset_s,
+                "sigma_s": None if clock is None else clock.sigma_s,
+                "skew_ppm": None if clock is None else 1e6 * clock.skew,
+                "skew_sigma_ppm": None if clock is None else 1e6 * clock.skew_sigma,
+                "correlation": None if clock is None else clock.correlation,
+            },
+        }
+        if frame is not None:
+            quaternion = Rotation.from_matrix(frame.R_K_E).as_quat(canonical=True, scalar_first=True)
+            found["camera_from_mocap"] = {
+                "rotation": quaternion,
+                "translation": frame.t_K_E,
+                "rotation_sigma_deg": frame.rotation_sigma_deg,
+                "translation_sigma_m": frame.translation_sigma_m,
+                "residual_rms_m": frame.residual_m,
+                "axes": "those of the recording's camera frame",
+            }
+        return found
+
+
+def read_reference(
+    path: Path | str,
+    recovery: Recovery,
+    *,
+    markers: Path | str | None = None,
+    calibration: Path | str | None = None,
+    camera_frame: CameraFrame | None = None,
+    align: bool = False,
+) -> tuple[Truth, Alignment]:
+    """Read a truth of any kind, in the camera frame and on the IMU's clock.
+
+    Parameters
+    ----------
+    path : `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
+    recovery : the result that it is for.
+    markers : map of the markers, see `marker_map`; markers called as joints need none.
+    calibration : file with `[camera_from_mocap]`; without it, the frame of markers is solved.
+    camera_frame : axes of the recording's camera, which a calibration is turned into.
+    align : align a truth of poses too, though it should need none.
+
+    Raises
+    ------
+    UnoccludeError
+        The file, the map or the calibration cannot be used, or the truth cannot be aligned.
+    """
+    from ..io.markers import MARKER_FORMATS, read_markers
+
+    path = Path(path)
+    if path.suffix.lower() not in MARKER_FORMATS:
+        if markers is not None:
+            raise RecordingError(f"{path} holds poses, not markers, so --markers has no use; leave it out")
+        truth = read_truth(path, recovery)
+        if calibration is None and not align:
+            return truth, Alignment()
+        motion = motion_of_truth(truth, str(path))
+    else:
+        found = read_markers(path)
+        chosen = map_by_names(found.names, str(path)) if markers is None else read_marker_map(markers)
+        motion = motion_of_markers(found, chosen)
+    frame = None
+    if calibration is not None:
+        from calib.file import read_calibration
+
+        tables = read_calibration(calibration).tables
+        camera_frame = camera_frame or likely_frame(recovery)
+        frame = stated_frame(tables.get("camera_from_mocap"), camera_frame, str(calibration))
+    return bring(motion, recovery, frame)
+
+
+def bring(motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None) -> tuple[Truth, Alignment]:
+    """A motion capture as a truth: its clock, its frame, the plate on the IMU.
+
+    Parameters
+    ----------
+    frame : the transform where it is known; else it is solved from what the camera saw.
+    """
+    clock = align_clock(recovery, motion)
+    notes = [*motion.notes, _clock_words(clock), *clock.notes]
+    if clock.R_A_P is not None:
+        motion = replace(motion, R_A_P=clock.R_A_P)
+        notes.append(
+            "The plate's rotation in the IMU was solved from their angular velocities, to"
+            f" {np.degrees(clock.mount_sigma_rad):.2f} degrees."
+        )
+    kind: Literal["calibration", "solved"] = "solved" if frame is None else "calibration"
+    if frame is None:
+        frame = solve_frame(recovery, motion, clock)
+        notes.append(_frame_words(frame))
+    else:
+        notes.append(f"The camera-to-mocap transform is {frame.by}.")
+    if motion.p_E_P is not None and motion.p_A_P is None and motion.R_A_P is not None:
+        motion = replace(motion, p_A_P=solve_plate_place(recovery, motion, clock, frame))
+        notes.append(
+            "The IMU's place on the plate was solved from the answer while the camera saw the arm: a constant"
+            " error of the answer's place in the IMU's axes is not seen. State it in the map, [imu_plate]."
+        )
+    return _truth(motion, clock, frame, recovery), Alignment(
+        kind, clock, frame, _landmarks(motion, clock, frame, recovery), tuple(notes)
+    )
+
+
+def _near(motion: MocapMotion, clock: MocapClock, recovery: Recovery) -> IntArray:
+    t_s = clock.to_imu(motion.t_s)
+    return np.flatnonzero((t_s >= recovery.t_s[0] - MARGIN_S) & (t_s <= recovery.t_s[-1] + MARGIN_S))
+
+
+def _truth(motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap, recovery: Recovery) -> Truth:
+    rows = _near(motion, clock, recovery)
+    position = np.full((len(rows), 3), np.nan)
+    quaternion = np.full((len(rows), 4), np.nan)
+    imu = imu_in_mocap(motion)
+    if imu is not None:
+        position = frame.place(imu[rows])
+    if motion.R_E_P is not None and motion.R_A_P is not None:
+        R_E_P = motion.R_E_P[rows]
+        known = np.isfinite(R_E_P).all(axis=(1, 2))
+        R_K_A = frame.R_K_E @ R_E_P[known] @ motion.R_A_P.T
+        quaternion[known] = Rotation.from_matrix(R_K_A).as_quat(scalar_first=True)
+    return Truth(
+        clock.to_imu(motion.t_s[rows]),
+        position,
+        quaternion,
+        np.ones(len(rows), dtype=bool),
+        {name: frame.place(value[rows]) for name, value in motion.joints.items()},
+    )
+
+
+def _landmarks(
+    motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap, recovery: Recovery
+) -> dict[str, FloatArray]:
+    rows = _near(motion, clock, recovery)
+    return {name: frame.place(value[rows]) for name, value in motion.landmarks.items()}
+
+
+def likely_frame(recovery: Recovery) -> CameraFrame | None:
+    """The camera's axes by where gravity points in them; None where that does not tell."""
+    down = recovery.gravity_direction
+    if not np.isfinite(down).all() or abs(down[1]) < 0.7:
+        return None
+    return CameraFrame.OPTICAL if down[1] > 0 else CameraFrame.KINECT
+
+
+def _clock_words(clock: MocapClock) -> str:
+    return (
+        f"The truth's clock was aligned by {clock.by} (correlation {clock.correlation:.3f}): t_imu = t_truth"
+        f" {clock.offset_s:+.4f} s, sigma {1000 * clock.sigma_s:.2f} ms, skew {1e6 * clock.skew:.0f} +-"
+        f" {1e6 * clock.skew_sigma:.0f} ppm. What the answer's own clock is off against the IMU is not seen."
+    )
+
+
+def _frame_words(frame: CameraFromMocap) -> str:
+    return (
+        f"No calibration was given: the truth's frame was solved from {frame.by} (sigma"
+        f" {frame.rotation_sigma_deg:.2f} degrees, {1000 * frame.translation_sigma_m:.1f} mm at the arm, rms"
+        f" {1000 * frame.residual_m:.1f} mm). Constant errors of the camera are not seen; errors here are"
+        " smaller than against an independent frame."
+    )
