@@ -16,13 +16,13 @@ from ...recording import FloatArray
 from .samples import EvenSamples, start_attitude
 
 #: Noise of the gyroscope, its errors of scale and mounting included, rad/s/sqrt(Hz).
-GYROSCOPE_DENSITY = 0.003
+GYROSCOPE_DENSITY = 0.0015
 #: How far the measured force points from gravity where its strength is gravity's, rad.
 DIRECTION_SIGMA_RAD = 0.10
 #: A force whose strength is farther from gravity's is no observation, as a part of it.
 GATE = 0.2
-#: The start's uncertainty, rad.
-START_SIGMA_RAD = 0.05
+#: The uncertainty of the start, which is a mean over seconds, rad.
+START_SIGMA_RAD = 0.01
 
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]

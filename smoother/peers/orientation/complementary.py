@@ -2,7 +2,8 @@
 
 The class of that name in `ahrs` is another algorithm: it takes body rates for the angles' rates and leaves
 the heading at zero without a magnetometer. Feng's text leaves open what rates are meant; here the
-gyroscope turns the attitude exactly, and the angles are blended after that.
+gyroscope turns the attitude exactly, and the angles are blended after that. It has a compass; where there is
+none, the blend turns about the level alone, so that the heading is the gyroscope's.
 """
 
 from __future__ import annotations
@@ -41,11 +42,14 @@ def complementary(samples: EvenSamples) -> FloatArray:
     found[0] = roll, pitch, heading
     turns = Rotation.from_rotvec(gyro * samples.step_s).as_matrix()
     for k in range(1, len(samples)):
-        roll, pitch, heading = angles_of(matrix_of(roll, pitch, heading) @ turns[k])
+        carried = matrix_of(roll, pitch, heading) @ turns[k]
+        roll, pitch, heading = angles_of(carried)
         roll += (1.0 - alpha) * wrapped(roll_acc[k] - roll)
         pitch += (1.0 - alpha) * wrapped(pitch_acc[k] - pitch)
         if mag is not None and mag[k, 0] == mag[k, 0]:
             heading += (1.0 - alpha) * wrapped(compass(mag[k], roll, pitch) - heading)
+        else:
+            heading = heading_kept(carried, roll, pitch)
         found[k] = roll, pitch, heading
     R_E_B = Rotation.from_euler("ZYX", found[:, ::-1])
     return np.asarray((R_E_B * R_B_A).as_quat(scalar_first=True))
@@ -102,6 +106,19 @@ def angles_of(R: FloatArray) -> Angles:
         math.asin(min(max(-R[2, 0], -1.0), 1.0)),
         math.atan2(R[1, 0], R[0, 0]),
     )
+
+
+def heading_kept(carried: FloatArray, roll: float, pitch: float) -> float:
+    """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level alone.
+
+    Without a compass nothing would undo what a correction of roll turns about the vertical.
+    """
+    up = matrix_of(roll, pitch, 0.0)[2]  # of the earth, in the sensor
+    x, y, z = carried @ up
+    # the shortest turn from there to (0, 0, 1), and what it makes of the sensor's first axis
+    a, b = carried[0, 0], carried[1, 0]
+    c, along = carried[2, 0], (x * a + y * b) / (1.0 + z)
+    return math.atan2(b - y * (c + along), a - x * (c + along))
 
 
 def wrapped(angle: float) -> float:
