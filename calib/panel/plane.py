@@ -104,8 +104,8 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
         within &= ~_beside(~within, pixels)
         if within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
             raise CalibrationError(
-                f"{what}: the depth under the panel is no plane: only {within.sum()} of {len(within)} pixels agree; see"
-                " that nothing stands before it."
+                f"{what}: the depth under the panel is no plane: only {within.sum()} of {len(within)} pixels"
+                " agree; see that nothing stands before it."
             )
         theta = _least_squares(full[within], depth_m[within])
         if (within == inliers).all():
@@ -115,7 +115,8 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
     noise = float(np.std(residuals[inliers], ddof=3))
     common = _common(pixels[inliers], residuals[inliers])
     jacobian = full[inliers] * depth_m[inliers, None] ** 2  # of the depth after theta, without its sign
-    covariance: FloatArray = np.linalg.inv(jacobian.T @ jacobian) * (max(noise, 2e-4) * common) ** 2
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
+    covariance *= (max(noise, 2e-4) * common) ** 2
     low, high = (_least_squares(full[inliers], depth_m[inliers] - step) for step in (-STEP_M, STEP_M))
     return Plane(
         theta=theta,
@@ -136,7 +137,7 @@ def _start(full: FloatArray, inverse: FloatArray) -> FloatArray:
     matrices = full[triples]
     usable = np.abs(np.linalg.det(matrices)) > 1e-9
     if not usable.any():
-        return np.linalg.lstsq(full, inverse, rcond=None)[0]
+        return np.asarray(np.linalg.lstsq(full, inverse, rcond=None)[0], np.float64)
     thetas = np.linalg.solve(matrices[usable], inverse[triples[usable]][..., None])[..., 0]
     some = rng.permutation(len(full))[:1500]
     misfit = np.median(np.abs(full[some] @ thetas.T - inverse[some, None]), axis=0)

@@ -77,8 +77,8 @@ class Solution:
     depth_offset_m, depth_offset_sigma_m : the camera's depth is this much too long; 0 and inf where it was
         not solved.
     offset_apart_m, offset_apart_sigma_m : what the markers' spacing alone says of that error.
-    ray_residuals_px : (poses, 4) distance between a marker's pixel and where the answer puts it, in units of
-        the focal length times a thousand; the caller scales it.
+    ray_residuals : (poses, 4) of a marker's ray from where the answer puts the mocap marker; times the
+        focal length in pixels.
     marker_residuals_m : (poses, 4) distance between a marker in mocap and where the answer puts it.
     plane_residuals_m : (poses, 4) mocap markers' distances from the depth's plane, signed, away positive.
     misfit : squared residuals over what the stated noise makes expected.
