@@ -19,9 +19,6 @@ from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calib"))
-from clocks import beep, broadcast
-
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 SKEW = 390e-6
 

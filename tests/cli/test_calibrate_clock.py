@@ -15,9 +15,6 @@ from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "calib"))
-from clocks import beep, broadcast
-
 
 def command(*arguments: object) -> int:
     return run(["calibrate", "clock", *map(str, arguments)])
