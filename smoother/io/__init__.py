@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .datasets import import_broad as import_broad
     from .datasets import import_utd_mhad as import_utd_mhad
     from .export import export_csv as export_csv
+    from .exports import prepare_export as prepare_export
     from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
     from .plain import import_csv as import_csv
@@ -34,6 +35,7 @@ _HOMES = {
     "import_utd_mhad": "datasets",
     "open_csv": "plain",
     "open_recording": "reading",
+    "prepare_export": "exports",
     "read_recording": "reading",
     "read_recovery": "result_reading",
     "select_recording": "reading",
