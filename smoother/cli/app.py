@@ -9,6 +9,7 @@ import typer
 from . import (
     calibrate,
     calibrate_clock,
+    calibrate_panel,
     config,
     demo,
     doctor,
@@ -111,6 +112,11 @@ _calibrate.command(
     "clock",
     epilog="Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
 )(calibrate_clock.clock)
+_calibrate.command(
+    "panel",
+    epilog="Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv"
+    " --intrinsics k.toml --panel panel.toml -o cal.toml",
+)(calibrate_panel.panel)
 app.add_typer(_calibrate, name="calibrate")
 
 _simulate = _app("Make a recording with truth.", cls=simulate.SimulateGroup)

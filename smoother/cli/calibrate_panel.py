@@ -1,0 +1,204 @@
+"""`unocclude calibrate panel`: camera to mocap, from views of the marker panel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .calibrate import CalibrationOutput
+from .options import Force, Json, Report
+from .output import check_outputs, print_table, say, say_written, write_json
+
+if TYPE_CHECKING:
+    from calib.panel.calibrate import PanelCalibration
+    from calib.panel.definition import Intrinsics
+    from calib.panel.images import View
+
+    from ..recording import FloatArray
+
+Images = list[Path] | None
+
+
+def panel(
+    output: CalibrationOutput,
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="[REC.mcap]", help="Images, lens and mocap markers, instead of files."),
+    ] = None,
+    depth: Annotated[
+        Images, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
+    ] = None,
+    infrared: Annotated[
+        Images, typer.Option("--infrared", metavar="I.png", help="Infrared image of the same moment.")
+    ] = None,
+    markers: Annotated[
+        Images,
+        typer.Option(
+            "--markers",
+            metavar="M.csv|.trc|.c3d",
+            help="Mocap markers of the same moment; CSV: marker,x,y,z in metres, any names and order.",
+        ),
+    ] = None,
+    intrinsics_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--intrinsics",
+            metavar="K.toml",
+            help="width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].",
+        ),
+    ] = None,
+    panel_file: Annotated[
+        Path,
+        typer.Option(
+            "--panel",
+            metavar="PANEL.toml",
+            help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
+            show_default=False,
+        ),
+    ] = Path("panel.toml"),
+    mocap_sigma_mm: Annotated[
+        float,
+        typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, an axis."),
+    ] = 0.2,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Find where the camera stands in the motion capture's frame, from a panel with four markers.
+
+    Hold the panel still in each pose; --depth, --infrared and --markers are given once a pose, in the same
+    order. The answer is added to the calibration file, with its sigma and a verdict.
+    """
+    from calib.file import CalibrationFile, read_calibration, write_calibration
+    from calib.panel.calibrate import calibrate_panel
+    from calib.panel.definition import read_panel
+    from calib.panel.table import NAME, calibration_table
+
+    depths, infrareds, marked = depth or [], infrared or [], markers or []
+    inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
+    check_outputs(True, [output], inputs)
+    check_outputs(force, [json_file, report], [*inputs, output])
+    if output.exists():
+        read_calibration(output)  # before the work: what cannot be read cannot be added to
+    known = read_panel(panel_file)
+    with pictured(output.with_name(f"{output.stem}.seen.png")):
+        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file)
+        found = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
+    table = calibration_table(found)
+    if report is not None:
+        from ..report.panel import write_panel_report
+
+        write_panel_report(report, found, views, force=force)
+    write_json(json_file, {NAME: table, "words": _words(found)}, force)
+    write_calibration(output, CalibrationFile().with_table(NAME, table))
+    print_panel(found)
+    say_written(output, report, json_file)
+
+
+def _session(
+    recording: Path | None,
+    depths: list[Path],
+    infrareds: list[Path],
+    marked: list[Path],
+    intrinsics_file: Path | None,
+) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
+    """Views, mocap markers by view, and the lens: from files, or from a recording."""
+    from calib.panel.definition import read_intrinsics
+    from calib.panel.images import read_view
+
+    from ..io.marker_positions import read_positions
+
+    lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
+    positions = [read_positions(path) for path in marked]
+    if recording is not None:
+        if depths or infrareds:
+            raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
+        from ..io.panel_reading import read_panel_session
+
+        return read_panel_session(recording, positions, lens)
+    if not depths:
+        raise typer.BadParameter("give --depth, --infrared and --markers once a pose, or a recording")
+    if not len(depths) == len(infrareds) == len(marked):
+        raise typer.BadParameter(
+            f"--depth, --infrared and --markers must be given alike often, once a pose; they are given"
+            f" {len(depths)}, {len(infrareds)} and {len(marked)} times"
+        )
+    if lens is None:
+        raise typer.BadParameter("give --intrinsics with --depth")
+    for what, files in (("--depth", depths), ("--infrared", infrareds), ("--markers", marked)):
+        twice = [str(path) for path in files if files.count(path) > 1]
+        if twice:
+            raise typer.BadParameter(f"{what} {twice[0]} is given twice; it would count twice")
+    views = [read_view(d, i) for d, i in zip(depths, infrareds, strict=True)]
+    return views, positions, lens
+
+
+@contextmanager
+def pictured(path: Path) -> Iterator[None]:
+    """Where the markers could not be told, write a picture of what was seen, and say where it lies."""
+    from calib.panel.identify import NotIdentified
+
+    try:
+        yield
+    except NotIdentified as error:
+        if error.view is None or error.blobs is None:
+            raise
+        from calib.panel.drawing import drawn_spots
+
+        from ..io.atomic import writing
+
+        with writing(path, force=True) as temporary:
+            temporary.write_bytes(drawn_spots(error.view.infrared, error.blobs))
+        raise type(error)(f"{error} What was seen is drawn in {path}.") from error
+
+
+def _words(found: PanelCalibration) -> dict[str, Any]:
+    from calib.panel.verdict import verdict
+
+    said = verdict(found)
+    return {"grade": said.grade, "verdict": said.sentence, "findings": said.findings, "next": said.next}
+
+
+def print_panel(found: PanelCalibration) -> None:
+    """Print the answer, the residuals by pose, the verdict and what to record next."""
+    import numpy as np
+
+    from calib.panel.table import pose_rows, transform_values
+    from calib.panel.verdict import accuracy, verdict
+
+    sigma, said = accuracy(found), verdict(found)
+    values = transform_values(found.solution.camera_from_mocap)
+    say(
+        f"camera from mocap: rotation {np.round(values['rotation'], 6).tolist()} (qw, qx, qy, qz) +-"
+        f" {np.round(sigma.rotation_deg, 3).tolist()} degrees about the camera's axes"
+    )
+    say(
+        f"  translation {np.round(values['translation'], 5).tolist()} m +-"
+        f" {np.round(1e3 * sigma.translation_m, 2).tolist()} mm at the mocap's origin,"
+        f" {np.round(1e3 * sigma.at_panel_m, 2).tolist()} mm at the panel"
+    )
+    print_table(
+        "Poses",
+        ("pose", "distance, m", "tilt, deg", "pixels", "markers, mm", "plane, mm", "depth noise, mm"),
+        [
+            (
+                row["pose"],
+                f"{row['distance_m']:.2f}",
+                f"{row['tilt_deg']:.0f}",
+                f"{row['pixels_rms']:.3f}",
+                f"{1e3 * row['markers_rms_m']:.2f}",
+                f"{1e3 * row['plane_rms_m']:.2f}",
+                f"{1e3 * row['depth_noise_m']:.1f}",
+            )
+            for row in pose_rows(found)
+        ],
+    )
+    say(f"verdict: {said.sentence}")
+    for sentence in said.findings:
+        say(f"  {sentence}")
+    for sentence in said.next:
+        say(f"next: {sentence}")
