@@ -47,7 +47,7 @@ def read_view(depth_png: str | os.PathLike[str], infrared_png: str | os.PathLike
     infrared = _read(infrared_png)
     if infrared.ndim == 3:
         infrared = infrared[..., :3].max(axis=2)
-    return view(depth, infrared, f"{Path(depth_png).name} with {Path(infrared_png).name}")
+    return view(depth, infrared, Path(depth_png).name)
 
 
 def view(depth_mm: NDArray, infrared: NDArray, name: str) -> View:

@@ -30,7 +30,7 @@ def calibration_table(calibration: PanelCalibration) -> dict[str, Any]:
         "position_sigma_at_panel_m": found.at_panel_m.tolist(),
         "covariance": found.covariance.tolist(),
         "poses": len(calibration.seen),
-        "misfit": float(solution.misfit),
+        "misfit": _rounded(solution.misfit),
         "grade": said.grade,
         "verdict": said.sentence,
     }
@@ -57,7 +57,7 @@ def pose_rows(calibration: PanelCalibration) -> list[dict[str, Any]]:
                 "pixels_rms": _rms(pixels),
                 "markers_rms_m": _rms(solution.marker_residuals_m[number]),
                 "plane_rms_m": _rms(solution.plane_residuals_m[number]),
-                "depth_noise_m": float(seen.plane.noise_m),
+                "depth_noise_m": _rounded(seen.plane.noise_m),
                 "depth_pixels": int(seen.plane.inliers.sum()),
             }
         )
@@ -71,4 +71,9 @@ def transform_values(transform: Frame) -> dict[str, list[float]]:
 
 
 def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    return _rounded(float(np.sqrt(np.mean(np.square(values)))))
+
+
+def _rounded(value: float) -> float:
+    """Four digits: residuals are for reading."""
+    return float(f"{value:.4g}")

@@ -36,7 +36,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
         return _still(read_markers(path))
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    numbers, words = read_table(path, ["x", "y", "z"], words=["marker"], empty=["x", "y", "z"])
+    numbers, words = read_table(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])
     rows = np.column_stack([numbers[axis] for axis in "xyz"])
     names, _ = told_apart(words["marker"])
     known = np.asarray(np.isfinite(rows).all(axis=1), bool)

@@ -1,0 +1,278 @@
+"""The page of `calibrate panel`: verdict, images with what was detected, cloud and planes, residuals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from calib.panel.calibrate import PanelCalibration, SeenPanel
+from calib.panel.drawing import drawn_depth, drawn_spots
+from calib.panel.images import View
+from calib.panel.table import pose_rows, transform_values
+from calib.panel.verdict import accuracy, verdict
+
+from .look import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
+from .sheet import figure, listing, picture, tabulated, write_sheet
+
+#: Depth points drawn of all poses together.
+MOST_POINTS = 12_000
+#: Poses whose images are shown, the worst first.
+MOST_PICTURES = 6
+#: Length of the drawn axes, m.
+AXIS_M = 0.15
+_GROUPS = (
+    ("all of the panel", VISIBLE),
+    ("along x", OCCLUDED),
+    ("along y", JOINT_COLOURS["elbow"]),
+)
+
+
+def write_panel_report(
+    path: str | os.PathLike[str],
+    found: PanelCalibration,
+    views: Sequence[View],
+    *,
+    force: bool = False,
+) -> None:
+    """Write the page of a calibration from the marker panel.
+
+    Parameters
+    ----------
+    path : the page to write.
+    found : the calibration.
+    views : the images that it was made of, in the same order.
+    force : overwrite a page that exists.
+    """
+    said = verdict(found)
+    write_sheet(
+        path,
+        "Camera from motion capture, by the marker panel",
+        f"{len(found.seen)} pose{'s' if len(found.seen) > 1 else ''} of the panel. Axes are the camera's:"
+        " x right, y down, z away.",
+        [said.sentence],
+        _sections(found, views),
+        force=force,
+    )
+
+
+def _sections(found: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
+    said = verdict(found)
+    yield listing("What to record next", said.next)
+    yield _answer(found)
+    yield listing("What else was found", said.findings)
+    yield figure(
+        "The panel in space",
+        "Depth points that took part, in the colour of their group, the fitted plane of every pose, the"
+        " markers as the camera has them (dots) and as motion capture has them, put there by the answer"
+        " (crosses). Drag to turn, scroll to come closer; click in the legend to hide.",
+        in_space(found),
+    )
+    yield figure(
+        "Where the markers miss",
+        "Distance of every motion capture marker, put into the camera frame by the answer, from where its ray"
+        " meets the panel's plane. Bars of one pose that stand out: panel or images moved between the two"
+        " systems. One marker that stands out in every pose: its centre is not where the panel's plane is.",
+        misses(found),
+    )
+    yield _poses(found)
+    yield from _pictures(found, views)
+
+
+def _answer(found: PanelCalibration) -> str:
+    sigma, ours = accuracy(found), transform_values(found.solution.camera_from_mocap)
+    theirs = transform_values(found.published)
+    rows = [
+        ("rotation qw, qx, qy, qz", _numbers(ours["rotation"], 6), _numbers(sigma.rotation_deg, 3) + " deg"),
+        ("translation, m", _numbers(ours["translation"], 5), _numbers(1e3 * sigma.translation_m, 2) + " mm"),
+        ("sigma at the panel", "", _numbers(1e3 * sigma.at_panel_m, 2) + " mm"),
+        ("published: rotation", _numbers(theirs["rotation"], 6), ""),
+        ("published: translation, m", _numbers(theirs["translation"], 5), ""),
+    ]
+    return tabulated(
+        "The answer",
+        "A point of motion capture in the camera frame: p_camera = R p_mocap + t. Sigmas are one standard"
+        " deviation about and along the camera's axes; that of t is at the mocap's origin, which may be far"
+        " from the panel. The published method's answer (principal components) is for comparison.",
+        ("", "value", "sigma x, y, z"),
+        rows,
+    )
+
+
+def _poses(found: PanelCalibration) -> str:
+    columns = ("pose", "markers", "distance, m", "tilt, deg", "pixels rms", "markers, mm", "plane, mm")
+    rows = [
+        (
+            row["pose"],
+            ", ".join(row["markers"]),
+            f"{row['distance_m']:.2f}",
+            f"{row['tilt_deg']:.0f}",
+            f"{row['pixels_rms']:.3f}",
+            f"{1e3 * row['markers_rms_m']:.2f}",
+            f"{1e3 * row['plane_rms_m']:.2f}",
+            f"{1e3 * row['depth_noise_m']:.1f}",
+            row["depth_pixels"],
+        )
+        for row in pose_rows(found)
+    ]
+    return tabulated(
+        "Poses",
+        "Residuals (root mean square) of the four markers by pose: in the image, in space, and along the"
+        " plane's normal. Markers are named in the order of the panel's definition. Depth noise is that of"
+        " one pixel.",
+        (*columns, "depth noise, mm", "depth pixels"),
+        rows,
+    )
+
+
+def _pictures(found: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
+    worst = np.argsort(-np.sqrt(np.mean(found.solution.marker_residuals_m**2, axis=1)), kind="stable")
+    shown = sorted(worst[:MOST_PICTURES].tolist())
+    for number in shown:
+        seen, view = found.seen[number], views[number]
+        others = len(seen.blobs) - 4
+        left_out = f" {others} other bright spots were left out (orange)." if others else ""
+        yield picture(
+            f"{found.names[number]}: infrared",
+            f"Rings: the markers that were found, numbered as in the panel's definition.{left_out}",
+            drawn_spots(view.infrared, seen.blobs, seen.spots),
+        )
+        regions = seen.regions
+        yield picture(
+            f"{found.names[number]}: depth",
+            "Pixels that took part: blue for the plane, orange along x, green along y; red ones lie off the"
+            " plane and were left out, black ones have no depth.",
+            drawn_depth(view.depth_m, regions.pixels, regions.along_x, regions.along_y, seen.plane.inliers),
+        )
+
+
+def in_space(found: PanelCalibration) -> go.Figure:
+    """Depth points, planes, markers and axes of all poses, to be turned."""
+    drawn = go.Figure()
+    most = MOST_POINTS // len(found.seen)
+    for number, seen in enumerate(found.seen):
+        first = number == 0
+        for name, colour, points in _clouds(seen, most):
+            drawn.add_trace(
+                go.Scatter3d(
+                    x=points[:, 0],
+                    y=points[:, 1],
+                    z=points[:, 2],
+                    mode="markers",
+                    marker={"size": 1.5, "color": colour},
+                    name=name,
+                    legendgroup=name,
+                    showlegend=first,
+                    hoverinfo="skip",
+                )
+            )
+        drawn.add_trace(_plane(found, seen, first))
+        drawn.add_trace(_dots(seen.points_K, "camera's markers", TRUTH, "circle", first))
+        transform = found.solution.camera_from_mocap
+        at = found.markers_E[number] @ transform.R.T + transform.origin
+        drawn.add_trace(_dots(at, "mocap's markers", OCCLUDED, "x", first))
+        for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
+            ends = np.array([seen.frame.origin, seen.frame.origin + AXIS_M * seen.frame.R[:, axis]])
+            drawn.add_trace(_line(ends, f"panel's {'xyz'[axis]}", colour, first))
+    for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
+        ends = np.array([np.zeros(3), AXIS_M * np.eye(3)[axis]])
+        drawn.add_trace(_line(ends, "camera", colour, axis == 0, dash="dot"))
+    dress(drawn, 660, head=80)
+    drawn.update_layout(
+        scene={
+            "aspectmode": "data",
+            "xaxis_title": "x (right), m",
+            "yaxis_title": "y (down), m",
+            "zaxis_title": "z (away), m",
+            # seen from behind the camera, a little to the side and from above
+            "camera": {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.5, "y": -0.5, "z": -1.2}},
+        },
+        legend={"itemsizing": "constant"},
+    )
+    return drawn
+
+
+def misses(found: PanelCalibration) -> go.Figure:
+    """Residual of every marker, a group of bars a pose."""
+    drawn = go.Figure()
+    colours = [VISIBLE, OCCLUDED, JOINT_COLOURS["elbow"], JOINT_COLOURS["shoulder"]]
+    for k in range(4):
+        drawn.add_trace(
+            go.Bar(
+                x=list(found.names),
+                y=1e3 * found.solution.marker_residuals_m[:, k],
+                name=f"marker {k + 1} of the panel",
+                marker_color=colours[k],
+                customdata=[labels[k] for labels in found.labels],
+                hovertemplate="%{customdata}: %{y:.2f} mm<extra></extra>",
+            )
+        )
+    dress(drawn, 380, head=70, barmode="group")
+    drawn.update_yaxes(title="distance, mm")
+    return drawn
+
+
+def _clouds(seen: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]]:
+    regions, inliers = seen.regions, seen.plane.inliers
+    points = np.column_stack([regions.rays, np.ones(len(regions.rays))]) * regions.depth_m[:, None]
+    step = max(1, int(inliers.sum()) // most)
+    thinned = np.zeros(len(inliers), bool)
+    thinned[np.flatnonzero(inliers)[::step]] = True
+    rest = ~regions.along_x & ~regions.along_y
+    for (name, colour), chosen in zip(_GROUPS, (rest, regions.along_x, regions.along_y), strict=True):
+        yield name, colour, points[thinned & chosen].astype(np.float32)
+
+
+def _plane(found: PanelCalibration, seen: SeenPanel, first: bool) -> go.Mesh3d:
+    (x0, y0), (x1, y1) = found.panel.extent_P
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    at = seen.frame.origin + corners @ seen.frame.R[:, :2].T
+    at = at / (at @ seen.plane.theta)[:, None]  # on the fitted plane itself
+    return go.Mesh3d(
+        x=at[:, 0],
+        y=at[:, 1],
+        z=at[:, 2],
+        i=[0, 0],
+        j=[1, 2],
+        k=[2, 3],
+        color="#8a8a8a",
+        opacity=0.35,
+        name="plane",
+        legendgroup="plane",
+        showlegend=first,
+        hoverinfo="skip",
+    )
+
+
+def _dots(points: np.ndarray, name: str, colour: str, symbol: str, first: bool) -> go.Scatter3d:
+    return go.Scatter3d(
+        x=points[:, 0],
+        y=points[:, 1],
+        z=points[:, 2],
+        mode="markers",
+        marker={"size": 4, "color": colour, "symbol": symbol},
+        name=name,
+        legendgroup=name,
+        showlegend=first,
+        hovertemplate="%{x:.4f}, %{y:.4f}, %{z:.4f} m",
+    )
+
+
+def _line(ends: np.ndarray, name: str, colour: str, first: bool, dash: str = "solid") -> go.Scatter3d:
+    return go.Scatter3d(
+        x=ends[:, 0],
+        y=ends[:, 1],
+        z=ends[:, 2],
+        mode="lines",
+        line={"color": colour, "width": 5, "dash": dash},
+        name=name,
+        legendgroup=name,
+        showlegend=first,
+        hoverinfo="name",
+    )
+
+
+def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:
+    return ", ".join(f"{float(value):.{digits}f}" for value in values)
