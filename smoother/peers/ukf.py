@@ -25,8 +25,8 @@ from .error_state import INTEGRATION_VARIANCE, levers_of, orientation_at, seen_j
 from .scene import Path, Scene
 
 #: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first holds a bias that nobody took off.
-ACC_DENSITY = 0.10
-GYRO_DENSITY = 0.005
+ACC_DENSITY = 0.06
+GYRO_DENSITY = 0.004
 #: What is known at the first visible frame: m, m/s, rad.
 START_SIGMA_M = 0.02
 START_SIGMA_SPEED = 0.5
