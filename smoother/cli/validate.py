@@ -9,10 +9,16 @@ import typer
 
 from .load import load_recovery
 from .options import Force, Json, Report, Side, one_side
-from .output import centimetres, check_outputs, print_notes, print_table, write_json
+from .output import centimetres, check_outputs, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
     from ..evaluation import Validation
+    from ..evaluation.agreement import Agreement
+    from ..recording import CameraFrame
+
+_PARTS = ("all", "occluded", "visible")
+#: More gaps than this are not printed; `--json` has them all.
+_MOST_GAPS = 40
 
 
 def validate(
@@ -24,22 +30,43 @@ def validate(
         typer.Option(
             "--truth",
             metavar="TRUTH",
-            help="Pose of the forearm IMU in the camera frame: .csv (t_s,x,y,z,qw,qx,qy,qz) or .mcap.",
+            help="Markers of a motion capture (.c3d, .trc), or poses of the forearm IMU in the camera frame"
+            " (.csv with t_s,x,y,z,qw,qx,qy,qz, or .mcap).",
             show_default=False,
         ),
     ],
+    markers: Annotated[
+        Path | None,
+        typer.Option(
+            "--markers", metavar="MAP.toml", help="Which markers make a joint, and which are on the IMU."
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration",
+            metavar="CAL.toml",
+            help="Holds [camera_from_mocap]; without it markers are aligned by the motion itself.",
+        ),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
+    ] = False,
     side: Side = None,
     report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Compare a result with a reference: position, orientation, and whether sigma is honest."""
-    from ..evaluation import read_truth, validate
+    """Compare a result with a reference: position, orientation, joint angles, and whether sigma is honest."""
+    from ..evaluation import read_reference, validate
 
-    check_outputs(force, [report, json_file], [result, truth_file])
+    check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
     recovery = load_recovery(result, one_side(side))
-    truth = read_truth(truth_file, recovery)
-    found = validate(recovery, truth)
+    frame = None if calibration is None else camera_frame_of(result)
+    truth, alignment = read_reference(
+        truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
+    )
+    found = validate(recovery, truth, alignment)
     if report is not None:
         from ..report import write_report
 
@@ -48,41 +75,137 @@ def validate(
     print_validation(found)
 
 
+def camera_frame_of(path: Path) -> CameraFrame | None:
+    """The axes of the camera as the recording inside a result says, or None."""
+    from ..io import open_recording
+
+    file = open_recording(path)
+    implied = (arm.camera_frame for arm in file.arms)
+    return file.camera_frame or next((frame for frame in implied if frame is not None), None)
+
+
 def print_validation(found: Validation) -> None:
     """Print the figures of a validation."""
+    _print_errors(found)
+    _print_points(found)
+    _print_gaps(found)
+    _print_angles(found)
+    _print_table_one(found)
+    if found.lag_s is not None:
+        say(f"lag of the answer behind the truth: {1000 * found.lag_s:+.1f} ms (peak of cross-correlation)")
+    if found.angles is not None and found.angles.carrying_truth_deg is not None:
+        say(f"the truth's carrying angle: {found.angles.carrying_truth_deg:.1f} degrees (median; valgus < 0)")
+    print_notes(found.notes)
+
+
+def _print_errors(found: Validation) -> None:
     columns = (
-        "part",
-        "position rms, cm",
-        "95 %, cm",
-        "max, cm",
-        "orientation rms, deg",
-        "max, deg",
-        "NEES",
-        "inside 95 %",
-        "samples",
+        *("part", "rms, cm", "95 %, cm", "max, cm"),
+        *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
     )
+    rows = []
+    for name in _PARTS:
+        figures = getattr(found, name)
+        rows.append(
+            (
+                name,
+                centimetres(figures.position_rms_m),
+                centimetres(figures.position_p95_m),
+                centimetres(figures.position_max_m),
+                figures.orientation_rms_deg,
+                figures.orientation_p95_deg,
+                figures.orientation_max_deg,
+                figures.nees,
+                figures.coverage_95,
+                figures.samples,
+            )
+        )
+    print_table(found.title("Error against the truth; NEES: 1 = the stated sigma is honest"), columns, rows)
+    bias = found.all.position_bias_m
+    if bias is not None:
+        say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
+
+
+def _print_points(found: Validation) -> None:
     rows = [
         (
             name,
+            *[centimetres(parts[part].position_rms_m) for part in _PARTS],
+            centimetres(parts["all"].position_p95_m),
+            centimetres(parts["all"].position_max_m),
+            parts["all"].nees,
+        )
+        for name, parts in found.points.items()
+    ]
+    if rows:
+        columns = ("joint", *_PARTS, "95 %", "max", "NEES")
+        print_table(found.title("Joints, position rms, cm"), columns, rows)
+
+
+def _print_gaps(found: Validation) -> None:
+    rows = [
+        (
+            f"{gap.start_s:.2f}",
+            f"{gap.length_s:.2f}",
             centimetres(figures.position_rms_m),
-            centimetres(figures.position_p95_m),
             centimetres(figures.position_max_m),
             figures.orientation_rms_deg,
             figures.orientation_max_deg,
             figures.nees,
-            figures.coverage_95,
-            figures.samples,
         )
-        for name, figures in (("all", found.all), ("occluded", found.occluded), ("visible", found.visible))
+        for gap, figures in found.gaps[:_MOST_GAPS]
     ]
-    print_table("Error against the truth (NEES: 1 = the stated sigma is honest)", columns, rows)
-    joints = [
+    if rows:
+        columns = ("gap at, s", "length, s", "rms, cm", "max, cm", "rms, deg", "max, deg", "NEES")
+        print_table(found.title("Error gap by gap"), columns, rows)
+
+
+def _print_angles(found: Validation) -> None:
+    from ..evaluation.angle_figures import WORDS
+
+    rows = [
+        (WORDS[name], part, *_agreement_cells(each))
+        for name in (found.angles.compared if found.angles else ())
+        for part, each in ((part, found.angle_figures[part][name]) for part in _PARTS)
+        if each.samples
+    ]
+    if rows:
+        columns = ("angle", "part", "RMSE", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
+        print_table(found.title("Joint angles, degrees (answer minus truth)"), columns, rows)
+
+
+def _agreement_cells(each: Agreement) -> tuple[str, ...]:
+    def text(value: float | None, digits: int) -> str:
+        return "-" if value is None else f"{value:.{digits}f}"
+
+    return (
+        text(each.rmse, 2),
+        text(each.bias, 2),
+        f"{text(each.limits_low, 1)} to {text(each.limits_high, 1)}",
+        text(each.icc, 3),
+        f"{text(each.icc_low, 3)} to {text(each.icc_high, 3)}",
+    )
+
+
+def _print_table_one(found: Validation) -> None:
+    if found.table is None or all(row.answer is None for row in found.table.rows):
+        return
+    rows = [
         (
-            name,
-            *[centimetres(part.joint_rms_m.get(name)) for part in (found.all, found.occluded, found.visible)],
+            row.errors if row.figure == "RMS" else "",
+            row.figure,
+            "-" if row.camera is None else _figure(row.errors, row.camera),
+            "-" if row.answer is None else _figure(row.errors, row.answer),
+            "-" if row.reduction is None else f"{100 * row.reduction:.2f}%",
         )
-        for name in found.all.joint_rms_m
+        for row in found.table.rows
     ]
-    if joints:
-        print_table("Joints, position rms, cm", ("joint", "all", "occluded", "visible"), joints)
-    print_notes(found.notes)
+    columns = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
+    print_table(
+        found.title("Position and orientation errors, as table I of Jatesiktat and Ang"), columns, rows
+    )
+    say(found.table.note)
+
+
+def _figure(errors: str, value: float) -> str:
+    return f"{value:.5f}" if "meter" in errors else f"{value:.2f}"

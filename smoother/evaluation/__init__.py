@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from .gaps import GapTable, evaluate_gaps
+from .reference import Alignment, read_reference
 from .truth_file import read_truth
 from .validate import Validation, validate
 
-__all__ = ["GapTable", "Validation", "evaluate_gaps", "read_truth", "validate"]
+__all__ = [
+    "Alignment",
+    "GapTable",
+    "Validation",
+    "evaluate_gaps",
+    "read_reference",
+    "read_truth",
+    "validate",
+]

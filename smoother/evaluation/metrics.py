@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray
 
@@ -37,6 +38,27 @@ def orientation_error_deg(answer: FloatArray, reference: FloatArray) -> FloatArr
     # imaginary part of conj(a) * b
     imaginary = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
     return np.degrees(2.0 * np.arctan2(np.linalg.norm(imaginary, axis=1), real))
+
+
+def rotation_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
+    """Rotation vectors (N, 3) rad in {K} that turn the reference into the answer; nan where one is missing.
+
+    Parameters
+    ----------
+    answer, reference : (N, 4) quaternions qw, qx, qy, qz of `R_K_A`.
+    """
+    result = np.full((len(answer), 3), np.nan)
+    a, b = _unit(answer), _unit(reference)
+    good = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    turned, true = (Rotation.from_quat(q[good], scalar_first=True) for q in (a, b))
+    result[good] = (turned * true.inv()).as_rotvec()
+    return result
+
+
+def mean_vector(vectors: FloatArray) -> list[float] | None:
+    """Mean (3,) of the finite rows, or None without any."""
+    finite = vectors[np.isfinite(vectors).all(axis=1)]
+    return [float(x) for x in finite.mean(axis=0)] if len(finite) else None
 
 
 def _unit(quaternion: FloatArray) -> FloatArray:
@@ -115,6 +137,10 @@ class Figures:
     samples : samples with a reference and an answer.
     unanswered : samples with a reference where the method gave no position.
     joint_rms_m : rms of the position error of each joint that the reference has, m.
+    position_bias_m : (3,) mean of answer minus reference, m in {K}.
+    orientation_p95_deg : 95 % of the orientation errors are smaller.
+    orientation_bias_deg : (3,) mean rotation vector from reference to answer, degrees in {K}.
+    orientation_nees, orientation_coverage_95 : as for the position, of the rotation vector.
     """
 
     position_rms_m: float | None
@@ -128,6 +154,11 @@ class Figures:
     coverage_95: float | None = None
     unanswered: int = 0
     joint_rms_m: dict[str, float | None] = field(default_factory=dict)
+    position_bias_m: list[float] | None = None
+    orientation_p95_deg: float | None = None
+    orientation_bias_deg: list[float] | None = None
+    orientation_nees: float | None = None
+    orientation_coverage_95: float | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
@@ -156,4 +187,5 @@ def summarise(
         position_p95_m=percentile(distance_m, 95),
         coverage_95=coverage_95(squared),
         unanswered=unanswered,
+        orientation_p95_deg=percentile(angle_deg, 95),
     )

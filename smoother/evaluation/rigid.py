@@ -69,7 +69,7 @@ def find_shape(position: FloatArray) -> FloatArray:
     ----------
     position : (N, M, 3) m; nan where a marker was not seen.
     """
-    finite = np.isfinite(position).all(axis=2)
+    finite: BoolArray = np.asarray(np.isfinite(position).all(axis=2))
     rows = np.flatnonzero(finite.sum(axis=1) >= 3)
     if not len(rows):
         return np.full(position.shape[1:], np.nan)

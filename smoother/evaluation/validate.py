@@ -1,16 +1,32 @@
-"""A recovery held against a reference: all samples, the occluded ones, the visible ones."""
+"""A recovery held against a reference: all samples, the occluded ones, the visible ones, each gap."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import RecordingError
 from ..recording import BoolArray, FloatArray, Truth
-from ..result import Recovery
+from ..result import Gap, Recovery
+from .agreement import Agreement
 from .align import truth_at
-from .metrics import Figures, orientation_error_deg, position_error, rms, squared_sigmas, summarise
+from .angle_figures import AngleComparison, compare_angles
+from .lag import lag_s
+from .metrics import (
+    Figures,
+    coverage_95,
+    mean_vector,
+    nees,
+    orientation_error_deg,
+    rms,
+    rotation_error,
+    squared_sigmas,
+    summarise,
+)
+from .reference import Alignment
+from .table_one import TableOne, table_one
 
 
 @dataclass(frozen=True)
@@ -25,6 +41,10 @@ class SampleErrors:
     angle_deg : (N,) orientation error, degrees of rotation.
     squared_sigmas : (N,) squared position error in sigmas.
     joint_distance_m : by joint, (N,) position error of the joints that the reference has, m.
+    difference_m : (N, 3) answer minus reference, m in {K}.
+    turn_rad : (N, 3) rotation vector from reference to answer, rad in {K}.
+    turn_squared_sigmas : (N,) squared orientation error in sigmas.
+    joint_difference_m, joint_squared_sigmas : likewise by joint.
     """
 
     reference: Truth
@@ -33,6 +53,11 @@ class SampleErrors:
     angle_deg: FloatArray
     squared_sigmas: FloatArray
     joint_distance_m: dict[str, FloatArray]
+    difference_m: FloatArray
+    turn_rad: FloatArray
+    turn_squared_sigmas: FloatArray
+    joint_difference_m: dict[str, FloatArray]
+    joint_squared_sigmas: dict[str, FloatArray]
 
     def figures(self, chosen: BoolArray) -> Figures:
         """The figures of the chosen samples (N,)."""
@@ -40,8 +65,23 @@ class SampleErrors:
         figures = summarise(
             self.distance_m[chosen], self.angle_deg[chosen], self.squared_sigmas[chosen], unanswered
         )
-        joints = {name: rms(distance[chosen]) for name, distance in self.joint_distance_m.items()}
-        return replace(figures, joint_rms_m=joints)
+        turn = mean_vector(np.degrees(self.turn_rad[chosen]))
+        return replace(
+            figures,
+            joint_rms_m={name: rms(distance[chosen]) for name, distance in self.joint_distance_m.items()},
+            position_bias_m=mean_vector(self.difference_m[chosen]),
+            orientation_bias_deg=turn,
+            orientation_nees=nees(self.turn_squared_sigmas[chosen]),
+            orientation_coverage_95=coverage_95(self.turn_squared_sigmas[chosen]),
+        )
+
+    def joint_figures(self, joint: str, chosen: BoolArray) -> Figures:
+        """The figures of a joint's position over the chosen samples (N,)."""
+        nothing = np.full(int(chosen.sum()), np.nan)
+        figures = summarise(
+            self.joint_distance_m[joint][chosen], nothing, self.joint_squared_sigmas[joint][chosen]
+        )
+        return replace(figures, position_bias_m=mean_vector(self.joint_difference_m[joint][chosen]))
 
 
 @dataclass(frozen=True)
@@ -52,42 +92,91 @@ class Validation:
     ----------
     all, occluded, visible : figures of all samples, of those in gaps, and of the others.
     notes : what a reader must know of the comparison, one sentence each.
+    points : figures of each joint that truth and answer share, by joint and part.
+    gaps : figures of each gap that holds a sample with truth.
+    angles : joint angles of both, or None.
+    angle_figures : agreement of the angles by part and angle.
+    lag_s : how late the answer's position is against the truth's, or None.
+    table : the layout of Jatesiktat and Ang's table I.
+    alignment : how the truth was brought to the result.
     """
 
     all: Figures
     occluded: Figures
     visible: Figures
     notes: tuple[str, ...] = ()
+    points: dict[str, dict[str, Figures]] = field(default_factory=dict)
+    gaps: tuple[tuple[Gap, Figures], ...] = ()
+    angles: AngleComparison | None = None
+    angle_figures: dict[str, dict[str, Agreement]] = field(default_factory=dict)
+    lag_s: float | None = None
+    table: TableOne | None = None
+    alignment: Alignment = field(default_factory=Alignment)
 
-    def to_dict(self) -> dict[str, dict[str, object]]:
-        """The three sets of figures by name, as `--json` writes them."""
+    def to_dict(self) -> dict[str, Any]:
+        """The figures by name, as `--json` writes them."""
+        points = {
+            name: {part: figures.to_dict() for part, figures in parts.items()}
+            for name, parts in self.points.items()
+        }
+        angles = {
+            part: {name: found.to_dict() for name, found in each.items()}
+            for part, each in self.angle_figures.items()
+        }
+        gaps = [
+            {"start_s": gap.start_s, "end_s": gap.end_s, **figures.to_dict()} for gap, figures in self.gaps
+        ]
         return {
             "all": self.all.to_dict(),
             "occluded": self.occluded.to_dict(),
             "visible": self.visible.to_dict(),
+            "points": points,
+            **self.alignment.to_dict(),
+            "gaps": gaps,
+            "angles_deg": angles,
+            "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
+            "lag_s": self.lag_s,
+            "table_1": None if self.table is None else self.table.to_dict(),
+            "notes": list(self.notes),
         }
+
+    def title(self, text: str) -> str:
+        """The title of one of its results: says where the truth was aligned."""
+        return f"{text} ({self.alignment.title})" if self.alignment.title else text
 
 
 def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
     """Errors of a recovery at each of its samples; the truth is read at the recovery's times."""
     reference = truth_at(truth, recovery.t_s)
-    difference = np.where(reference.score[:, None], recovery.position - reference.position, np.nan)
+    score = reference.score[:, None]
+    difference = np.where(score, recovery.position - reference.position, np.nan)
     angle = orientation_error_deg(recovery.quaternion, reference.quaternion)
+    turn = np.where(score, rotation_error(recovery.quaternion, reference.quaternion), np.nan)
+    joints = {
+        name: np.where(score, recovery.joints[name] - position, np.nan)
+        for name, position in reference.joints.items()
+        if name in recovery.joints
+    }
+    unknown = np.full((len(recovery), 3, 3), np.nan)
     return SampleErrors(
         reference=reference,
         scored=reference.score & np.isfinite(reference.position).all(axis=1),
         distance_m=np.linalg.norm(difference, axis=1),
         angle_deg=np.where(reference.score, angle, np.nan),
         squared_sigmas=squared_sigmas(difference, recovery.pose_covariance[:, :3, :3]),
-        joint_distance_m={
-            name: np.where(reference.score, position_error(recovery.joints[name], position), np.nan)
-            for name, position in reference.joints.items()
-            if name in recovery.joints
+        joint_distance_m={name: np.linalg.norm(each, axis=1) for name, each in joints.items()},
+        difference_m=difference,
+        turn_rad=turn,
+        turn_squared_sigmas=squared_sigmas(turn, recovery.pose_covariance[:, 3:, 3:]),
+        joint_difference_m=joints,
+        joint_squared_sigmas={
+            name: squared_sigmas(each, recovery.joint_covariance.get(name, unknown))
+            for name, each in joints.items()
         },
     )
 
 
-def validate(recovery: Recovery, truth: Truth) -> Validation:
+def validate(recovery: Recovery, truth: Truth, alignment: Alignment | None = None) -> Validation:
     """Compare a recovery with a reference on the same clock and in the same frame.
 
     Parameters
@@ -95,34 +184,79 @@ def validate(recovery: Recovery, truth: Truth) -> Validation:
     recovery : the result to judge.
     truth : pose of the forearm IMU in the camera frame, on the IMU's clock; times count from the
         recovery's origin. Samples outside `truth.score` are not scored.
+    alignment : how the truth was brought there; None where it came so.
 
     Raises
     ------
     RecordingError
         The truth holds nothing during the recovery.
     """
+    alignment = alignment or Alignment()
     errors = sample_errors(recovery, truth)
     _refuse_without_overlap(recovery, truth, errors)
+    parts = {
+        "all": np.ones(len(recovery), dtype=bool),
+        "occluded": recovery.occluded,
+        "visible": ~recovery.occluded,
+    }
+    figures = {name: errors.figures(chosen) for name, chosen in parts.items()}
+    angles = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
+    return Validation(
+        **figures,
+        notes=(*alignment.notes, *_notes(errors, figures["all"]), *(angles.notes if angles else ())),
+        points={
+            joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
+            for joint in errors.joint_distance_m
+        },
+        gaps=tuple(_gaps(recovery, errors)),
+        angles=angles,
+        angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
+        lag_s=_lag(recovery, errors),
+        table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
+        alignment=alignment,
+    )
+
+
+def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
     notes = []
+    if not errors.scored.any():
+        notes.append("The truth has no position of the IMU (no plate); joints are compared.")
     if not np.isfinite(errors.angle_deg).any():
         notes.append("The truth and the result share no orientation; only positions are compared.")
-    everything = np.ones(len(recovery), dtype=bool)
-    figures = errors.figures(everything)
     if figures.unanswered:
         notes.append(
             f"{figures.unanswered} of {figures.unanswered + figures.samples} samples with truth have"
             " no answer and are in no figure."
         )
-    return Validation(
-        all=figures,
-        occluded=errors.figures(recovery.occluded),
-        visible=errors.figures(~recovery.occluded),
-        notes=tuple(notes),
-    )
+    return notes
+
+
+def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]:
+    found = []
+    for gap in recovery.gaps:
+        inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & recovery.occluded
+        figures = errors.figures(inside)
+        if figures.samples or any(value is not None for value in figures.joint_rms_m.values()):
+            found.append((gap, figures))
+    return found
+
+
+def _lag(recovery: Recovery, errors: SampleErrors) -> float | None:
+    """Lag of the IMU's position, or of the wrist where the truth has no IMU."""
+    if errors.scored.any():
+        true = np.where(errors.scored[:, None], errors.reference.position, np.nan)
+        return lag_s(recovery.t_s, recovery.position, true)
+    for joint in ("wrist", "hand", "elbow"):
+        if joint in errors.joint_distance_m:
+            return lag_s(recovery.t_s, recovery.joints[joint], errors.reference.joints[joint])
+    return None
 
 
 def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:
+    joints = errors.joint_distance_m.values()
     if errors.scored.any() or np.isfinite(errors.angle_deg).any():
+        return
+    if any(np.isfinite(distance).any() for distance in joints):
         return
     known = truth.t_s[np.isfinite(truth.position).all(axis=1)]
     if not len(known):
