@@ -30,13 +30,15 @@ KNEE_DB = 3.0
 #: Two beeps nearer than this are one, s.
 PAUSE_S = 0.05
 #: Envelope: width of the low-pass, s, and how far before and after the end it is fitted, s.
-SMOOTH_S = 0.002
+SMOOTH_S = 0.0012
 BEFORE_S, AFTER_S = 0.020, 0.060
+#: The buzzer itself rings out within this time constant, s; what is slower is the room.
+LONGEST_RING_S = 0.006
 #: What a step with an exponential tail leaves out: in any case, s, and as a part of the tail's length.
-MODEL_SIGMA_S = 0.00025
-TAIL_PART = 0.05
+MODEL_SIGMA_S = 0.00015
+TAIL_PART = 0.02
 #: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
-LOUD_TAIL, LONG_TAIL_S, LOUD_TAIL_PART = 0.45, 0.03, 0.3
+LOUD_TAIL, LONG_TAIL_S, LOUD_TAIL_PART = 0.45, 0.015, 0.3
 #: Blocks of a long track, s.
 BLOCK_S = 60.0
 
@@ -202,19 +204,20 @@ def _fit_end(
     size = float(np.median(envelope[at < max(end_s - 0.005, at[0] + 0.003)]))
 
     def model(x: FloatArray) -> FloatArray:
-        end, decay, tail, loud, noise = x[0], np.exp(x[1]), x[2], x[3], x[4]
+        end, decay, tail, loud, noise, ring = x[0], np.exp(x[1]), x[2], x[3], x[4], np.exp(x[5])
         late = np.maximum(t - end, 0.0)
         after = np.clip((t - end) * rate_hz + 0.5, 0.0, 1.0)  # the part of a sample that lies behind the end
-        shape = (1 - after) + after * tail * np.exp(-late / decay)
+        fall = tail * np.exp(-late / decay) + (1 - tail) * np.exp(-late / ring)
+        shape = (1 - after) + after * fall
         return np.asarray(np.hypot(loud * fftconvolve(shape, kernel, mode="same")[inside], noise))
 
-    low = [end_s - 0.03, np.log(2e-4), 0.0, 0.2 * size, 0.0]
-    high = [end_s + 0.03, np.log(1.0), 1.0, 5 * size, size]
+    low = [end_s - 0.03, np.log(LONGEST_RING_S), 0.0, 0.2 * size, 0.0, np.log(1e-4)]
+    high = [end_s + 0.03, np.log(1.0), 1.0, 5 * size, size, np.log(LONGEST_RING_S)]
     best = None
-    for decay in (0.001, 0.006, 0.04):
-        for shift in (-0.006, 0.0, 0.004):
-            guess = [end_s + shift, np.log(decay), 0.7, size, 0.02 * size]
-            scale = [1e-3, 0.5, 0.2, size, 0.05 * size]
+    for decay, tail in ((0.01, 0.05), (0.02, 0.9), (0.04, 0.3)):
+        for shift in (-0.012, -0.004, 0.002):
+            guess = [end_s + shift, np.log(decay), tail, size, 0.02 * size, np.log(1e-3)]
+            scale = [1e-3, 0.5, 0.2, size, 0.05 * size, 0.5]
             tried = least_squares(
                 lambda x: (model(x) - envelope) / size, guess, bounds=(low, high), x_scale=scale, max_nfev=60
             )
@@ -222,7 +225,7 @@ def _fit_end(
     assert best is not None
     # neighbouring values of the envelope share the kernel: so many of them are worth one
     worth = max(1.5 * len(kernel) / 2, 1.0)
-    variance = 2 * best.cost * worth / max(len(envelope) - 5 * worth, 1.0)
+    variance = 2 * best.cost * worth / max(len(envelope) - 6 * worth, 1.0)
     spread = np.linalg.pinv(best.jac.T @ best.jac) * variance
     tail, decay = float(best.x[2]), float(np.exp(best.x[1]))
     loud_room = tail > LOUD_TAIL and decay > LONG_TAIL_S
