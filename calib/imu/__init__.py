@@ -1,0 +1,1 @@
+"""What is measured once of an inertial sensor: accelerometer, gyroscope, noise, magnetometer."""

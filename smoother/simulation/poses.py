@@ -1,0 +1,94 @@
+"""A sensor alone, turned by hand: rest poses for the accelerometer, all directions for the magnetometer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ..recording import FloatArray, ImuStream
+
+#: Six sides, twelve edges and eight corners: the poses in the order in which they are taken.
+_SIDES = np.vstack([np.eye(3), -np.eye(3)])
+_EDGES = np.array([v for v in np.ndindex(3, 3, 3) if np.abs(np.array(v) - 1).sum() == 2], float) - 1.0
+_CORNERS = np.array(list(np.ndindex(2, 2, 2)), float) * 2.0 - 1.0
+REST_POSES = np.vstack([_SIDES, _EDGES[::2], _EDGES[1::2], _CORNERS])
+REST_POSES = REST_POSES / np.linalg.norm(REST_POSES, axis=1)[:, None]
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """measured = matrix @ true + offset; the matrix is symmetric, as a calibration cannot see a rotation."""
+
+    offset: FloatArray
+    matrix: FloatArray
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, *, offset: float, scale: float, cross: float) -> SensorModel:
+        """Errors of the given sizes, their signs and shares at random."""
+        matrix = np.eye(3) + np.diag(scale * rng.uniform(-1.0, 1.0, 3))
+        off = cross * rng.uniform(-1.0, 1.0, (3, 3))
+        matrix += np.triu(off, 1) + np.triu(off, 1).T
+        return cls(offset * rng.choice([-1.0, 1.0], 3), matrix)
+
+    def distort(self, true: FloatArray) -> FloatArray:
+        """What the sensor reads (N, 3) of true values (N, 3)."""
+        return true @ self.matrix.T + self.offset
+
+
+def rest_poses(
+    model: SensorModel,
+    poses: int,
+    *,
+    seed: int = 0,
+    rest_s: float = 2.0,
+    turn_s: float = 1.0,
+    rate_hz: float = 100.0,
+    acc_noise: float = 0.02,
+    gyro_noise: float = 0.002,
+    gravity: float = 9.81,
+) -> tuple[ImuStream, FloatArray]:
+    """A sensor laid still in one pose after the other, turned by hand between.
+
+    Parameters
+    ----------
+    model : the accelerometer's errors.
+    poses : how many of `REST_POSES` (26), each some degrees off.
+    acc_noise, gyro_noise : standard deviation of a sample, m/s^2 and rad/s.
+
+    Returns
+    -------
+    The stream, and the gyroscope's bias (3,) rad/s.
+    """
+    rng = np.random.default_rng(seed)
+    up = REST_POSES[:poses] + rng.normal(0.0, 0.06, (poses, 3))
+    turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis / np.linalg.norm(axis)])[0] for axis in up]
+    step = rest_s + turn_s
+    knots = np.concatenate([[step * k, step * k + rest_s] for k in range(poses)])
+    curve = Slerp(knots, Rotation.concatenate([turn for turn in turns for _ in range(2)]))
+    t = np.arange(0.5 / rate_hz, knots[-1], 1.0 / rate_hz)
+    # a smooth start and end of every turn
+    k, within = np.divmod(t, step)
+    u = np.clip((within - rest_s) / turn_s, 0.0, 1.0)
+    eased = step * k + np.where(within < rest_s, within, rest_s + turn_s * u * u * (3.0 - 2.0 * u))
+    R = curve(np.minimum(eased, knots[-1]))
+    shake = ((u > 0) & (u < 1))[:, None] * rng.normal(0.0, 1.5, (len(t), 3))
+    force = R.inv().apply([0.0, 0.0, gravity]) + shake
+    rate = np.zeros((len(t), 3))
+    rate[:-1] = (R[:-1].inv() * R[1:]).as_rotvec() * rate_hz
+    bias = rng.normal(0.0, 0.01, 3)
+    acc = model.distort(force) + rng.normal(0.0, acc_noise, force.shape)
+    gyro = rate + bias + rng.normal(0.0, gyro_noise, rate.shape)
+    return ImuStream("/imu/forearm_right", t, acc, gyro), bias
+
+
+def magnetometer_turns(
+    model: SensorModel, count: int, *, noise: float = 0.01, seed: int = 0, dip_deg: float = 60.0
+) -> FloatArray:
+    """Samples (count, 3) of a sensor turned slowly about all its axes in a field of length 1."""
+    rng = np.random.default_rng(seed)
+    path = Slerp(np.arange(61.0), Rotation.random(61, random_state=seed))
+    R = path(np.linspace(0.0, 60.0, count))
+    field = np.array([np.cos(np.radians(dip_deg)), 0.0, -np.sin(np.radians(dip_deg))])
+    return model.distort(R.inv().apply(field)) + rng.normal(0.0, noise, (count, 3))

@@ -1,0 +1,118 @@
+"""Accuracy of the sensors' calibration on simulated sensors: `python tools/imu_accuracy.py [--seeds 20]`.
+
+Accelerometer: offsets of 0.5 m/s^2, scale 3 %, cross-axis 1 %, twelve poses held for two seconds each, turned
+by hand between. Magnetometer: hard iron 0.5, soft iron 20 % (of the field), 3,000 samples, noise 1 %.
+Noise figures: white noise, and bias that wanders, over a rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.imu.allan import allan_noise
+from calib.imu.calibrate import GRAVITY, calibrate_imu
+from calib.imu.magnetometer import calibrate_magnetometer
+from calib.imu.rest import find_rests
+from calib.imu.sphere import sphere_points
+from smoother.errors import CalibrationError
+from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+
+
+def accelerometer(seeds: range, poses: int, noise: float) -> None:
+    """Error of the corrected specific force at rest, over all directions."""
+    errors, biases, found = [], [], []
+    up = sphere_points(500) * GRAVITY
+    for seed in seeds:
+        model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
+        stream, bias = rest_poses(model, poses, seed=seed, acc_noise=noise, gyro_noise=noise / 50.0)
+        found.append(find_rests(stream).poses)
+        got = calibrate_imu(stream)
+        assert got.accelerometer is not None
+        errors.append(
+            np.sqrt(np.mean(np.sum((got.accelerometer.apply(model.distort(up)) - up) ** 2, axis=1)))
+        )
+        biases.append(np.abs(got.gyroscope.offset - bias).max())
+    print(
+        f"  {poses} poses, noise {noise:g} m/s^2: rms error {np.mean(errors):.4f}, worst of"
+        f" {len(seeds)} seeds {max(errors):.4f} m/s^2; poses found {min(found)}..{max(found)};"
+        f" gyroscope bias {np.degrees(max(biases)):.4f} deg/s at worst"
+    )
+
+
+def refused(seeds: range) -> None:
+    """Eight poses."""
+    for seed in seeds:
+        model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
+        try:
+            calibrate_imu(rest_poses(model, 8, seed=seed)[0])
+        except CalibrationError as error:
+            text = str(error)
+        else:
+            raise SystemExit(f"eight poses were taken (seed {seed})")
+    print(f"  8 poses: refused for all seeds: {text}")
+
+
+def magnetometer(seeds: range) -> None:
+    """Length of the corrected true field, over the sphere."""
+    worst, rms = [], []
+    for seed in seeds:
+        model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.2, cross=0.2)
+        got = calibrate_magnetometer(magnetometer_turns(model, 3000, noise=0.01, seed=seed))
+        length = np.linalg.norm(got.apply(model.distort(sphere_points(500))), axis=1)
+        worst.append(np.abs(length - 1.0).max())
+        rms.append(np.sqrt(np.mean((length - 1.0) ** 2)))
+    print(
+        f"  3000 samples: radius error rms {100 * np.mean(rms):.3f} %,"
+        f" worst direction {100 * max(worst):.3f} %"
+    )
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 3000)
+    plane = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).apply([0.5, 0.0, -0.86])
+    try:
+        calibrate_magnetometer(plane + rng.normal(0.0, 0.01, plane.shape))
+    except CalibrationError as error:
+        print(f"  planar rotation: refused: {error}")
+    else:
+        raise SystemExit("a planar rotation was taken")
+
+
+def noise(seeds: range) -> None:
+    """White noise and random walk of a long rest, against those that were drawn."""
+    rate, hours = 100.0, 1.0
+    ratio = []
+    for seed in seeds[:5]:
+        rng = np.random.default_rng(seed)
+        count = int(3600 * hours * rate)
+        white, walk = 2e-3, 1e-4
+        samples = white * np.sqrt(rate) * rng.normal(size=(count, 3))
+        samples += np.cumsum(walk / np.sqrt(rate) * rng.normal(size=(count, 3)), axis=0)
+        got = allan_noise(samples, rate)
+        assert got is not None
+        ratio.append([np.sqrt(np.mean(got.density**2)) / white, np.sqrt(np.nanmean(got.walk**2)) / walk])
+    low, high = np.min(ratio, axis=0), np.max(ratio, axis=0)
+    print(
+        f"  {hours:g} h at {rate:g} Hz: white noise {low[0]:.3f}..{high[0]:.3f} of the truth,"
+        f" random walk {low[1]:.2f}..{high[1]:.2f}"
+    )
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    seeds = range(parser.parse_args().seeds)
+    print("accelerometer")
+    for level in (0.005, 0.02, 0.1):
+        accelerometer(seeds, 12, level)
+    refused(seeds)
+    print("magnetometer")
+    magnetometer(seeds)
+    print("noise")
+    noise(seeds)
+
+
+if __name__ == "__main__":
+    main()
