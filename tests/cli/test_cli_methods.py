@@ -1,0 +1,212 @@
+"""Every method through the real commands: `smooth --method`, `gaps --methods`, their options and refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother import Config, smoothing
+from smoother.cli.methods import METHODS, PeerSettings, SharedGraph, choose, make_methods, peer_settings
+from smoother.cli.run import run
+from smoother.errors import SolveError
+from smoother.evaluation import evaluate_gaps
+from smoother.io import read_recovery
+from smoother.peers.registry import PEERS
+from smoother.recording import Recording
+from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
+
+ALONE = Config.model_validate({"windows": {"processes": 1}})
+#: The contract with users.
+PROMISED = {
+    "graph",
+    "rts",
+    "ukf",
+    "gaussian-process",
+    "multirate-kalman",
+    "kalman",
+    "linear-drift",
+    "camera-only",
+    "pchip",
+    "hold",
+}
+
+
+def done(*arguments: object) -> None:
+    assert run([str(argument) for argument in arguments]) == 0
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Path:
+    """A recording of ten seconds with an occlusion, and its calibration."""
+    folder = tmp_path_factory.mktemp("methods")
+    done(
+        *("simulate", "arm", "--protocol", "random", "--duration-s", 10, "--seed", 6),
+        *("-o", folder / "rec.mcap", "--calibration-out", folder / "cal.toml"),
+    )
+    return folder
+
+
+def test_every_promised_method_is_there():
+    assert set(METHODS) == PROMISED == set(choose("all"))
+    assert choose("hold, graph,hold") == ["hold", "graph"]
+
+
+@pytest.mark.parametrize("method", sorted(PEERS))
+def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
+    out, figures_file = tmp_path / "out.mcap", tmp_path / "out.json"
+    done(
+        *("smooth", session / "rec.mcap", "-o", out, "--method", method, "--json", figures_file),
+        *("--calibration", session / "cal.toml", "--processes", 1),
+    )
+    assert "every method to compare with is told" in capsys.readouterr().out
+    figures = json.loads(figures_file.read_text())
+    assert figures["method"] == method
+    assert figures["gaps"] and figures["answered"] > 0.9 * figures["samples"]
+    (found,) = read_recovery(out)
+    assert found.method == method
+    inside = np.isfinite(found.position).all(axis=1) & found.occluded
+    assert inside.sum() > 10
+    done("validate", out, "--truth", session / "rec.mcap", "--json", tmp_path / "v.json")
+    validation = json.loads((tmp_path / "v.json").read_text())
+    # wide of the mark only where a method is: none is off by more than the arm is long
+    assert validation["visible"]["position_rms_m"] < 0.08
+    assert validation["occluded"]["position_rms_m"] < 0.6
+    done("export", out, "--format", "csv", "-o", tmp_path / "out.csv")
+
+
+def test_gaps_with_all_methods(session: Path, tmp_path: Path, capsys):
+    arguments = ["gaps", session / "rec.mcap", "--methods", "all", "--orientation", "comotti"]
+    arguments += ["--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1, "--json", tmp_path / "g.json"]
+    done(*arguments, "--calibration", session / "cal.toml")
+    said = capsys.readouterr().out
+    (entry,) = json.loads((tmp_path / "g.json").read_text())["lengths"]
+    assert set(entry["methods"]) == PROMISED
+    for name, figures in entry["methods"].items():
+        assert name in said
+        assert figures["failed"] == 0 and 0 < figures["rms_m"] < 0.5, name
+    assert entry["methods"]["graph"]["rms_m"] < entry["methods"]["hold"]["rms_m"]
+
+
+def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
+    found = {}
+    for orientation in ("vqf", "complementary"):
+        out = tmp_path / f"{orientation}.mcap"
+        done(
+            *("smooth", session / "rec.mcap", "-o", out, "--method", "pchip", "--processes", 1),
+            *("--orientation", orientation, "--calibration", session / "cal.toml"),
+        )
+        (found[orientation],) = read_recovery(out)
+        assert found[orientation].figures["orientation"] == orientation
+    dot = np.abs(np.sum(found["vqf"].quaternion * found["complementary"].quaternion, axis=1))
+    assert np.degrees(2 * np.arccos(np.clip(np.nanmin(dot), 0, 1))) > 2.0
+
+
+def test_the_boundary_asked_for_is_used(session: Path, tmp_path: Path):
+    found = []
+    for boundary_s in (0.5, 0.1):
+        out = tmp_path / f"{boundary_s}.mcap"
+        done(
+            *("smooth", session / "rec.mcap", "-o", out, "--method", "linear-drift", "--processes", 1),
+            *("--boundary-s", boundary_s, "--calibration", session / "cal.toml"),
+        )
+        found.append(read_recovery(out)[0])
+    assert found[1].figures["boundary_s"] == 0.1
+    moved = np.linalg.norm(found[0].position - found[1].position, axis=1)
+    assert np.nanmax(moved[found[0].occluded]) > 0.005
+    assert np.nanmax(moved[~found[0].occluded]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--method", "hold", "--orientation", "compass"], "--orientation is one of vqf, madgwick, comotti"),
+        (["--method", "linear-drift", "--boundary-s", "0"], "--boundary-s is a time between 0.05 and 10 s"),
+        (["--method", "hold", "--boundary-s", "0.5"], "--boundary-s belongs to the method linear-drift"),
+        (["--method", "hold,pchip"], "--method takes one method"),
+    ],
+)
+def test_wrong_use(arguments: list[str], text: str, capsys):
+    assert run(["smooth", "a.mcap", "-o", "b.mcap", *arguments]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_help_names_the_methods(capsys):
+    for command in ("smooth", "gaps"):
+        done(command, "--help")
+        said = "".join(capsys.readouterr().out.split())  # lines are broken at hyphens too
+        assert all(name in said for name in (*PROMISED, "--orientation", "--boundary-s", "complementary"))
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """Every recording that the graph solves, in order."""
+    seen: list[Recording] = []
+    original = smoothing.smooth
+
+    def counting(recording: Recording, *arguments: object):
+        seen.append(recording)
+        return original(recording, *arguments)
+
+    monkeypatch.setattr(smoothing, "smooth", counting)
+    return seen
+
+
+def test_the_graph_is_solved_once_a_copy_and_sees_nothing_hidden(solved: list[Recording]):
+    made = simulate_arm(
+        ArmSimulation.preset("white", protocol="random", duration_s=10.0, occlusion_lengths_s=()), seed=7
+    )
+    names = ["hold", "graph", "camera-only", "pchip", "linear-drift"]
+    methods = make_methods(names, made.calibration, ALONE)
+    table = evaluate_gaps(made.recording, [0.5, 1.0], methods, gaps_per_run=1)
+    assert len(solved) == 2 and len(table.rows) == 2 * len(names)
+    for copy, row in zip(solved, table.rows[:: len(names)], strict=True):
+        assert copy.truth is None
+        hidden = row.gap.contains(copy.arm.t_s)
+        assert hidden.any() and np.isnan(copy.arm.joint("wrist")[hidden]).all()
+
+
+def test_what_the_graph_cannot_solve_fails_once_for_all(solved: list[Recording]):
+    made = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=5.0), seed=7)
+    blind = replace(made.recording, arm=made.recording.arm.hide(np.ones(len(made.recording.arm), dtype=bool)))
+    methods = make_methods(["graph", "hold", "pchip"], made.calibration, ALONE)
+    for method in methods.values():
+        with pytest.raises(SolveError, match="never tracked the forearm"):
+            method(blind)
+    assert len(solved) == 1
+
+
+def test_a_new_recording_is_solved_anew(solved: list[Recording]):
+    made = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=5.0), seed=7)
+    graph = SharedGraph(made.calibration, ALONE)
+    first = graph(made.recording)
+    assert graph(made.recording) is first
+    assert graph(replace(made.recording)) is not first
+    assert len(solved) == 2
+
+
+def test_settings_go_where_they_are_known():
+    settings = peer_settings(["graph", "linear-drift", "hold"], "madgwick", 0.4)
+    assert settings == PeerSettings("madgwick", {"boundary_s": 0.4})
+    assert settings.for_method("linear-drift") == {"boundary_s": 0.4}
+    assert settings.for_method("hold") == {}
+
+
+def test_gaps_can_solve_the_straps_lever_arm(tmp_path: Path, capsys):
+    from smoother.io import write_recording
+
+    made = simulate_point(PointSimulation.preset("white", duration_s=20.0, occlusion_lengths_s=()), seed=2)
+    write_recording(made.recording, tmp_path / "point.mcap")
+    arguments = ["gaps", tmp_path / "point.mcap", "--lengths", 0.5, "--gaps-per-run", 1, "--processes", 1]
+    done(*arguments, "--solve-lever-arms", "--methods", "graph,rts,hold", "--json", tmp_path / "g.json")
+    (entry,) = json.loads((tmp_path / "g.json").read_text())["lengths"]
+    # solving a lever arm that is zero costs its uncertainty, no more
+    assert entry["methods"]["graph"]["rms_m"] < 0.03
+    assert set(entry["methods"]) == {"graph", "rts", "hold"}
+    arm = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=5.0), seed=7)
+    write_recording(arm.recording, tmp_path / "arm.mcap")
+    assert run(["gaps", str(tmp_path / "arm.mcap"), "--solve-lever-arms"]) == 2
+    assert "for recordings with a tracked strap" in capsys.readouterr().err
