@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import UnoccludeError
 from ..recording import FloatArray
 from ..result import Recovery
 
@@ -59,8 +60,10 @@ def prepare_export(
     Raises
     ------
     UnoccludeError
-        The recovery has not what the format needs.
+        The recovery has not what the format needs, or the format is not known.
     """
+    if format_name not in FORMATS:
+        raise UnoccludeError(f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}")
     if format_name == "mot":
         return _mot(recovery, rate_hz)
     if format_name in WITH_FRAME:

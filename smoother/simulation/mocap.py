@@ -65,7 +65,11 @@ class MocapSimulation(BaseModel):
         le=1000,
         description="the IMU's seconds are longer than the mocap's by this, ppm",
     )
-    marker_noise_m: float = Field(default=0.0002, ge=0, description="white noise of a marker, m an axis")
+    marker_noise_m: float = Field(
+        default=0.00002,
+        ge=0,
+        description="white noise of a marker, m an axis; 0.0002 for an older or far system",
+    )
     marker_lost: float = Field(
         default=0.05, ge=0, le=0.9, description="fraction of the time that a marker is not seen"
     )

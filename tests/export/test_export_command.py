@@ -12,6 +12,7 @@ import pytest
 from results import made, read_mot, read_trc, without_answer
 
 from smoother.cli.run import run
+from smoother.errors import UnoccludeError
 from smoother.io import read_recovery, write_recovery
 
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
@@ -236,6 +237,17 @@ def test_settings_of_markers_need_mocap(tmp_path, capsys):
     said = failed(capsys, 2, "simulate", "arm", "-o", tmp_path / "a.mcap", "--mocap", "--marker-lost", "2")
     assert "marker_lost" in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_formats_are_known_by_one_list():
+    from smoother.cli import export
+    from smoother.io import exports
+    from smoother.io.marker_export import FRAMES
+
+    assert export.FORMATS == exports.FORMATS == FORMATS
+    assert export.FRAMES == FRAMES
+    with pytest.raises(UnoccludeError, match="'xls' is not available"):
+        exports.prepare_export(made(), "xls")
 
 
 def test_the_example_of_the_help(tmp_path, monkeypatch):
