@@ -2,7 +2,7 @@
 
 What turns with the forearm turns at the same speed in every frame: the angular speeds of the answer (the
 gyroscope's, on the IMU's own stamps) and of the mocap's plate are correlated over all offsets, then offset,
-skew and the plate's rotation in the IMU are solved by least squares on turns over 0.1 s. Without a plate the
+skew and the plate's rotation in the IMU are solved by least squares on turns over 0.2 s. Without a plate the
 speeds of the joint centres while the camera sees them serve instead.
 """
 
@@ -21,7 +21,7 @@ from .align import orientation_at, position_at
 from .mocap_motion import MocapMotion
 
 #: A turn or a way is taken over this time, s.
-STEP_S = 0.1
+STEP_S = 0.2
 #: Grid of the correlation, Hz.
 GRID_HZ = 50.0
 #: The two must share this much motion, s, or a third of the shorter one.
@@ -121,7 +121,7 @@ class _Ways:
     """Lengths of the ways of joint centres over a step, while the camera sees the arm."""
 
     by = "speed of the joint centres"
-    mount: FloatArray | None = np.eye(3)
+    mount: FloatArray | None = None
     solves_mount = False
 
     def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
@@ -236,21 +236,25 @@ def _refine(
     t, measured = t[inside], measured[inside]
     centre = float(np.mean(t - lag))  # on the mocap's clock: offset and skew hang together least there
     offset, skew = lag, 0.0
-    mount = np.eye(3) if signals.mount is None else signals.mount
+    mount = signals.mount
     if signals.solves_mount:
         mount = _first_mount(measured, signals.truth(t - lag))
+
+    def mounted(values: FloatArray) -> FloatArray:
+        return values if mount is None else values @ mount.T
+
     size = 5 if signals.solves_mount else 2
     information, block_sum = np.eye(size), np.eye(size)
     for _ in range(12):
         at = centre + (t - offset - centre) / (1.0 + skew)
         model, ahead, behind = (signals.truth(at + shift) for shift in (0.0, 0.004, -0.004))
         rate = (ahead - behind) / 0.008
-        residual = measured - model @ mount.T
+        residual = measured - mounted(model)
         good = np.isfinite(residual) & np.isfinite(rate)
-        by_offset = np.where(good, rate @ mount.T, 0.0)
+        by_offset = np.where(good, mounted(rate), 0.0)
         columns = [by_offset, by_offset * (at - centre)[:, None]]
         if signals.solves_mount:
-            turned = np.where(good, model @ mount.T, 0.0)
+            turned = np.where(good, mounted(model), 0.0)
             columns += [np.cross(turned, axis) for axis in np.eye(3)]
         residual = np.where(good, residual, 0.0)
         spread = 1.4826 * np.median(np.abs(residual[good])) if good.any() else 1.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..recording import BoolArray, FloatArray, IntArray
 
 #: A marker this far off its place on the body is mistaken (swapped, or a ghost), m.
 MISTAKEN_M = 0.005
@@ -106,8 +106,8 @@ def _typical(position: FloatArray, finite: BoolArray) -> FloatArray:
 def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
     """Poses of a body of known shape (M, 3) in every frame with three markers that span a plane.
 
-    Of four or more markers the one farthest off its place is set aside, one after another, as long as it
-    is more than 5 mm off; where three are left that do not fit, there is no pose.
+    Where four or more do not fit, the one without which the others fit best is set aside, one after another,
+    until none is more than 5 mm off; where three are left that do not fit, there is no pose.
     """
     known = np.isfinite(shape).all(axis=1)
     weight: BoolArray = np.asarray(np.isfinite(position).all(axis=2) & known)
@@ -121,20 +121,35 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
         if not len(open_rows):
             break
         seen, used = position[open_rows], weight[open_rows]
-        R, p = fit_poses(shape, seen, used)
-        off = np.linalg.norm(
-            np.where(used[..., None], seen - np.einsum("nij,mj->nmi", R, shape) - p[:, None], 0.0), axis=2
-        )
+        R, p, off = _fit(shape, seen, used)
         fits = off.max(axis=1) <= MISTAKEN_M
         done = open_rows[fits]
         rotation[done], origin[done] = R[fits], p[fits]
         residual[done] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
         # with three markers there is nothing to tell which one is wrong
-        open_rows, worst = open_rows[~fits], off[~fits].argmax(axis=1)
-        weight[open_rows, worst] = False
+        open_rows = open_rows[~fits & (used.sum(axis=1) > 3)]
+        weight[open_rows, _odd_one(shape, position[open_rows], weight[open_rows])] = False
         mistaken += len(open_rows)
     weight[~np.isfinite(residual)] = False
     return ClusterMotion(rotation, origin, residual, weight, mistaken)
+
+
+def _fit(shape: FloatArray, seen: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Poses, and how far each used marker (N, M) is off its place, m."""
+    R, p = fit_poses(shape, seen, used)
+    off = seen - np.einsum("nij,mj->nmi", R, shape) - p[:, None]
+    return R, p, np.linalg.norm(np.where(used[..., None], off, 0.0), axis=2)
+
+
+def _odd_one(shape: FloatArray, seen: FloatArray, used: BoolArray) -> IntArray:
+    """The marker (N,) without which the others fit best."""
+    left = np.full(used.shape, np.inf)
+    for marker in range(used.shape[1]):
+        without = used.copy()
+        without[:, marker] = False
+        rest = (_fit(shape, seen, without)[2] ** 2).sum(axis=1)
+        left[:, marker] = np.where(used[:, marker], rest, np.inf)
+    return np.asarray(left.argmin(axis=1))
 
 
 def _width(shape: FloatArray, weight: BoolArray) -> FloatArray:

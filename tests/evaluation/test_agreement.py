@@ -1,0 +1,204 @@
+"""Agreement, lag, angles of truth and answer, table I."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+
+from smoother.calibration import ArmCalibration
+from smoother.evaluation import validate
+from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
+from smoother.evaluation.lag import lag_s
+from smoother.evaluation.reference import Alignment
+
+#: Shrout and Fleiss, Psychological Bulletin 86 (1979), table 2: 6 targets by 4 judges.
+SHROUT_FLEISS = np.array(
+    [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], dtype=float
+)
+
+
+def test_icc_of_the_published_example():
+    icc, low, high = icc_a1(SHROUT_FLEISS)
+    assert icc == pytest.approx(0.29, abs=0.005)  # their table 4, ICC(2,1)
+    assert low == pytest.approx(0.02, abs=0.005)  # as their text and R's psych give the interval
+    assert high == pytest.approx(0.76, abs=0.005)
+
+
+def test_icc_against_sums_of_squares_by_loops():
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(30, 1)) * 3 + rng.normal(size=(30, 2)) + [0.0, 0.7]
+    grand = table.mean()
+    rows = sum(2 * (row.mean() - grand) ** 2 for row in table) / 29
+    columns = sum(30 * (table[:, j].mean() - grand) ** 2 for j in range(2)) / 1
+    total = sum((table[i, j] - grand) ** 2 for i in range(30) for j in range(2))
+    error = (total - 29 * rows - columns) / 29
+    expected = (rows - error) / (rows + error + 2 / 30 * (columns - error))
+    assert icc_a1(table)[0] == pytest.approx(expected)
+
+
+def test_an_offset_costs_agreement_though_not_correlation():
+    x = np.random.default_rng(1).normal(size=400) * 10
+    found = agreement(x + 5.0, x)
+    assert found.bias == pytest.approx(5)
+    assert found.rmse == pytest.approx(5)
+    assert found.limits_low == pytest.approx(5, abs=1e-9)
+    assert found.icc == pytest.approx(1 - 12.5 / (x.var(ddof=1) + 12.5), abs=0.005)
+
+
+def test_limits_of_agreement_hold_95_of_100_differences():
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=20000) * 20
+    y = x + rng.normal(size=20000) * 2 - 1
+    found = agreement(y, x)
+    inside = (y - x > found.limits_low) & (y - x < found.limits_high)
+    assert inside.mean() == pytest.approx(0.95, abs=0.005)
+    assert found.icc_low < found.icc < found.icc_high
+
+
+def test_neighbours_in_time_widen_the_interval():
+    rng = np.random.default_rng(3)
+    white = rng.normal(size=4000)
+    slow = np.convolve(white, np.ones(80) / np.sqrt(80), mode="same")
+    assert memory(white) == pytest.approx(1, abs=0.2)
+    assert memory(slow) == pytest.approx(80, rel=0.3)  # a boxcar's autocorrelation is a triangle
+    noise = 0.5 * rng.normal(size=4000)
+    quick, lazy = agreement(white + noise, white), agreement(slow + noise, slow)
+    assert lazy.independent < quick.independent / 40
+    assert lazy.icc_high - lazy.icc_low > 3 * (quick.icc_high - quick.icc_low)
+
+
+def test_angles_are_compared_the_short_way_round():
+    true = np.array([170.0, 175.0, -179.0, -170.0] * 5)
+    answer = np.array([172.0, -178.0, -175.0, -171.0] * 5)
+    found = agreement(answer, true, degrees=True)
+    assert found.bias == pytest.approx((2 + 7 + 4 - 1) / 4)
+    assert np.ptp(unwound_deg(answer, true)[1]) < 30
+
+
+def test_little_to_compare_is_none():
+    found = agreement(np.array([1.0, np.nan]), np.array([1.0, 2.0]))
+    assert found.rmse is None
+    assert found.samples == 1
+    assert icc_a1(np.ones((5, 2)))[0] is None
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0031, -0.0208, 0.11])
+def test_lag_is_found_between_samples(late):
+    t = np.arange(0, 20, 0.0125)
+    reference = path(t) + 0.02 * np.sin(7 * t)[:, None]
+    answer = path(t - late) + 0.02 * np.sin(7 * (t - late))[:, None]
+    reference[300:500] = np.nan
+    assert lag_s(t, answer, reference) == pytest.approx(late, abs=3e-4)
+    assert lag_s(t, np.zeros_like(answer), reference) is None
+
+
+def _with_joints(t):
+    truth = make_truth(t)
+    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
+    return replace(truth, joints={**joints, "shoulder": np.tile([0.0, 0.3, 2.1], (len(t), 1))})
+
+
+class TestValidation:
+    @pytest.fixture(scope="class")
+    def found(self):
+        recovery = make_recovery(make_recording(), error_m=0.004, sigma_m=0.004)
+        recovery = replace(
+            recovery, calibration=replace(recovery.calibration or ArmCalibration(), R_F_A=np.eye(3))
+        )
+        return validate(recovery, _with_joints(np.arange(0, 20, 0.01)))
+
+    def test_joints_have_figures_of_their_own(self, found):
+        points = found.to_dict()["points"]
+        assert set(points) == {"shoulder", "elbow", "wrist", "hand"}
+        for name in ("elbow", "wrist", "hand"):
+            assert points[name]["all"]["position_rms_m"] == pytest.approx(0.004 * np.sqrt(3), rel=0.05)
+            assert points[name]["all"]["nees"] == pytest.approx(1, abs=0.1)
+            assert points[name]["occluded"]["position_rms_m"] is None
+        assert points["shoulder"]["all"]["position_rms_m"] < 1e-9
+
+    def test_nothing_was_aligned(self, found):
+        figures = found.to_dict()
+        assert figures["alignment"] == "none"
+        assert figures["clock"]["offset_s"] == 0
+        assert found.title("Error") == "Error"
+
+    def test_angles_agree_and_the_lag_is_nil(self, found):
+        angles = found.angle_figures["all"]
+        assert {"elbow_flexion", "pronation", "shoulder_elevation"} <= set(angles)
+        assert "carrying" not in angles  # no epicondyles
+        for name in ("elbow_flexion", "shoulder_elevation"):
+            assert angles[name].rmse < 2
+            assert abs(angles[name].bias) < 0.3
+            assert angles[name].icc > 0.98
+        assert found.lag_s == pytest.approx(0, abs=1e-3)
+
+    def test_bias_and_orientation_sigma(self):
+        recovery = make_recovery(make_recording(), error_m=0.001)
+        shifted = replace(recovery, position=recovery.position + np.array([0.01, -0.02, 0.03]))
+        figures = validate(shifted, make_truth(np.arange(0, 20, 0.01))).all
+        assert figures.position_bias_m == pytest.approx([0.01, -0.02, 0.03], abs=2e-4)
+        assert figures.orientation_bias_deg == pytest.approx([0, 0, 0], abs=1e-3)
+        assert figures.orientation_coverage_95 == 1.0
+
+    def test_table_one_is_laid_out_as_published(self, found):
+        rows = found.table.rows
+        assert [(row.errors.split()[0], row.figure) for row in rows] == [
+            ("Orientation", "RMS"),
+            ("Orientation", "Maximum"),
+            ("Forearm", "RMS"),
+            ("Forearm", "Maximum"),
+            ("Position", "RMS"),
+            ("Position", "Maximum"),
+        ]
+        assert rows[0].camera is None  # a skeleton has no orientation
+        # the camera of this recording has no noise and its IMU lies on the forearm's axis
+        assert rows[4].camera < 1e-3
+        assert rows[4].answer == pytest.approx(found.all.position_rms_m)
+        assert rows[4].reduction < 0  # said as it is where the answer is worse
+
+    def test_gap_by_gap(self):
+        recording = make_recording()
+        hidden = (recording.arm.t_s > 5) & (recording.arm.t_s < 6)
+        recording = replace(recording, arm=recording.arm.hide(hidden))
+        recovery = make_recovery(recording, error_m=0.01)
+        found = validate(recovery, make_truth(np.arange(0, 20, 0.01)))
+        ((gap, figures),) = found.gaps
+        assert gap.start_s < 5.04
+        assert figures.position_rms_m == pytest.approx(found.occluded.position_rms_m)
+        assert found.to_dict()["gaps"][0]["start_s"] == gap.start_s
+
+    def test_a_truth_of_joints_alone_will_do(self):
+        truth = _with_joints(np.arange(0, 20, 0.01))
+        bare = replace(
+            truth,
+            position=np.full_like(truth.position, np.nan),
+            quaternion=np.full_like(truth.quaternion, np.nan),
+        )
+        found = validate(make_recovery(make_recording(), error_m=0.004), bare)
+        assert found.all.position_rms_m is None
+        assert found.points["wrist"]["all"].position_rms_m > 0.005
+        assert any("joints are compared" in note for note in found.notes)
+
+    def test_epicondyles_tell_the_truths_carrying_angle(self):
+        t = np.arange(0, 20, 0.01)
+        truth = _with_joints(t)
+        up = truth.joints["shoulder"] - truth.joints["elbow"]
+        along = truth.joints["elbow"] - truth.joints["wrist"]
+        axis = np.cross(up, along)
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        # the humerus turned by 10 degrees about its own length
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        tilted = np.cos(np.radians(10)) * axis + np.sin(np.radians(10)) * np.cross(up, axis)
+        expected = np.degrees(np.median(np.arcsin((along * tilted).sum(axis=1))))
+        landmarks = {
+            "medial_epicondyle": truth.joints["elbow"] - 0.04 * tilted,
+            "lateral_epicondyle": truth.joints["elbow"] + 0.04 * tilted,
+        }
+        found = validate(make_recovery(make_recording()), truth, Alignment(landmarks=landmarks))
+        assert abs(expected) > 1
+        assert found.angles.carrying_truth_deg == pytest.approx(expected, abs=0.05)
+        assert "carrying" not in found.angle_figures["all"]
