@@ -47,6 +47,7 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         _add_shoulder(graph, values, window)
     _add_quiet(graph, window)
     _add_attitude(graph, window)
+    _add_field(graph, window)
     return graph, values
 
 
@@ -238,6 +239,17 @@ def _add_attitude(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     R = window.attitude
     covariance = R.T @ window.attitude_covariance @ R
     graph.add(gtsam.PoseRotationPrior3D(X(window.attitude_node), Rot3(R), gaussian(covariance)))
+
+
+def _add_field(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+    """`AttitudeFactorPose3`: a calibrated magnetometer's directions, robust against a magnet near one."""
+    if window.field is None:
+        return
+    field = window.field
+    loss = noiseModel.mEstimator.Cauchy.Create(window.noise.cauchy)
+    model = noiseModel.Robust.Create(loss, isotropic(2, round(field.sigma_rad, 5)))
+    for node, in_A in zip(field.node.tolist(), field.in_A, strict=True):
+        graph.add(gtsam.AttitudeFactorPose3(X(node), Unit3(field.in_K), model, Unit3(in_A)))
 
 
 def gaussian(covariance: FloatArray) -> noiseModel.Gaussian:

@@ -12,6 +12,7 @@ from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
 from .join import Motion, join
+from .magnetic import with_magnetometer
 from .pieces import Piece, take_apart
 from .plan import Stretch, cut, cut_times
 from .pool import Pool
@@ -80,7 +81,12 @@ def smooth(
         noise = noise_of(config, known.flex_m)
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
         first = _cut(stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config, noise)
-        answers = _solve(pool, first, False, lambda share: say(0.2 + 0.35 * share, "first pass"))
+        answers = _solve(
+            pool,
+            first,
+            recording.imu.mag_calibrated,  # it is judged by what the first pass knows of the attitude
+            lambda share: say(0.2 + 0.35 * share, "first pass"),
+        )
         heard = [answer.message for each in answers for answer in each]
         told = tell(heard, prior)
         found = calibration_from(combine(heard, prior), prior.layout, known.start, known.bias.sigma_m)
@@ -91,6 +97,8 @@ def smooth(
             pieces = [believed if each is piece else each for each in pieces]
             better.append(stretch)
         second = _cut(better, borders, told, config, noise)
+        # a calibrated magnetometer, where it agrees with the first pass
+        second, magnetometer = with_magnetometer(recording.imu, first, answers, second)
         answers = _solve(pool, second, True, lambda share: say(0.55 + 0.4 * share, "recovering"))
     # join
     motions = [
@@ -99,7 +107,7 @@ def smooth(
     ]
     messages = [answer.message for each in answers for answer in each]
     say(1.0, "done")
-    return assemble(recording, found, config, known, pieces, better, motions, messages)
+    return magnetometer.noted(assemble(recording, found, config, known, pieces, better, motions, messages))
 
 
 def _believe(

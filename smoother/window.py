@@ -93,6 +93,24 @@ class States:
 
 
 @dataclass(frozen=True)
+class FieldSight:
+    """A calibrated magnetometer's directions (see `magnetic`).
+
+    Attributes
+    ----------
+    node : (k,) index of the node each belongs to.
+    in_A : (k, 3) unit vectors in {A}.
+    in_K : (3,) unit vector of the field in {K}.
+    sigma_rad : of each, rad an axis.
+    """
+
+    node: IntArray
+    in_A: FloatArray
+    in_K: FloatArray
+    sigma_rad: float
+
+
+@dataclass(frozen=True)
 class Noise:
     """Densities and losses that all windows share.
 
@@ -133,6 +151,7 @@ class Window:
     priors: Priors
     noise: Noise
     gravity_magnitude: float
+    field: FieldSight | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,298 @@
+"""A calibrated magnetometer in the second pass, where it agrees with the rest.
+
+The direction of the local field in {K} is not known. A first solution without the magnetometer turns
+its samples into {K}; their middle over the whole recording is that direction, known far better than
+the attitude in any one window. Iron and magnets show in the field's strength, which no attitude
+changes: where it is off, and where the direction is farther off than everywhere else, the samples are
+left out. How much the strength varies in what remains is how much the direction varies too, as a
+disturbance has no preferred side: this is the sigma of the factors (`AttitudeFactorPose3`, one a
+block of some seconds).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .arrays import skew
+from .recording import BoolArray, FloatArray, ImuStream
+from .result import Recovery
+from .shared import axes_across
+from .window import FieldSight, Solution, Window
+
+#: Samples are gathered over blocks of so long: a place's disturbance lasts about as long as the arm stays.
+BLOCK_S = 2.0
+#: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
+#: stronger or weaker than where the magnetometer was calibrated is another one.
+STRENGTH_OFF = 0.1
+STRENGTH_ELSEWHERE = 0.35
+#: Blocks whose strength is off by more than this many scaled median deviations, and by so much at least, are
+#: left out, as those whose direction is; and their neighbours, which the same magnet may have reached.
+FAR = 3.5
+LEAST_FAR = 0.03
+#: A block takes part when so much of it is undisturbed.
+SHARE_NEEDED = 0.8
+#: Blocks that the field's direction needs, and the share of all that has to agree.
+BLOCKS_NEEDED = 8
+BLOCKS_SHARE = 0.5
+#: No room's field is known better than this, rad.
+LEAST_SIGMA_RAD = np.radians(0.7)
+#: How often the direction is solved anew without the blocks that contradict it.
+ROUNDS = 4
+#: Times of one node in both passes, s.
+SAME_S = 1e-6
+#: A sample farther than this from a node says nothing of it, s.
+NEAR_S = 0.05
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The field over a block of a window.
+
+    Attributes
+    ----------
+    window : its number.
+    node, t_s : of the window of the second pass, and its time.
+    in_K, in_A : (3,) mean over the block, in the camera's axes and in the sensor's at the node.
+    share : undisturbed part.
+    attitude_covariance : (3, 3) rad^2 in {K}, of the first solution.
+    """
+
+    window: int
+    node: int
+    t_s: float
+    in_K: FloatArray
+    in_A: FloatArray
+    share: float
+    attitude_covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class Magnetometer:
+    """What became of the magnetometer.
+
+    Attributes
+    ----------
+    direction : (3,) of the field in {K}; nan where it was not found.
+    sigma_rad : of a block's direction.
+    blocks, used : how many there were, and how many took part.
+    note : a sentence for the reader, "" where there is no calibrated magnetometer.
+    """
+
+    direction: FloatArray
+    sigma_rad: float = float("nan")
+    blocks: int = 0
+    used: int = 0
+    note: str = ""
+
+    def noted(self, recovery: Recovery) -> Recovery:
+        """The recovery with a word on the magnetometer."""
+        if not self.note:
+            return recovery
+        figures = {
+            "magnetometer_blocks": self.blocks,
+            "magnetometer_blocks_used": self.used,
+            "magnetometer_sigma_deg": float(np.degrees(self.sigma_rad)),
+            "magnetic_field_direction": self.direction.tolist(),
+        }
+        return replace(recovery, notes=(*recovery.notes, self.note), figures={**recovery.figures, **figures})
+
+
+def with_magnetometer(
+    imu: ImuStream, first: list[list[Window]], answers: list[list[Solution]], second: list[list[Window]]
+) -> tuple[list[list[Window]], Magnetometer]:
+    """The second pass's windows with a calibrated magnetometer in them, where it agrees with the first pass.
+
+    Parameters
+    ----------
+    first, answers : windows of the first pass and their solutions with covariance, by stretch.
+    second : the same windows for the second pass; their nodes are among those of the first, or new.
+    """
+    if imu.mag is None or not imu.mag_calibrated:
+        return second, _without("")
+    have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
+    if len(have) < 2:
+        return second, _without("it has no samples")
+    before, after = [w for each in first for w in each], [w for each in second for w in each]
+    solutions = [answer for each in answers for answer in each]
+    fields = [_in_camera(have, window, answer) for window, answer in zip(before, solutions, strict=True)]
+    strengths = np.concatenate([np.linalg.norm(field, axis=1) for field in fields])
+    if not np.isfinite(strengths).any():
+        return second, _without("it has no samples while the arm was solved")
+    strength = float(np.nanmedian(strengths))
+    if not abs(strength - 1.0) < STRENGTH_ELSEWHERE:
+        return second, _without(
+            f"the field is {strength:.2f} times as strong as where it was calibrated; a magnet is near, or"
+            " the calibration is not of this sensor"
+        )
+    blocks = [
+        block
+        for k, (window, answer, field) in enumerate(zip(before, solutions, fields, strict=True))
+        for block in _blocks(k, window, answer, field, strength, after[k].t)
+    ]
+    calm = [block for block in blocks if block.share >= SHARE_NEEDED]
+    if len(blocks) < BLOCKS_NEEDED:
+        return second, _without("the recording is too short to learn the field's direction from it")
+    if len(calm) < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+        return second, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
+    direction, covariance, sigma, good = _agree(blocks, calm)
+    if good.sum() < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+        return second, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
+    common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
+    kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
+    told = iter([_told(k, window, kept, direction, sigma, common) for k, window in enumerate(after)])
+    note = f"the magnetometer takes part, the field's direction believed to {np.degrees(sigma):.1f} degrees"
+    if len(kept) < len(blocks):
+        note += (
+            f"; it was left out in {len(blocks) - len(kept)} of {len(blocks)} places, as it disagrees there"
+        )
+    return (
+        [[next(told) for _ in each] for each in second],
+        Magnetometer(direction, sigma, len(blocks), len(kept), note),
+    )
+
+
+def _without(reason: str) -> Magnetometer:
+    return Magnetometer(np.full(3, np.nan), note=reason and f"the magnetometer was left out: {reason}")
+
+
+def _agree(blocks: list[_Block], calm: list[_Block]) -> tuple[FloatArray, FloatArray, float, BoolArray]:
+    """The field's direction that most blocks agree on, and which do.
+
+    Least squares over the windows, each with the attitude's covariance that its first solution states: the
+    blocks of a window share its attitude's error. Blocks that the rest contradicts are taken out, and it is
+    done again.
+
+    Returns
+    -------
+    direction : (3,) unit vector in {K}.
+    covariance : (2, 2) rad^2 across it.
+    sigma : of a block's direction, from the strengths, rad.
+    good : (c,) of the calm blocks.
+    """
+    in_K = np.array([block.in_K for block in calm])
+    strength = np.linalg.norm(in_K, axis=1)
+    unit = in_K / strength[:, None]
+    window = np.array([block.window for block in calm])
+    attitude = np.array([block.attitude_covariance for block in calm])
+    usual = float(np.median(strength))
+    varies = 1.4826 * float(np.median(np.abs(strength - usual)))
+    calm_enough = np.abs(strength - usual) < max(FAR * varies, LEAST_FAR * usual)
+    good, direction, covariance, sigma = calm_enough, middle_direction(in_K), np.eye(2), LEAST_SIGMA_RAD
+    for _ in range(ROUNDS):
+        if not good.any():
+            break
+        sigma = max(float(np.std(strength[good])) / usual, LEAST_SIGMA_RAD)
+        across = axes_across(direction)
+        residual = unit @ across.T
+        tilt = across @ skew(direction[None])[0]  # a small turn moves the direction by turn x direction
+        own = tilt @ attitude @ tilt.T
+        information, sum_ = np.zeros((2, 2)), np.zeros(2)
+        for k in np.unique(window[good]):
+            rows = good & (window == k)
+            weight = np.linalg.inv(own[rows].mean(axis=0) + np.eye(2) * sigma**2 / rows.sum())
+            information += weight
+            sum_ += weight @ residual[rows].mean(axis=0)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
+        direction = direction + (covariance @ sum_) @ across
+        direction = direction / np.linalg.norm(direction)
+        left = unit @ axes_across(direction).T
+        expected = own + covariance + np.eye(2) * sigma**2
+        far = np.einsum("ni,nij,nj->n", left, np.linalg.inv(expected), left)
+        good = calm_enough & (far < FAR**2)
+        good &= _far_from_bad(blocks, calm, good)
+    return direction, covariance, sigma, good
+
+
+def _far_from_bad(blocks: list[_Block], calm: list[_Block], good: BoolArray) -> BoolArray:
+    """Which of the calm blocks have no block beside them that was left out."""
+    kept = {id(block) for block, is_good in zip(calm, good, strict=True) if is_good}
+    bad = np.array([block.t_s for block in blocks if id(block) not in kept])
+    if not len(bad):
+        return np.ones(len(calm), dtype=bool)
+    t = np.array([block.t_s for block in calm])
+    return np.asarray(np.abs(t[:, None] - bad).min(axis=1) > 1.5 * BLOCK_S)
+
+
+def _off(bad: int, blocks: int, what: str) -> str:
+    return f"in {bad} of {blocks} places the field's {what} is off; magnets or iron are near"
+
+
+def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray:
+    """The field at the window's nodes (n, 3) in {K}; nan where there is no sample."""
+    assert imu.mag is not None
+    t = imu.t_s
+    after = np.clip(np.searchsorted(t, window.t), 1, len(t) - 1)
+    apart = np.minimum(np.abs(window.t - t[after - 1]), np.abs(window.t - t[after]))
+    sample = np.stack([np.interp(window.t, t, axis) for axis in imu.mag.T], axis=1)
+    sample[apart > NEAR_S] = np.nan
+    return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
+
+
+def _blocks(
+    number: int,
+    window: Window,
+    solution: Solution,
+    field: FloatArray,
+    strength: float,
+    later_t: FloatArray,
+) -> Iterator[_Block]:
+    """Means over blocks of the window, of the samples with the field's usual strength.
+
+    Parameters
+    ----------
+    later_t : nodes of the second pass, s; a block without a node of both passes is left out.
+    """
+    with np.errstate(invalid="ignore"):
+        good = np.abs(np.linalg.norm(field, axis=1) / strength - 1.0) < STRENGTH_OFF
+    assert solution.pose_covariance is not None
+    count = max(round(float(window.t[-1] - window.t[0]) / BLOCK_S), 1)
+    edges = np.linspace(window.t[0], window.t[-1], count + 1)
+    of = np.clip(np.searchsorted(edges, window.t, side="right") - 1, 0, count - 1)
+    later = np.clip(np.searchsorted(later_t, window.t - SAME_S), 0, len(later_t) - 1)
+    same = np.abs(later_t[later] - window.t) < SAME_S
+    for k in range(count):
+        rows = np.flatnonzero(of == k)
+        shared = rows[same[rows]]
+        if not len(shared):
+            continue
+        share = float(good[rows].mean())
+        mean = field[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
+        node = shared[len(shared) // 2]
+        yield _Block(
+            number,
+            int(later[node]),
+            float(window.t[node]),
+            mean,
+            solution.states.R[node].T @ mean,
+            share,
+            solution.pose_covariance[node, 3:, 3:],
+        )
+
+
+def middle_direction(vectors: FloatArray) -> FloatArray:
+    """Unit vector (3,) in the middle of directions (N, 3), far ones pulling less (spatial median)."""
+    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    middle = np.median(unit, axis=0)
+    for _ in range(30):  # Weiszfeld's iteration
+        weight = 1.0 / np.maximum(np.linalg.norm(unit - middle, axis=1), 1e-3)
+        middle = weight @ unit / weight.sum()
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def _told(
+    number: int, window: Window, blocks: list[_Block], direction: FloatArray, sigma: float, common: float
+) -> Window:
+    """A window with its blocks; together they know the direction no better than the recording does."""
+    own = [block for block in blocks if block.window == number]
+    if not own:
+        return window
+    sight = FieldSight(
+        node=np.array([block.node for block in own]),
+        in_A=np.array([block.in_A / np.linalg.norm(block.in_A) for block in own]),
+        in_K=direction,
+        sigma_rad=float(np.sqrt(sigma**2 + len(own) * common**2)),
+    )
+    return replace(window, field=sight)
