@@ -145,4 +145,4 @@ def _check_size(path: Path, frames: int, numbers: int) -> None:
         with open(path, "rb") as file:
             begin = (int.from_bytes(file.read(18)[16:18], "little") - 1) * _BLOCK
     if size < begin + 4 * frames * numbers or begin <= 0:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), os.fspath(path))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
