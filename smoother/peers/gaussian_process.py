@@ -5,8 +5,10 @@ conditioned on everything in a window, before and after a gap: its best within w
 hold a gap and its margins, or some seconds of visible motion, so that cost grows with the length only. The
 process is about the window's mean position.
 
-Hyper-parameters by maximum likelihood on the liveliest visible seconds (2.13), started from the published
-ones; the camera's noise is the scene's.
+Hyper-parameters by maximum likelihood on visible stretches (2.13), started from the published ones. A few
+seconds say nothing of how far a movement goes in the end, so v0 is the points' variance over the whole
+stretch, and no less than published; w and the acceleration's noise, a wrong orientation included, are the
+likeliest. The camera's noise is the scene's.
 
 Order of the method: on error-free sensors half a millimetre, what a smooth prior leaves of a movement.
 """
@@ -29,12 +31,12 @@ HIGHEST_RATE_HZ = 110.0
 MARGIN_S = 1.25
 WINDOW_S = 4.0
 LONGEST_S = 20.0
-#: Maximum likelihood: so many stretches of so many seconds, thinned to so many accelerations a second.
-TRAINING_STRETCHES = 4
-TRAINING_S = 2.0
-TRAINING_RATE_HZ = 50.0
-#: What the likelihood may choose: v0 m^2, w 1/s^2, acceleration noise m/s^2.
-BOUNDS = np.log([(1e-4, 4.0), (0.5, 80.0), (0.01, 10.0)])
+#: Maximum likelihood: at most so many stretches of so many seconds, accelerations averaged to this rate, Hz.
+TRAINING_STRETCHES = 5
+TRAINING_S = 3.0
+TRAINING_RATE_HZ = 55.0
+#: What the likelihood may choose: w 1/s^2, acceleration noise m/s^2.
+BOUNDS = np.log([(1.0, 60.0), (0.05, 5.0)])
 LEAST_SIGMA_M = 2e-4
 
 
@@ -102,44 +104,42 @@ def borders(scene: Scene) -> list[float]:
 
 
 def likeliest(scene: Scene, seen: Measurements) -> Kernel:
-    """The hyper-parameters under which the liveliest visible stretches are likeliest."""
+    """The hyper-parameters under which visible stretches, evenly spread, are likeliest."""
     sigma = scene.point_effective_sigma_m
     sigma = sigma if np.isfinite(sigma) else scene.point_sigma_m
-    start = replace(PUBLISHED, position_sigma=max(sigma, LEAST_SIGMA_M))
+    spread = float(seen.position.var(axis=0).mean())
+    start = replace(
+        PUBLISHED,
+        variance=max(PUBLISHED.variance, spread),
+        position_sigma=max(float(sigma), LEAST_SIGMA_M),
+    )
     stretches = _training(scene, seen)
     if not stretches:
         return start
 
     def kernel(x: FloatArray) -> Kernel:
-        v0, w, sigma_a = np.exp(np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1]))
-        return replace(start, variance=float(v0), rate=float(w), acceleration_sigma=float(sigma_a))
+        w, sigma_a = np.exp(np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1]))
+        return replace(start, rate=float(w), acceleration_sigma=float(sigma_a))
 
     def loss(x: FloatArray) -> float:
-        outside = np.sum((x - np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1])) ** 2)
-        return float(100.0 * outside) - sum(log_likelihood(kernel(x), stretch) for stretch in stretches)
+        outside = float(np.sum((x - np.clip(x, BOUNDS[:, 0], BOUNDS[:, 1])) ** 2))
+        return 100.0 * outside - sum(log_likelihood(kernel(x), stretch) for stretch in stretches)
 
-    first = np.log([start.variance, start.rate, start.acceleration_sigma])
-    answer = minimize(loss, first, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.5, "maxfev": 120})
-    return kernel(answer.x)
+    first = np.log([start.rate, start.acceleration_sigma])
+    options = {"xatol": 0.05, "fatol": 0.5, "maxfev": 60}
+    return kernel(minimize(loss, first, method="Nelder-Mead", options=options).x)
 
 
 def _training(scene: Scene, seen: Measurements) -> list[Measurements]:
-    """Visible stretches with the largest accelerations, each about its own mean, thinned."""
-    starts = np.arange(scene.t[0], scene.t[-1] - TRAINING_S, TRAINING_S)
-    found: list[tuple[float, Measurements]] = []
-    for start_s in starts:
+    """Visible stretches, each about its own mean."""
+    size = max(round(len(seen.acc_t) / (scene.t[-1] - scene.t[0]) / TRAINING_RATE_HZ), 1)
+    found = []
+    for start_s in np.arange(scene.t[0], scene.t[-1] - TRAINING_S, TRAINING_S):
         if any(gap.start_s < start_s + TRAINING_S and gap.end_s > start_s for gap in scene.gaps):
             continue
         part = seen.between(start_s, start_s + TRAINING_S)
-        if len(part.frame_t) < 10 or len(part.acc_t) < 10:
-            continue
-        every = max(round(len(part.acc_t) / TRAINING_S / TRAINING_RATE_HZ), 1)
-        part = Measurements(
-            part.frame_t,
-            part.position - part.position.mean(axis=0),
-            part.acc_t[::every],
-            part.acceleration[::every],
-        )
-        found.append((float(np.mean(part.acceleration**2)), part))
-    found.sort(key=lambda pair: -pair[0])
-    return [part for _, part in found[:TRAINING_STRETCHES]]
+        if len(part.frame_t) >= 10 and len(part.acc_t) >= 10 * size:
+            level = part.position.mean(axis=0)
+            averaged = _averaged(part.acc_t, part.acceleration, size)
+            found.append(Measurements(part.frame_t, part.position - level, *averaged))
+    return found[:: max(len(found) // TRAINING_STRETCHES, 1)][:TRAINING_STRETCHES]
