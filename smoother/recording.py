@@ -180,6 +180,7 @@ class Recording:
     origin_ns : what the times count from, ns (0 or a Unix time).
     name : what to call the recording in messages (its file's name).
     notes : what was dropped or decided on reading, one sentence each.
+    gravity_sigma_rad : how well `gravity_hint` is known, an axis; None = to some degrees.
     """
 
     imu: ImuStream
@@ -192,3 +193,4 @@ class Recording:
     origin_ns: int = 0
     name: str = "recording"
     notes: tuple[str, ...] = ()
+    gravity_sigma_rad: float | None = None
