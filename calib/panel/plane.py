@@ -39,6 +39,7 @@ class Plane:
     residuals_m : (N,) depth minus the plane's depth.
     noise_m : standard deviation of a pixel's depth.
     share_common : factor by which errors shared among neighbours widen sigma.
+    warp_m : how far the depth of the whole panel is bent, rms; a camera that bends a plane tilts it as well.
     """
 
     theta: FloatArray
@@ -49,6 +50,7 @@ class Plane:
     residuals_m: FloatArray
     noise_m: float
     share_common: float
+    warp_m: float
 
     @property
     def normal(self) -> FloatArray:
@@ -117,6 +119,8 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
     jacobian = full[inliers] * depth_m[inliers, None] ** 2  # of the depth after theta, without its sign
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), np.float64)
     covariance *= (max(noise, 2e-4) * common) ** 2
+    warp = _warp(rays[inliers], residuals[inliers], noise * common)
+    covariance += _tilt_by_warp(jacobian, rays[inliers], warp)
     low, high = (_least_squares(full[inliers], depth_m[inliers] - step) for step in (-STEP_M, STEP_M))
     return Plane(
         theta=theta,
@@ -127,6 +131,7 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
         residuals_m=residuals,
         noise_m=noise,
         share_common=common,
+        warp_m=warp,
     )
 
 
@@ -180,3 +185,27 @@ def _common(pixels: FloatArray, residuals: FloatArray) -> float:
             ratio = float(np.mean(mean[large] ** 2 * count[large]) / np.mean(residuals**2))
             worst = max(worst, np.sqrt(ratio))
     return worst
+
+
+def _warp(rays: FloatArray, residuals: FloatArray, noise_m: float) -> float:
+    """Rms of the surface of second and third order in the residuals, less what noise gives it."""
+    x, y = _unit(rays).T
+    terms = np.column_stack([x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    plane = np.column_stack([np.ones(len(x)), x, y])
+    terms -= plane @ np.linalg.lstsq(plane, terms, rcond=None)[0]
+    bent = terms @ np.linalg.lstsq(terms, residuals, rcond=None)[0]
+    return float(np.sqrt(max(np.mean(bent**2) - terms.shape[1] * noise_m**2 / len(x), 0.0)))
+
+
+def _tilt_by_warp(jacobian: FloatArray, rays: FloatArray, warp_m: float) -> FloatArray:
+    """Covariance of theta if the camera shifts and tilts a plane by as much as it bends it."""
+    shapes = np.column_stack([np.ones(len(rays)), _unit(rays)])
+    moved = warp_m * np.linalg.lstsq(jacobian, shapes, rcond=None)[0]
+    return np.asarray(moved @ moved.T, dtype=np.float64)
+
+
+def _unit(rays: FloatArray) -> FloatArray:
+    """Coordinates with mean 0 and, along their principal axes, rms 1."""
+    centred = rays - rays.mean(axis=0)
+    _, values, axes = np.linalg.svd(centred, full_matrices=False)
+    return np.asarray(centred @ axes.T / np.maximum(values / np.sqrt(len(rays)), 1e-12))

@@ -70,8 +70,8 @@ def panel_regions(depth_m: FloatArray, lens: Intrinsics, blobs: Blobs, panel: Pa
         rays=lens.ray_image()[v, u][seen],
         depth_m=depth[seen],
         panel_P=xy,
-        along_x=_strip(xy, panel, 0),
-        along_y=_strip(xy, panel, 1),
+        along_x=_strip(xy, panel, 0, 2 * pixel_m),
+        along_y=_strip(xy, panel, 1, 2 * pixel_m),
         covered=covered,
     )
 
@@ -95,8 +95,12 @@ def _panel_pixels(lens: Intrinsics, panel: Panel, frame: Frame) -> tuple[FloatAr
     return v, u, xy
 
 
-def _strip(xy: FloatArray, panel: Panel, axis: int) -> BoolArray:
-    """Pixels along an arm of the L, from its first to its last marker and alike to both sides."""
+def _strip(xy: FloatArray, panel: Panel, axis: int, cell_m: float) -> BoolArray:
+    """Pixels along an arm of the L, from its first to its last marker and alike to both sides.
+
+    Where a pixel is missing (a marker, a hand), the one across the arm's line is left out too: else the
+    principal component would turn towards it.
+    """
     arm = panel.arms()[axis]
     across = 1 - axis
     middle = float(panel.markers_P[0, across])
@@ -105,4 +109,11 @@ def _strip(xy: FloatArray, panel: Panel, axis: int) -> BoolArray:
     low, high = float(arm[:, axis].min()), float(arm[:, axis].max())
     if high - low < 0.02:  # no arm in this direction: take the panel's whole length
         low, high = float(panel.extent_P[0, axis]), float(panel.extent_P[1, axis])
-    return (np.abs(xy[:, across] - middle) <= half) & (xy[:, axis] >= low) & (xy[:, axis] <= high)
+    away = xy[:, across] - middle
+    chosen = (np.abs(away) <= half) & (xy[:, axis] >= low) & (xy[:, axis] <= high)
+    along = np.floor((xy[:, axis] - low) / cell_m).astype(int)
+    side = np.floor(away / cell_m).astype(int)
+    cells = set(zip(along[chosen].tolist(), side[chosen].tolist(), strict=True))
+    both = [(a, -1 - b) in cells for a, b in zip(along[chosen].tolist(), side[chosen].tolist(), strict=True)]
+    chosen[chosen] = both
+    return np.asarray(chosen)

@@ -1,0 +1,235 @@
+"""How good `calibrate panel` is: `python tools/panel_accuracy.py rendered|real [options]`.
+
+`rendered` draws panels, finds the camera by them and compares with the truth: one pose a trial, eight poses,
+and eight with a wrong depth and a bright distractor. `real` needs the folder of data sets in
+UNOCCLUDE_DATASETS (`kinect_calib`: a real panel in real Kinect depth, with a published calibration).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from ast import literal_eval
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
+
+from calib.panel.calibrate import PanelCalibration, calibrate_panel
+from calib.panel.definition import Intrinsics, Panel
+from calib.panel.frame import Frame, principal
+from calib.panel.images import view
+from calib.panel.plane import Plane, fit_plane
+from calib.panel.verdict import accuracy
+from smoother.errors import UnoccludeError
+from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
+
+#: Pixels left out along the real panel's outline.
+RIM_PX = 3
+NEAR_M = 2.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parts = parser.add_subparsers(dest="part", required=True)
+    rendered = parts.add_parser("rendered")
+    rendered.add_argument("--trials", type=int, default=100, help="with one pose [100]")
+    rendered.add_argument("--eights", type=int, default=20, help="with eight poses [20]")
+    rendered.add_argument("--seed", type=int, default=1000, help="the first one [1000]")
+    rendered.add_argument("--processes", type=int, default=1)
+    rendered.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="of the simulation")
+    parts.add_parser("real")
+    chosen = parser.parse_args()
+    if chosen.part == "real":
+        real()
+    else:
+        changes = dict(item.split("=", 1) for item in chosen.set)
+        show_rendered(chosen, {name: _value(text) for name, text in changes.items()})
+
+
+def _value(text: str) -> Any:
+    try:
+        return literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+# Rendered panels
+
+
+def show_rendered(chosen: argparse.Namespace, changes: dict[str, Any]) -> None:
+    wrong = {"depth_offset_m": 0.005, "distractors": 1}
+    seed = chosen.seed
+    print("errors of camera from mocap, the place taken at the middle of the panel's places")
+    for title, count, settings in (
+        ("one pose", chosen.trials, {"poses": 1}),
+        ("eight poses", chosen.eights, {"poses": 8}),
+        ("eight poses, depth 5 mm too long, a distractor", chosen.eights, {"poses": 8, **wrong}),
+    ):
+        config = PanelSimulation(**{**settings, **changes})
+        work = partial(trial, config)
+        if chosen.processes > 1:
+            with ProcessPoolExecutor(chosen.processes) as pool:
+                rows = list(pool.map(work, range(seed, seed + count)))
+        else:
+            rows = [work(number) for number in range(seed, seed + count)]
+        _show(title, rows)
+
+
+def trial(config: PanelSimulation, seed: int) -> dict[str, Any]:
+    """Errors of one simulated session, or why it was refused."""
+    truth = simulate_panel(config, seed)
+    try:
+        found = calibrated(truth)
+    except UnoccludeError as error:
+        return {"seed": seed, "refused": str(error)}
+    ours, theirs = (
+        errors(each, truth, found) for each in (found.solution.camera_from_mocap, found.published)
+    )
+    sigma = accuracy(found)
+    spread = np.concatenate([np.radians(sigma.rotation_deg), sigma.at_panel_m])
+    return {
+        "seed": seed,
+        "ours": ours[:2],
+        "published": theirs[:2],
+        "inside": np.abs(ours[2]) <= 2 * spread,
+        "squared": (ours[2] / spread) ** 2,
+        "offset": found.solution.depth_offset_m,
+    }
+
+
+def calibrated(truth: SimulatedPanel) -> PanelCalibration:
+    """`calibrate_panel` on a simulated session."""
+    config, lens = truth.config, truth.lens
+    height = config.marker_height_m if config.marker_shape == "sphere" else 0.0
+    panel = Panel(np.array(config.markers), np.array(config.extent), height)
+    return calibrate_panel(
+        [view(pose.depth, pose.infrared, f"pose {number}") for number, pose in enumerate(truth.poses, 1)],
+        [dict(zip(pose.marker_names, pose.markers, strict=True)) for pose in truth.poses],
+        panel,
+        Intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion),
+    )
+
+
+def errors(frame: Frame, truth: SimulatedPanel, found: PanelCalibration) -> tuple[float, float, np.ndarray]:
+    """Degrees, mm at the middle of the panel's places, and both as one vector (rad, m)."""
+    turn = Rotation.from_matrix(frame.R @ truth.R_K_E.T).as_rotvec()
+    middle = np.mean(np.concatenate(found.markers_E), axis=0)
+    shift = frame.R @ middle + frame.origin - truth.R_K_E @ middle - truth.t_K_E
+    vector = np.concatenate([turn, shift])
+    return float(np.degrees(np.linalg.norm(turn))), float(1e3 * np.linalg.norm(shift)), vector
+
+
+def _show(title: str, rows: list[dict[str, Any]]) -> None:
+    good = [row for row in rows if "ours" in row]
+    print(f"{title}: {len(rows)} trials")
+    for row in rows:
+        if "refused" in row:
+            print(f"  seed {row['seed']} refused: {row['refused']}")
+    if not good:
+        return
+    for name in ("ours", "published"):
+        values = np.array([row[name] for row in good])
+        for column, unit in enumerate(("deg", "mm")):
+            median, most, worst = np.percentile(values[:, column], [50, 95, 100])
+            print(f"  {name:9} {unit:3}  median {median:6.3f}  95 % {most:6.3f}  worst {worst:6.3f}")
+    inside, squared = (np.mean([row[key] for row in good]) for key in ("inside", "squared"))
+    print(f"  inside 2 sigma, an axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")
+
+
+# A real panel
+
+
+def real() -> None:
+    folder = os.environ.get("UNOCCLUDE_DATASETS")
+    if not folder:
+        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
+    for corrected in (False, True):
+        rows = real_planes(Path(folder) / "kinect_calib", corrected)
+        print(f"disparity distortion {'taken off' if corrected else 'left in'}")
+        print("  image          z, m  angle, deg  distance, mm  sigma, deg  depth noise, mm")
+        for name, (z, angle, distance, sigma, noise) in rows.items():
+            print(f"  {name}  {z:6.2f}  {angle:10.2f}  {distance:12.2f}  {sigma:10.2f}  {noise:15.1f}")
+        table = np.abs(np.array(list(rows.values())))
+        for title, chosen in (("nearer than 2 m", table[:, 0] < NEAR_M), ("all", table[:, 0] > 0)):
+            middle, worst = np.median(table[chosen, 1:3], axis=0), table[chosen, 1:3].max(axis=0)
+            print(
+                f"  {title} ({chosen.sum()}): median {middle[0]:.2f} deg {middle[1]:.2f} mm,"
+                f" worst {worst[0]:.2f} deg {worst[1]:.2f} mm"
+            )
+
+
+def real_planes(folder: Path, corrected: bool) -> dict[str, tuple[float, float, float, float, float]]:
+    """By image: depth (m), angle (deg) and distance (mm) to the published plane, sigma (deg), noise (mm).
+
+    The plane is that of principal components of the panel's depth, its outline given; the published one comes
+    from the colour image's corners. The distance is taken at the centre of the depth points.
+    """
+    data = loadmat(folder / "full_set.mat", squeeze_me=True, struct_as_record=False)
+    published = data["final_calib"]
+    k1, k2, p1, p2, k3 = published.dkc
+    K = published.dK
+    lens = Intrinsics(640, 480, K[0, 0], K[1, 1], K[0, 2], K[1, 2], (k1, k2, p1, p2, k3))
+    rows = {}
+    for number, name in enumerate(data["dfiles"]):
+        if not np.size(name) or not (folder / str(name)).exists():
+            continue
+        outline = np.asarray(data["depth_plane_poly"][number], float).T
+        plane, points = real_plane(_depth(folder / str(name), published, corrected), outline, lens)
+        # the published pose of the panel, from the colour camera to the depth camera
+        R = published.dR.T @ published.Rext[number]
+        t = published.dR.T @ (published.text[number] - published.dt)
+        centre, axes = principal(points)
+        normal = R[:, 2] * np.sign(R[:, 2] @ t)
+        angle = np.degrees(np.arccos(min(abs(axes[:, 2] @ normal), 1.0)))
+        rows[str(name)] = (
+            float(centre[2]),
+            float(angle),
+            float(1e3 * normal @ (centre - t)),
+            normal_sigma_deg(plane),
+            1e3 * plane.noise_m,
+        )
+    return rows
+
+
+def real_plane(depth_m: np.ndarray, outline: np.ndarray, lens: Intrinsics) -> tuple[Plane, np.ndarray]:
+    """The plane within an outline (n, 2) pixels, and the points (N, 3) that took part."""
+    import cv2
+
+    mask = np.zeros((depth_m.shape[0] + 2, depth_m.shape[1] + 2), np.uint8)
+    cv2.fillPoly(mask, [np.rint(outline + 1).astype(np.int32)], 1)
+    mask[[0, -1]] = mask[:, [0, -1]] = 0
+    inner = cv2.erode(mask, np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8))[1:-1, 1:-1]
+    v, u = np.nonzero((inner > 0) & np.isfinite(depth_m))
+    rays = lens.ray_image()[v, u]
+    plane = fit_plane(np.column_stack([u, v]).astype(float), rays, depth_m[v, u])
+    points = np.column_stack([rays, np.ones(len(rays))]) * depth_m[v, u, None]
+    return plane, points[plane.inliers]
+
+
+def normal_sigma_deg(plane: Plane) -> float:
+    """Standard deviation of the plane's normal: square root of the trace, degrees."""
+    size = np.linalg.norm(plane.theta)
+    normal = plane.theta / size
+    across = (np.eye(3) - np.outer(normal, normal)) / size
+    return float(np.degrees(np.sqrt(np.trace(across @ plane.covariance @ across.T))))
+
+
+def _depth(path: Path, published: Any, corrected: bool) -> np.ndarray:
+    """Depth (480, 640) m of a raw disparity image; nan where it has none."""
+    raw = np.frombuffer(path.read_bytes()[-2 * 640 * 480 :], ">u2").reshape(480, 640).astype(float)
+    disparity = raw
+    if corrected:
+        a0, a1 = published.dc_alpha
+        disparity = raw + published.dc_beta * np.exp(a0 - a1 * raw)
+    depth = 1 / (published.dc[0] + published.dc[1] * disparity)
+    return np.where((raw < 2047) & (depth > 0.3) & (depth < 8.0), depth, np.nan)
+
+
+if __name__ == "__main__":
+    main()
