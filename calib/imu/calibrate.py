@@ -31,6 +31,7 @@ class ImuCalibration:
     rests : where the sensor lay still.
     gyroscope : its bias.
     accelerometer : None where the recording is one long rest, which tells the noise only.
+    gravity : m/s^2, that the accelerometer was fitted to.
     accelerometer_noise, gyroscope_noise : from the longest rest; None where it is too short.
     """
 
@@ -40,6 +41,7 @@ class ImuCalibration:
     accelerometer: AccelerometerCalibration | None
     accelerometer_noise: Noise | None
     gyroscope_noise: Noise | None
+    gravity: float = GRAVITY
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """The sensor's tables for the calibration file; plain values."""
@@ -91,7 +93,9 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     accelerometer = None
     if not (long_rest and rests.poses < 3):
         accelerometer = calibrate_accelerometer(rests, gravity)
-    return ImuCalibration(imu.name, rests, calibrate_gyroscope(imu, rests), accelerometer, noise[0], noise[1])
+    return ImuCalibration(
+        imu.name, rests, calibrate_gyroscope(imu, rests), accelerometer, noise[0], noise[1], gravity
+    )
 
 
 def _noise_table(noise: Noise | None) -> dict[str, Any]:

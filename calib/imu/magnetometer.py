@@ -176,7 +176,8 @@ def _check_solid(samples: FloatArray) -> None:
         about = axis_words(spread[2][2]).replace("+", "").replace("-", "")
         raise CalibrationError(
             "the magnetometer's samples lie in a plane: the sensor was turned about one axis only (its"
-            f" {about} axis); turn it about the other two as well, until every side has pointed in every direction."
+            f" {about} axis); turn it about the other two as well, until every side has pointed in every"
+            " direction."
         )
 
 

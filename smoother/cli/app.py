@@ -9,6 +9,8 @@ import typer
 from . import (
     calibrate,
     calibrate_clock,
+    calibrate_forearm,
+    calibrate_imu,
     calibrate_panel,
     config,
     demo,
@@ -108,6 +110,12 @@ def _calibrate_root() -> None:
 _calibrate.command("motion", epilog="Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml")(
     calibrate.motion
 )
+_calibrate.command("imu", epilog="Example: unocclude calibrate imu poses.mcap -o arm.toml --report imu.html")(
+    calibrate_imu.imu
+)
+_calibrate.command(
+    "magnetometer", epilog="Example: unocclude calibrate magnetometer turning.mcap -o arm.toml"
+)(calibrate_imu.magnetometer)
 _calibrate.command(
     "clock",
     epilog="Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
@@ -117,6 +125,9 @@ _calibrate.command(
     epilog="Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv"
     " --intrinsics k.toml --panel panel.toml -o cal.toml",
 )(calibrate_panel.panel)
+_calibrate.command(
+    "forearm", epilog="Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html"
+)(calibrate_forearm.forearm)
 app.add_typer(_calibrate, name="calibrate")
 
 _simulate = _app("Make a recording with truth.", cls=simulate.SimulateGroup)

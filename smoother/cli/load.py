@@ -37,10 +37,16 @@ def load_arm(
         sides = [name for name in calibration.arms if name != "any"]
         prefer = sides[0] if len(sides) == 1 else None
     recording = read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer)
+    if calibration is not None:
+        from .sensor import corrected
+
+        recording = corrected(recording, calibration)
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"
     say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
-    return recording, None if calibration is None else calibration.arm(recording.side)
+    if calibration is None or (not calibration.arms and "imu" in calibration.tables):
+        return recording, None  # a file of sensors alone leaves the arm to be found
+    return recording, calibration.arm(recording.side)
 
 
 def load_recovery(path: Path, side: str | None = None) -> Recovery:

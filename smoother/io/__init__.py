@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .datasets import import_utd_mhad as import_utd_mhad
     from .export import export_csv as export_csv
     from .exports import prepare_export as prepare_export
+    from .imu import read_imu as read_imu
     from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
     from .plain import import_csv as import_csv
@@ -36,6 +37,7 @@ _HOMES = {
     "open_csv": "plain",
     "open_recording": "reading",
     "prepare_export": "exports",
+    "read_imu": "imu",
     "read_recording": "reading",
     "read_recovery": "result_reading",
     "select_recording": "reading",

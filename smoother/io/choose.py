@@ -132,6 +132,22 @@ def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int
     return fitting
 
 
+def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
+    """The IMU of that name, of whatever limb, or the only one that there is.
+
+    Raises
+    ------
+    RecordingError
+        There is none, none of that name, or no name where there are several; the message lists them.
+    """
+    if name is None and len(file.imus) > 1:
+        listed = ", ".join(stream.topic for stream in file.imus)
+        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
+    if name is None and len(file.imus) == 1:
+        return file.imus[0]
+    return _imus(file, name)[0]
+
+
 def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
     if not file.imus:
         raise RecordingError(

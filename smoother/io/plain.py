@@ -48,7 +48,7 @@ class _Truth(_Section):
 
 
 class _Description(_Section):
-    camera: _Camera
+    camera: _Camera | None = None
     imu: Annotated[dict[str, _Imu], Field(min_length=1)]
     truth: _Truth | None = None
 
@@ -87,15 +87,16 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     folder = Path(folder)
     description = _describe(folder)
     camera = description.camera
-    file = RecordingFile(folder, camera_frame=camera.frame)
-    if camera.gravity is not None:
+    file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
+    if camera is not None and camera.gravity is not None:
         gravity = np.array(camera.gravity)
         if not np.linalg.norm(gravity) > 0:
             raise RecordingError(
                 f"{folder / 'recording.toml'}: [camera] gravity is zero; give the direction of down."
             )
         file.gravity_hint = gravity / np.linalg.norm(gravity)
-    _skeleton(file, folder / camera.skeleton, 0.001 if camera.position_unit == "mm" else 1.0)
+    if camera is not None:  # without one the recording serves to calibrate its IMUs
+        _skeleton(file, folder / camera.skeleton, 0.001 if camera.position_unit == "mm" else 1.0)
     for name, section in description.imu.items():
         file.imus.append(_imu(folder / section.file, name, section))
     if description.truth is not None:

@@ -1,0 +1,150 @@
+"""Accelerometer and gyroscope from rest poses of a simulated sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from calib.imu.accelerometer import calibrate_accelerometer, symmetric
+from calib.imu.calibrate import GRAVITY, calibrate_imu
+from calib.imu.gyroscope import calibrate_gyroscope, running_bias
+from calib.imu.rest import Rests, find_rests
+from calib.imu.sphere import axis_words, cover, sphere_points
+from smoother.errors import CalibrationError
+from smoother.recording import ImuStream
+from smoother.simulation.poses import REST_POSES, SensorModel, rest_poses
+
+
+def sensor(seed: int) -> SensorModel:
+    return SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
+
+
+def rests_of(acc: np.ndarray) -> Rests:
+    """Rests without noise, as means."""
+    count = len(acc)
+    spans = np.stack([100 * np.arange(count), 100 * np.arange(count) + 100], axis=1)
+    return Rests(spans, acc, np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.arange(count))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_twelve_poses_correct_to_a_centimetre_a_second_squared(seed):
+    model = sensor(seed)
+    stream, bias = rest_poses(model, 12, seed=seed)
+    found = calibrate_imu(stream)
+    up = GRAVITY * sphere_points(300)
+    error = found.accelerometer.apply(model.distort(up)) - up
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.01
+    assert found.accelerometer.poses == 12
+    # 12 rests of some 190 samples with 0.002 rad/s of noise: 4e-5 rad/s a sigma
+    assert np.abs(found.gyroscope.offset - bias).max() < 2e-4
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.05, 0.3])
+def test_rests_are_found_whatever_the_noise(noise):
+    stream, _ = rest_poses(sensor(1), 10, seed=1, acc_noise=noise, gyro_noise=noise / 20.0)
+    rests = find_rests(stream)
+    assert len(rests) == rests.poses == 10
+    for k, (first, last) in enumerate(rests.spans):  # rests of 2 s begin every 3 s
+        assert 3.0 * k - 0.3 < stream.t_s[first] < 3.0 * k + 0.3
+        assert 3.0 * k + 1.6 < stream.t_s[last - 1] < 3.0 * k + 2.3
+
+
+def test_a_slow_turn_is_no_rest():
+    t = np.arange(0.0, 60.0, 0.01)
+    angle = np.radians(6.0) * t
+    acc = GRAVITY * np.stack([np.sin(angle), np.zeros(len(t)), np.cos(angle)], axis=1)
+    gyro = np.tile([0.0, np.radians(6.0), 0.0], (len(t), 1))
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (len(t), 3))
+    assert len(find_rests(ImuStream("slow", t, acc + noise, gyro + 0.1 * noise))) == 0
+
+
+def test_eight_poses_are_refused_and_the_same_pose_counts_once():
+    model = sensor(3)
+    with pytest.raises(CalibrationError, match="8 different rest poses.*9 poses at least"):
+        calibrate_imu(rest_poses(model, 8, seed=3)[0])
+    again = np.tile(GRAVITY * REST_POSES[:6], (2, 1))
+    rests = replace(rests_of(model.distort(again)), pose=np.tile(np.arange(6), 2))
+    with pytest.raises(CalibrationError, match="6 different rest poses in 12 rests"):
+        calibrate_accelerometer(rests, GRAVITY)
+
+
+def test_poses_about_one_axis_are_refused_with_the_axis_that_is_missing():
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    around = GRAVITY * np.stack([np.cos(angle), np.sin(angle), np.zeros(12)], axis=1)
+    with pytest.raises(CalibrationError, match=r"open.*points up"):
+        calibrate_accelerometer(rests_of(sensor(0).distort(around)), GRAVITY)
+
+
+def test_the_fit_is_the_minimum_of_the_published_cost():
+    """Against a plain minimiser with numeric derivatives on mean((|S (V - O)|^2 - g^2)^2)."""
+    rng = np.random.default_rng(5)
+    raw = sensor(5).distort(GRAVITY * REST_POSES[:14]) + rng.normal(0.0, 0.02, (14, 3))
+    found = calibrate_accelerometer(rests_of(raw), GRAVITY)
+
+    def misfit(p: np.ndarray) -> np.ndarray:
+        return np.array([np.sum((symmetric(p[3:]) @ (v - p[:3])) ** 2) - GRAVITY**2 for v in raw])
+
+    plain = least_squares(misfit, [0.1, 0.1, 0.1, 1, 0, 0, 1, 0, 1], jac="3-point", xtol=1e-14, ftol=1e-14)
+    assert np.allclose(plain.x[:3], found.offset, atol=1e-6)
+    assert np.allclose(symmetric(plain.x[3:]), found.matrix, atol=1e-7)
+
+
+def test_stated_sigma_is_that_of_repeated_calibrations():
+    model, rng = sensor(7), np.random.default_rng(7)
+    true = model.distort(GRAVITY * REST_POSES[:14])
+    runs = [
+        calibrate_accelerometer(rests_of(true + rng.normal(0.0, 0.01, true.shape)), GRAVITY)
+        for _ in range(60)
+    ]
+    spread = np.std([run.offset for run in runs], axis=0)
+    stated = np.sqrt(np.median([np.diag(run.covariance)[:3] for run in runs], axis=0))
+    # 60 runs: their spread is known to 9 %; a fit with 5 degrees of freedom knows its own noise to a third
+    assert (stated / spread > 0.6).all() and (stated / spread < 1.6).all()
+
+
+def test_gyroscope_running_rule_without_a_rest():
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 40.0, 0.01)
+    bias = np.array([0.02, -0.01, 0.03])
+    swing = 0.05 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * [1.0, 0.7, -0.5]
+    acc = np.tile([0.0, 0.0, GRAVITY], (len(t), 1)) + 0.5 * rng.normal(size=(len(t), 3))
+    gyro = bias + swing + 0.005 * rng.normal(size=(len(t), 3))
+    found = calibrate_gyroscope(ImuStream("held", t, acc, gyro), find_rests(ImuStream("held", t, acc, gyro)))
+    assert found.rule == "running"
+    # the running mean follows a swing of 2 s with a memory of 5 s: a sixth of its amplitude stays
+    assert np.abs(found.offset - bias).max() < 0.015
+
+
+def test_running_mean_is_the_recursion_of_the_paper():
+    gyro = np.random.default_rng(4).normal(0.0, 0.03, (2000, 3))
+    path, stable = running_bias(gyro)
+    mean, count, slow = np.zeros(3), 0, []
+    for before, value in zip(gyro[:-1], gyro[1:], strict=True):
+        if (np.abs(value - before) < np.radians(3.0)).all():
+            count = min(count + 1, 500)
+            mean = mean + (value - mean) / count
+            slow.append(mean)
+    assert stable.sum() == len(slow)
+    assert np.allclose(path, slow, atol=1e-12)
+
+
+def test_a_sensor_that_never_lay_still_is_refused():
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 30.0, 0.01)
+    stream = ImuStream(
+        "shaken", t, rng.normal([0, 0, 9.8], 5, (len(t), 3)), rng.normal(0, 2, (len(t), 3))
+    )
+    with pytest.raises(CalibrationError, match="never lay still"):
+        calibrate_imu(stream)
+
+
+def test_coverage_of_the_sphere():
+    assert cover(sphere_points(400)).hole_rad < np.radians(12.0)
+    north = sphere_points(2000)
+    half = cover(north[north[:, 2] > 0])
+    assert half.hole_rad == pytest.approx(np.radians(90.0), abs=np.radians(3.0))
+    assert axis_words(half.towards) == "-z"
+    assert axis_words(np.array([1.0, 0.0, -1.0]) / np.sqrt(2)) == "between +x and -z"
