@@ -1,0 +1,166 @@
+"""The page of `calibrate forearm`: the pose drawn, pose against motion, what to record next."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from calib.evidence import Evidence
+from calib.forearm import ForearmCalibration
+from calib.forearm_frame import forearm_frame
+from calib.forearm_words import AGREE, Compared, compare, next_time, open_questions, verdict
+from calib.found import Found
+
+from ..recording import JOINTS, Recording
+from .look import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, dress
+from .mount import mount
+from .sheet import figure, listing, tabulated, write_sheet
+
+
+def write_forearm_report(
+    path: str | os.PathLike[str], recording: Recording, found: ForearmCalibration, *, force: bool = False
+) -> None:
+    """Write the page of a forearm calibration."""
+    rows = compare(found)
+    made = (
+        f"Arm: {recording.side or 'not named'}. Times are the camera's, seconds after the recording's zero."
+    )
+    title = f"Forearm from a held pose: {recording.name}"
+    write_sheet(path, title, made, verdict(found, rows), _sections(recording, found, rows), force=force)
+
+
+def _sections(recording: Recording, found: ForearmCalibration, rows: list[Compared]) -> Iterator[str]:
+    yield listing("For the next recording", next_time(found, rows))
+    yield figure(
+        "The held pose",
+        "The arm as the camera saw it on average in the pose: from the front (as the camera sees it) and"
+        " from the side."
+        " The arrows are the forearm's axes: y to the wrist, x to the back of the hand.",
+        pose_views(recording, found),
+    )
+    yield figure(
+        "Joints in the pose",
+        "Distance of the joints from their mean over the pose: a pose that is held shows noise and"
+        " nothing else.",
+        pose_residuals(recording, found),
+    )
+    if rows:
+        yield figure(
+            "Pose against motion",
+            f"Difference of pose and motion in standard deviations of both; beyond {AGREE:g} (dashed) an"
+            " assumption broke.",
+            agreement(rows),
+        )
+        table = [
+            (
+                row.name,
+                f"{row.pose:.1f} ± {row.pose_sigma:.1f} {row.unit}",
+                f"{row.motion:.1f} ± {row.motion_sigma:.1f} {row.unit}",
+                f"{row.apart:.1f}",
+                "agree" if row.agrees else "do not agree",
+            )
+            for row in rows
+        ]
+        columns = ("measure", "pose", "motion", "sigmas apart", "")
+        yield tabulated("Measures", "Each with its standard deviation.", columns, table)
+    drawn = mount(_as_found(found))
+    if drawn is not None:
+        yield figure(
+            "How the sensor sits on the arm",
+            "By the pose. The dark square is the sensor with its axes; ellipses are two standard deviations.",
+            drawn,
+        )
+    yield listing("What stayed open", open_questions(found), "Nothing stayed open.")
+
+
+def _as_found(found: ForearmCalibration) -> Found:
+    nothing = Evidence(float("nan"), {}, float("nan"), float("nan"))
+    return Found(found.calibration, forearm_frame(found.calibration), (), nothing, ())
+
+
+def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:
+    """The mean pose seen along the camera's z axis and along its x axis, cm."""
+    names = axis_names(recording.camera_frame)
+    drawn = make_subplots(rows=1, cols=2, subplot_titles=("from the camera", "from the side"))
+    chain = [k for k in range(4) if np.isfinite(found.pose.position[k]).all()]
+    places = 100 * found.pose.position
+    middle = 0.5 * (places[1] + places[2])
+    for column, (across, upright) in enumerate(((0, 1), (2, 1)), start=1):
+        line = {"color": "#9a8f86", "width": 7}
+        drawn.add_trace(
+            go.Scatter(
+                x=places[chain, across], y=places[chain, upright], mode="lines", line=line, showlegend=False
+            ),
+            row=1,
+            col=column,
+        )
+        for k, joint in enumerate(JOINTS):
+            if np.isfinite(places[k]).all():
+                dot = {"size": 10, "color": JOINT_COLOURS[joint]}
+                drawn.add_trace(
+                    go.Scatter(
+                        x=places[k, [across]],
+                        y=places[k, [upright]],
+                        mode="markers",
+                        marker=dot,
+                        name=joint,
+                        showlegend=column == 1,
+                    ),
+                    row=1,
+                    col=column,
+                )
+        for axis, name in enumerate("xyz"):
+            tip = middle + 12 * found.R_K_F[:, axis]
+            drawn.add_trace(
+                go.Scatter(
+                    x=[middle[across], tip[across]],
+                    y=[middle[upright], tip[upright]],
+                    mode="lines+text",
+                    text=["", name],
+                    line={"color": "#333333", "width": 2},
+                    showlegend=False,
+                ),
+                row=1,
+                col=column,
+            )
+        drawn.update_xaxes(title_text=f"{names[across]}, cm", row=1, col=column)
+        drawn.update_yaxes(
+            title_text=f"{names[upright]}, cm",
+            scaleanchor="x" if column == 1 else "x2",
+            row=1,
+            col=column,
+        )
+    return dress(drawn, 420)
+
+
+def pose_residuals(recording: Recording, found: ForearmCalibration) -> go.Figure:
+    """How far each joint is from its mean, frame by frame, mm."""
+    drawn, rows = go.Figure(), found.pose.frames
+    t = recording.arm.t_s[rows]
+    for k, joint in enumerate(JOINTS):
+        away = 1e3 * np.linalg.norm(recording.arm.joint(joint)[rows] - found.pose.position[k], axis=1)
+        if np.isfinite(away).any():
+            drawn.add_trace(
+                go.Scatter(x=t, y=away, mode="lines", name=joint, line={"color": JOINT_COLOURS[joint]})
+            )
+    drawn.update_xaxes(title_text="time, s")
+    drawn.update_yaxes(title_text="mm", rangemode="tozero")
+    return dress(drawn, 300)
+
+
+def agreement(rows: list[Compared]) -> go.Figure:
+    """Differences in sigmas as bars."""
+    colours = [VISIBLE if row.agrees else OCCLUDED for row in rows]
+    drawn = go.Figure(
+        go.Bar(
+            x=[row.apart for row in rows], y=[row.name for row in rows], orientation="h", marker_color=colours
+        )
+    )
+    drawn.add_vline(AGREE, line_dash="dash", line_color="#111111")
+    drawn.update_xaxes(title_text="sigmas apart", rangemode="tozero")
+    drawn.update_yaxes(autorange="reversed")
+    return dress(drawn, 120 + 34 * len(rows))

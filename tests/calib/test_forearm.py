@@ -1,0 +1,170 @@
+"""The held pose of simulated arms: measures, lever arms, agreement with the motion, what breaks it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib import read_calibration
+from calib.forearm import ForearmCalibration, calibrate_forearm, forearm_axes
+from calib.forearm_words import compare, next_time, open_questions, verdict
+from calib.held_pose import find_held_pose
+from smoother.cli.run import run
+from smoother.config import Config
+from smoother.errors import CalibrationError
+from smoother.io import write_recording
+from smoother.recording import JOINTS
+from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.simulation.arm import SimulatedArm
+
+ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
+SEEDS = (1, 4)
+
+
+@pytest.fixture(scope="module")
+def arms() -> list[tuple[SimulatedArm, ForearmCalibration]]:
+    """Realistic arms whose strap is seen, with what their pose tells."""
+    found = []
+    for seed in SEEDS:
+        arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1, strap=True), seed)
+        found.append((arm, calibrate_forearm(arm.recording, config=ONE_PROCESS)))
+    return found
+
+
+def test_measures_are_right_within_their_sigmas(arms):
+    sigmas = []
+    for arm, found in arms:
+        m, true = found.measured, arm.parameters
+        assert m.strap_from == "seen"
+        for measured, value in (
+            (m.upper_arm, true["upper_arm_m"]),
+            (m.forearm, true["forearm_m"]),
+            (m.strap_to_wrist, true["strap_to_wrist_m"]),
+            (m.strap_to_elbow, true["forearm_m"] - true["strap_to_wrist_m"]),
+        ):
+            assert 0.002 < measured.sigma_m < 0.025
+            sigmas.append((measured.value_m - value) / measured.sigma_m)
+        for joint, lever in found.calibration.lever_arms.items():
+            sigmas += (
+                (lever.position_m - arm.calibration.lever_arms[joint].position_m) / lever.sigma_m
+            ).tolist()
+    assert np.mean(np.square(sigmas)) < 2 and np.abs(sigmas).max() < 3.5
+
+
+def test_pose_and_motion_agree(arms):
+    for _, found in arms:
+        rows = compare(found)
+        assert {row.name for row in rows} >= {"upper arm", "forearm", "radius", "strap to wrist", "direction"}
+        assert all(row.agrees for row in rows), [row for row in rows if not row.agrees]
+        assert any("agree in all" in text for text in verdict(found, rows))
+
+
+def test_mounting_in_the_pose(arms):
+    for arm, found in arms:
+        assert found.calibration.R_F_A is not None and arm.calibration.R_F_A is not None
+        turn = Rotation.from_matrix(found.calibration.R_F_A @ arm.calibration.R_F_A.T)
+        roll_deg = abs(np.degrees(turn.as_euler("yxz")[0]))
+        assert roll_deg < 2.5 * np.degrees(found.roll_sigma_rad)  # a palm faces the camera only roughly
+        y, true = (R.T @ [0, 1, 0] for R in (found.calibration.R_F_A, arm.calibration.R_F_A))
+        assert np.arccos(y @ true) < 3 * found.direction_sigma_rad
+
+
+def test_axes_of_a_palm_that_faces_the_camera():
+    R = forearm_axes(np.array([-0.3, -0.1, 2.0]), np.array([-0.3, 0.15, 2.0]))
+    assert pytest.approx(np.eye(3), abs=1e-12) == R.T @ R
+    assert R[:, 1] == pytest.approx([0, 1, 0])
+    assert R[2, 0] > 0.98 and R[:, 2] == pytest.approx(np.cross(R[:, 0], R[:, 1]))
+
+
+def test_without_noise_the_pose_gives_the_lengths():
+    arm = simulate_arm(ArmSimulation.preset("clean", repetitions=1, strap=True), 5)
+    pose = find_held_pose(arm.recording)
+    joints = dict(zip(JOINTS, pose.position, strict=True))
+    assert np.linalg.norm(joints["wrist"] - joints["elbow"]) == pytest.approx(
+        arm.parameters["forearm_m"], abs=2e-3
+    )
+    assert pose.start_s < 0.5 and pose.end_s > 2.0
+
+
+def test_what_broke_is_named(arms):
+    """The palm turned away: R_F_A rolls; a strap that slid by 7 cm: the lengths along the forearm."""
+    _, found = arms[0]
+    turned = Rotation.from_euler("y", 80, degrees=True).as_matrix()
+    away = replace(found, calibration=replace(found.calibration, R_F_A=turned @ found.calibration.R_F_A))
+    rows = compare(away)
+    if any(row.name == "roll" for row in rows):  # the motion told the roll
+        assert [row.name for row in rows if not row.agrees] == ["roll"]
+        assert any("the palm did not face the camera" in text for text in verdict(away, rows))
+        assert any("palm square to the camera" in text for text in next_time(away, rows))
+    m = found.measured
+    slid = replace(m, strap_to_wrist=replace(m.strap_to_wrist, value_m=m.strap_to_wrist.value_m + 0.07))
+    rows = compare(replace(found, measured=slid))
+    assert [row.name for row in rows if not row.agrees] == ["strap to wrist"]
+    assert any(
+        "the strap slid along the arm" in text for text in verdict(replace(found, measured=slid), rows)
+    )
+
+
+def test_a_pose_without_motion_leaves_the_mounting_open():
+    arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 2)
+    pose = find_held_pose(arm.recording)
+    imu, tracks = arm.recording.imu, arm.recording.arm
+    short = replace(
+        arm.recording,
+        imu=imu.select(imu.t_s < pose.end_s),
+        arm=tracks.select(tracks.t_s < pose.end_s),
+        truth=None,
+    )
+    found = calibrate_forearm(short, config=ONE_PROCESS)
+    assert found.calibration.lever_arms == {} and found.calibration.R_F_A is None
+    assert found.calibration.upper_arm is not None
+    assert any("lever arms and R_F_A are left open" in text for text in open_questions(found))
+    assert any("move for 20 s" in text for text in next_time(found, compare(found)))
+
+
+def test_no_pose():
+    hang = simulate_arm(ArmSimulation(protocol="hang", duration_s=8), 1).recording
+    with pytest.raises(CalibrationError, match="no held pose was found"):
+        find_held_pose(hang)
+    with pytest.raises(CalibrationError, match="are tracked together in 0 frames"):
+        find_held_pose(hang, 100.0, 101.0)
+    assert find_held_pose(hang, 2.0, 4.0).chosen == "given"
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1), 4)
+    write_recording(arm.recording, tmp_path / "rec.mcap")
+    cal, figures, page = (tmp_path / name for name in ("cal.toml", "f.json", "f.html"))
+    ruler = ("--radius-m", 0.035, "--strap-to-wrist-m", arm.parameters["strap_to_wrist_m"])
+    arguments = ("calibrate", "forearm", tmp_path / "rec.mcap", *ruler, "--processes", 1, "-o", cal)
+    assert run([str(each) for each in (*arguments, "--json", figures, "--report", page)]) == 0
+    assert "Pose against motion" in capsys.readouterr().out
+    held, said = read_calibration(cal), json.loads(figures.read_text())
+    assert held.arms["right"].R_F_A is not None and set(held.arms["right"].lever_arms) == {
+        "elbow",
+        "wrist",
+        "hand",
+    }
+    assert held.tables["forearm"]["right"]["strap_from"] == "ruler"
+    assert held.tables["forearm"]["right"]["r_m"] == pytest.approx(0.035)
+    assert said["measures"]["d_ul"]["value_m"] == pytest.approx(held.arms["right"].upper_arm.value_m)
+    assert said["pose"]["to_s"] - said["pose"]["from_s"] > 1.0
+    text = page.read_text(encoding="utf-8")
+    assert "The held pose" in text and "Pose against motion" in text and "For the next recording" in text
+    # what the pose gave serves to recover
+    out = tmp_path / "out.mcap"
+    smooth = ["smooth", tmp_path / "rec.mcap", "-o", out, "--calibration", cal, "--processes", 1]
+    assert run([str(each) for each in smooth]) == 0
+    capsys.readouterr()
+    for wrong, code, sentence in (
+        (("--from", 1), 2, "belong together"),
+        (("--from", 100, "--to", 101), 1, "between 100 and 101 s"),
+    ):
+        assert run([str(each) for each in (*arguments[:-1], tmp_path / "no.toml", *wrong)]) == code
+        assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "no.toml").exists()
