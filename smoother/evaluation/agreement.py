@@ -84,10 +84,10 @@ def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = Fals
 
 
 def unwound_deg(answer: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angles without jumps of a full turn: the reference about its circular mean, the answer beside it."""
-    turn = np.radians(reference)
-    centre = np.degrees(np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())) if len(turn) else 0.0
-    wound = centre + wrapped_deg(reference - centre)
+    """Angles without jumps of a full turn, from sample to sample, the answer beside the reference."""
+    wound = np.unwrap(reference, period=360.0)
+    if len(wound):
+        wound = wound - 360.0 * np.round(np.median(wound) / 360.0)
     return wound + wrapped_deg(answer - reference), wound
 
 

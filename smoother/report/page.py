@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
+import re
 from collections.abc import Iterable, Iterator
 from html import escape
 from importlib import resources
@@ -22,6 +23,7 @@ from ..io.atomic import writing
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery
 from . import tables
+from .compared import compared
 from .mount import mount
 from .path3d import flat_views, path_in_space
 from .points import points
@@ -95,8 +97,12 @@ def _sections(
         yield from _figures(recovery, truth, frame)
     yield f"<h2>Gaps</h2>{_GAPS}{tables.gaps(recovery)}"
     if validation is not None:
-        yield f"<h2>Errors against the reference</h2>{_ERRORS}{tables.validation(validation)}"
+        heading = escape(validation.title("Errors against the reference"))
+        yield f"<h2>{heading}</h2>{_ERRORS}{tables.validation(validation)}"
         yield _list(validation.notes)
+        for title, caption, drawn, below in () if truth is None else compared(recovery, truth, validation):
+            head = f'<h2>{escape(title)}</h2><p class="caption">{caption}</p>'
+            yield (_figure(title, caption, drawn) if drawn is not None else head) + below
     if len(recovery):
         yield from _trust(recovery, truth)
     yield from _found(recovery, found)
@@ -170,7 +176,7 @@ def _figure(heading: str, caption: str, figure: go.Figure | None) -> str:
         full_html=False,
         include_plotlyjs=False,
         config={"displaylogo": False, "responsive": True, "plotlyServerURL": ""},
-        div_id="figure-" + heading.lower().replace(" ", "-").replace(",", ""),
+        div_id="figure-" + re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-"),
     )
     return f'<h2>{escape(heading)}</h2><p class="caption">{caption}</p><div class="figure">{drawn}</div>'
 

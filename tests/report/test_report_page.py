@@ -88,6 +88,8 @@ def test_whole_page(tmp_path):
         "What the camera disagrees with",
         "Gaps",
         "Errors against the reference",
+        "Error over time",
+        "Errors in the layout of table I",
         "Whether sigma can be believed",
         "What was set aside",
         "How the sensor sits on the arm",
