@@ -76,6 +76,19 @@ def turned(R: FloatArray, reference: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(R @ np.swapaxes(reference, -1, -2)).as_rotvec())
 
 
+def white_sigma(scene: Scene) -> float:
+    """Noise of the scene's point for a method of independent samples, m an axis."""
+    effective = scene.point_effective_sigma_m
+    return float(effective) if np.isfinite(effective) else scene.point_sigma_m
+
+
+def joint_sigma(scene: Scene) -> float:
+    """The same of one joint, where the point is the mean of those that are usually seen."""
+    columns = [JOINTS.index(joint) for joint in levers_of(scene)]
+    usual = int((seen_joints(scene)[scene.visible][:, columns].mean(axis=0) > 0.25).sum())
+    return white_sigma(scene) * float(np.sqrt(max(usual, 1)))
+
+
 def predict(states: Trajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state."""
     h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]

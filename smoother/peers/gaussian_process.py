@@ -22,6 +22,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ..recording import FloatArray
+from .error_state import white_sigma
 from .kernel import PUBLISHED, Kernel, Measurements, condition, log_likelihood
 from .scene import Path, Scene
 
@@ -105,13 +106,11 @@ def borders(scene: Scene) -> list[float]:
 
 def likeliest(scene: Scene, seen: Measurements) -> Kernel:
     """The hyper-parameters under which visible stretches, evenly spread, are likeliest."""
-    sigma = scene.point_effective_sigma_m
-    sigma = sigma if np.isfinite(sigma) else scene.point_sigma_m
     spread = float(seen.position.var(axis=0).mean())
     start = replace(
         PUBLISHED,
         variance=max(PUBLISHED.variance, spread),
-        position_sigma=max(float(sigma), LEAST_SIGMA_M),
+        position_sigma=max(white_sigma(scene), LEAST_SIGMA_M),
     )
     stretches = _training(scene, seen)
     if not stretches:

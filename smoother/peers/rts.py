@@ -104,11 +104,9 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[Trajectory, Sigh
         np.tile(scene.gravity, (len(t), 1)),
         shoulder if has_shoulder else np.zeros((len(t), 3)),
     )
-    usual = max(np.mean([np.isfinite(joints[:, JOINTS.index(j), 0]).mean() > 0.25 for j in levers]), 0.5)
-    sigma = _white_sigma(scene) * np.sqrt(usual * len(levers))
     length = scene.calibration.upper_arm
     known = has_shoulder and length is not None and "elbow" in levers
-    sigmas = np.full(len(JOINTS), max(sigma, LEAST_SIGMA_M))
+    sigmas = np.full(len(JOINTS), max(es.joint_sigma(scene), LEAST_SIGMA_M))
     return states, Sights(
         joints,
         sigmas,
@@ -116,12 +114,6 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[Trajectory, Sigh
         length.value_m if known and length is not None else float("nan"),
         _flex(joints, float(sigmas[0])) if known else float("nan"),
     )
-
-
-def _white_sigma(scene: Scene) -> float:
-    """The scene's noise for a method of independent samples, m an axis."""
-    effective = scene.point_effective_sigma_m
-    return effective if np.isfinite(effective) else scene.point_sigma_m
 
 
 def _flex(joints: FloatArray, sigma_m: float) -> float:
@@ -148,7 +140,7 @@ def residuals(states: Trajectory, sights: Sights) -> FloatArray:
 def with_noise_of(sights: Sights, states: Trajectory, scene: Scene) -> Sights:
     """The sights with each joint's noise from its residuals, lengthened as the scene's noise remembers."""
     left = residuals(states, sights)
-    memory = _white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
+    memory = es.white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
     sigma = sights.sigma_m.copy()
     for joint in sights.levers:
         own = left[:, JOINTS.index(joint)]

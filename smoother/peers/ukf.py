@@ -21,7 +21,7 @@ from ..inertial import InertialSignal, Preintegration, integrate
 from ..recording import JOINTS, FloatArray
 from ..start import states_from_camera
 from ..timing import thin
-from .error_state import INTEGRATION_VARIANCE, levers_of, orientation_at, seen_joints, turned
+from .error_state import INTEGRATION_VARIANCE, joint_sigma, levers_of, orientation_at, seen_joints, turned
 from .scene import Path, Scene
 
 #: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first holds a bias that nobody took off.
@@ -73,7 +73,7 @@ def ukf(scene: Scene) -> Path:
     noise = process_noise(motion)
     frame_at = dict(zip(np.searchsorted(t, scene.frame_t[frames]).tolist(), frames.tolist(), strict=True))
     row_at = dict(zip(np.searchsorted(t, scene.t[rows]).tolist(), rows.tolist(), strict=True))
-    sigma_m = camera_sigma(scene, columns)
+    sigma_m = max(joint_sigma(scene), LEAST_SIGMA_M)
     belief = start(scene, start_s)
     for k in range(len(t)):
         if k:
@@ -92,14 +92,6 @@ def gyroscope_bias(scene: Scene) -> FloatArray:
     step = turned(np.swapaxes(scene.R_K_A[:-1], 1, 2) @ scene.R_K_A[1:], np.eye(3))
     measured = 0.5 * (scene.imu.gyro[1:] + scene.imu.gyro[:-1]) * np.diff(scene.t)[:, None]
     return np.asarray((measured - step).sum(axis=0) / (scene.t[-1] - scene.t[0]))
-
-
-def camera_sigma(scene: Scene, columns: list[int]) -> float:
-    """Noise of one joint's sample for a filter of independent samples, m an axis."""
-    point = scene.point_effective_sigma_m
-    point = point if np.isfinite(point) else scene.point_sigma_m
-    usual = int((seen_joints(scene)[scene.visible][:, columns].mean(axis=0) > 0.25).sum())
-    return max(point * float(np.sqrt(max(usual, 1))), LEAST_SIGMA_M)
 
 
 def start(scene: Scene, start_s: float) -> Belief:
