@@ -32,7 +32,8 @@ _ANGLES = (
 )
 _BLAND_ALTMAN = (
     "Bland and Altman: answer minus reference over the mean of both, a dot a sample. The solid line is"
-    " the bias, the dashed lines the limits of agreement (bias -+ 1.96 standard deviations): 95 of 100 differences lie between."
+    " the bias, the dashed lines the limits of agreement (bias -+ 1.96 standard"
+    " deviations): 95 of 100 differences lie between."
 )
 _TABLE = (
     "The layout in which Jatesiktat and Ang (2017) state the errors of their wrist IMU with a Kinect: the"
