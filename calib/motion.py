@@ -13,6 +13,7 @@ from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.pieces import take_apart
 from smoother.pool import Pool
+from smoother.priors import with_measured_noise
 from smoother.recording import JOINTS, Recording
 from smoother.screen import by_camera
 from smoother.selfcal import Knowledge, self_calibrate
@@ -84,6 +85,8 @@ def calibrate_motion(
         No recording shows the forearm together with the IMU, or they are of different arms.
     """
     config = config or Config()
+    if recordings:  # of one mounting: one sensor
+        config = with_measured_noise(config, recordings[0].imu)
     sides = sorted({recording.side for recording in recordings if recording.side})
     if len(sides) > 1:
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")

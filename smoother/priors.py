@@ -10,13 +10,15 @@ from .calibration import ArmCalibration, Length, LeverArm
 from .config import Config
 from .pieces import Piece
 from .plan import Stretch
-from .recording import JOINTS
+from .recording import JOINTS, ImuStream
 from .shared import Gaussian, Layout, axes_across
 from .start import Alignment
 from .window import Noise, Priors
 
 #: How well gravity's direction is known from the start values, rad.
 GRAVITY_SIGMA_RAD = 0.2
+#: Sensor noise that was measured counts for no less than this part of the configured one.
+LEAST_DENSITY_SHARE = 0.3
 #: The upper arm's length is never believed to vary more than this, m.
 LARGEST_FLEX_M = 0.04
 
@@ -85,6 +87,20 @@ def upper_arm_flex(pieces: list[Piece], config: Config, sample_m: float) -> floa
     spread = 1.4826 * np.median(np.abs(np.concatenate([each - np.median(each) for each in lengths])))
     extra = float(np.sqrt(max(spread**2 - 2.0 * sample_m**2, 0.0)))
     return float(np.clip(extra, config.arm.upper_arm_flex_m, LARGEST_FLEX_M))
+
+
+def with_measured_noise(config: Config, imu: ImuStream) -> Config:
+    """The configuration with the sensor's own white noise where somebody measured it.
+
+    What a configuration states itself counts more. The default stands for a consumer device with all that a model of it lacks; of a quiet sensor a part of
+    that stays (`LEAST_DENSITY_SHARE`).
+    """
+    measured = {
+        name: max(value, LEAST_DENSITY_SHARE * getattr(config.imu, name))
+        for name in ("accelerometer_density", "gyroscope_density")
+        if (value := getattr(imu, name)) is not None and name not in config.imu.model_fields_set
+    }
+    return config.model_copy(update={"imu": config.imu.model_copy(update=measured)}) if measured else config
 
 
 def noise_of(config: Config, flex_m: float) -> Noise:

@@ -17,7 +17,7 @@ from .pieces import Piece, take_apart
 from .plan import Stretch, cut, cut_times
 from .pool import Pool
 from .prepare import GRAVITY, prepare
-from .priors import calibration_from, first_priors, noise_of
+from .priors import calibration_from, first_priors, noise_of, with_measured_noise
 from .recording import FOREARM_JOINTS, Recording
 from .result import Recovery
 from .screen import by_camera, by_residual
@@ -52,7 +52,7 @@ def smooth(
     SolveError, CalibrationError
         Nothing of the recording can be solved, in one sentence.
     """
-    config = config or Config()
+    config = with_measured_noise(config or Config(), recording.imu)
     calibration = calibration or ArmCalibration(side=recording.side)
     say = progress or (lambda fraction, text: None)
     _check(recording)
