@@ -12,6 +12,7 @@ from . import (
     calibrate_forearm,
     calibrate_imu,
     calibrate_panel,
+    calibrate_world,
     config,
     demo,
     doctor,
@@ -78,9 +79,10 @@ app.command(
     "smooth",
     epilog="Example: unocclude smooth session.mcap -o out.mcap --calibration arm.toml --report out.html",
 )(smooth.smooth)
-app.command("validate", epilog="Example: unocclude validate recovered.mcap --truth mocap.csv")(
-    validate.validate
-)
+app.command(
+    "validate",
+    epilog="Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml",
+)(validate.validate)
 app.command(
     "gaps", epilog="Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"
 )(gaps.gaps)
@@ -125,6 +127,9 @@ _calibrate.command(
     epilog="Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv"
     " --intrinsics k.toml --panel panel.toml -o cal.toml",
 )(calibrate_panel.panel)
+_calibrate.command(
+    "world", epilog="Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml"
+)(calibrate_world.world)
 _calibrate.command(
     "forearm", epilog="Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html"
 )(calibrate_forearm.forearm)
