@@ -24,7 +24,7 @@ from .identify import (
 )
 from .images import View, check_size
 from .plane import Plane, fit_plane
-from .regions import Regions, panel_regions
+from .regions import Regions, on_plane, panel_regions
 from .solve import PoseData, Solution, solve
 
 #: Noise of a mocap marker where nothing else is said, m an axis.
@@ -44,7 +44,8 @@ class SeenPanel:
     regions, plane : its depth pixels and the plane through them.
     points_K : (4, 3) m, the markers in the camera frame.
     frame : the panel's axes and {P}'s origin in the camera frame, by markers and plane.
-    published : the same as published, by principal components; its origin is the first marker.
+    published : the same as published, by principal components; its origin is the first marker. None where an
+        arm has too few depth points.
     tilt_deg : between the panel's normal and the line of sight.
     distance_m : of the markers' middle from the camera.
     """
@@ -56,7 +57,7 @@ class SeenPanel:
     plane: Plane
     points_K: FloatArray
     frame: Frame
-    published: Frame
+    published: Frame | None
     tilt_deg: float
     distance_m: float
 
@@ -73,14 +74,14 @@ class PanelCalibration:
     Attributes
     ----------
     solution : the graph's answer.
-    published : camera from mocap as published (JA eq 4 and 5), the poses' mean.
+    published : camera from mocap as published (JA eq 4 and 5), the poses' mean; None where no pose has it.
     seen, markers_E, labels : by pose: the view's panel, its four mocap markers (4, 3) and their names.
     names : of the poses.
     panel, lens : what was known beforehand.
     """
 
     solution: Solution
-    published: Frame
+    published: Frame | None
     seen: tuple[SeenPanel, ...]
     markers_E: tuple[FloatArray, ...]
     labels: tuple[tuple[str, ...], ...]
@@ -123,11 +124,13 @@ def calibrate_panel(
         ]
     )
     published = [
-        found.published.after(frame_of_markers(at, panel)) for found, at in zip(seen, markers_E, strict=True)
+        found.published.after(frame_of_markers(at, panel))
+        for found, at in zip(seen, markers_E, strict=True)
+        if found.published is not None
     ]
     return PanelCalibration(
         solution=solution,
-        published=_mean(published, markers_E),
+        published=_mean(published, markers_E) if published else None,
         seen=tuple(seen),
         markers_E=tuple(markers_E),
         labels=tuple(chosen),
@@ -169,9 +172,11 @@ def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
             " towards the camera, within 40 degrees."
         )
     inside = plane.inliers
+    regions = on_plane(regions, inside, panel)
     full = np.column_stack([regions.rays, np.ones(len(regions.rays))])[inside] * regions.depth_m[inside, None]
     published = frame_of_points(full, regions.along_x[inside], regions.along_y[inside], frame.R)
-    published = Frame(published.R, published.origin + panel.height_m * published.R[:, 2])
+    if published is not None:
+        published = Frame(published.R, published.origin + panel.height_m * published.R[:, 2])
     return SeenPanel(blobs, reading.index, reading, regions, plane, points, frame, published, tilt, distance)
 
 

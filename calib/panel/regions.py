@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class Regions:
     panel_P : (N, 2) where they lie on the panel by the first pose, m.
     along_x, along_y : (N,) those of the strips.
     covered : share of the panel's usable pixels that have a depth.
+    cell_m : two pixels on the panel.
     """
 
     pixels: FloatArray
@@ -39,6 +40,7 @@ class Regions:
     along_x: BoolArray
     along_y: BoolArray
     covered: float
+    cell_m: float
 
 
 def panel_regions(depth_m: FloatArray, lens: Intrinsics, blobs: Blobs, panel: Panel, frame: Frame) -> Regions:
@@ -70,9 +72,10 @@ def panel_regions(depth_m: FloatArray, lens: Intrinsics, blobs: Blobs, panel: Pa
         rays=lens.ray_image()[v, u][seen],
         depth_m=depth[seen],
         panel_P=xy,
-        along_x=_strip(xy, panel, 0, 2 * pixel_m),
-        along_y=_strip(xy, panel, 1, 2 * pixel_m),
+        along_x=_strip(xy, panel, 0),
+        along_y=_strip(xy, panel, 1),
         covered=covered,
+        cell_m=2 * pixel_m,
     )
 
 
@@ -95,12 +98,26 @@ def _panel_pixels(lens: Intrinsics, panel: Panel, frame: Frame) -> tuple[FloatAr
     return v, u, xy
 
 
-def _strip(xy: FloatArray, panel: Panel, axis: int, cell_m: float) -> BoolArray:
-    """Pixels along an arm of the L, from its first to its last marker and alike to both sides.
+def on_plane(regions: Regions, inliers: BoolArray, panel: Panel) -> Regions:
+    """The same with strips of pixels that lie on the plane, alike to both sides of the arm's line.
 
-    Where a pixel is missing (a marker, a hand), the one across the arm's line is left out too: else the
-    principal component would turn towards it.
+    Where a pixel is missing (a marker, a hand), the one across the line is left out too: else the principal
+    component would turn towards it.
     """
+    strips = []
+    for axis, strip in enumerate((regions.along_x, regions.along_y)):
+        chosen = strip & inliers
+        along = np.floor(regions.panel_P[chosen, axis] / regions.cell_m).astype(int).tolist()
+        away = regions.panel_P[chosen, 1 - axis] - panel.markers_P[0, 1 - axis]
+        side = np.floor(away / regions.cell_m).astype(int).tolist()
+        cells = set(zip(along, side, strict=True))
+        chosen[chosen] = [(a, -1 - b) in cells for a, b in zip(along, side, strict=True)]
+        strips.append(chosen)
+    return replace(regions, along_x=strips[0], along_y=strips[1])
+
+
+def _strip(xy: FloatArray, panel: Panel, axis: int) -> BoolArray:
+    """Pixels along an arm of the L, from its first to its last marker."""
     arm = panel.arms()[axis]
     across = 1 - axis
     middle = float(panel.markers_P[0, across])
@@ -109,11 +126,4 @@ def _strip(xy: FloatArray, panel: Panel, axis: int, cell_m: float) -> BoolArray:
     low, high = float(arm[:, axis].min()), float(arm[:, axis].max())
     if high - low < 0.02:  # no arm in this direction: take the panel's whole length
         low, high = float(panel.extent_P[0, axis]), float(panel.extent_P[1, axis])
-    away = xy[:, across] - middle
-    chosen = (np.abs(away) <= half) & (xy[:, axis] >= low) & (xy[:, axis] <= high)
-    along = np.floor((xy[:, axis] - low) / cell_m).astype(int)
-    side = np.floor(away / cell_m).astype(int)
-    cells = set(zip(along[chosen].tolist(), side[chosen].tolist(), strict=True))
-    both = [(a, -1 - b) in cells for a, b in zip(along[chosen].tolist(), side[chosen].tolist(), strict=True)]
-    chosen[chosen] = both
-    return np.asarray(chosen)
+    return (np.abs(xy[:, across] - middle) <= half) & (xy[:, axis] >= low) & (xy[:, axis] <= high)
