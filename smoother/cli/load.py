@@ -41,10 +41,15 @@ def load_arm(
         from .sensor import corrected
 
         recording = corrected(recording, calibration)
+        from calib.world.apply import with_gravity
+
+        recording = with_gravity(recording, calibration)
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"
     say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
-    if calibration is None or (not calibration.arms and "imu" in calibration.tables):
+    if calibration is None or (
+        not calibration.arms and {"imu", "camera_from_base"} & set(calibration.tables)
+    ):
         return recording, None  # a file of sensors alone leaves the arm to be found
     return recording, calibration.arm(recording.side)
 

@@ -1,0 +1,258 @@
+"""The chain of rotations from the camera to the world and back over the panel, as residuals with derivatives.
+
+JA eq. 7-8, with every link that a session gives::
+
+    R_K_P(i) = R_K_B  R_B_W(i)  R_W_I(i)  R_I_P
+
+Known in each pose i: `R_K_P` from the images, the direction of gravity (and north) in {B} and in {I} from
+the IMUs at rest; from pose to pose, the turn of each IMU by its gyroscope. Unknown: `R_K_B`, the mounting
+`R_P_I`, the attitudes of both IMUs in {W}, and both accelerometers' (and magnetometers') biases. What the
+session does not determine stays near its start value with a sigma of `FREE_RAD`: nothing is held by force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smoother.recording import FloatArray
+
+from .rest import Rest, Turn
+
+#: Sigma of a rotation of which nothing is known, rad.
+FREE_RAD = 2.0
+#: What scale and cross-axis errors of an accelerometer leave of a direction, rad.
+TILT_RAD = np.radians(0.05)
+#: A calibrated accelerometer's bias, m/s^2 an axis.
+BIAS_M_S2 = 0.03
+#: Magnetometers: iron on the sensor (a share of the field), and iron in the room, which differs from place to
+#: place, rad.
+IRON, ROOM_RAD = 0.05, np.radians(2.0)
+#: Magnetic dip is not asked for: any from the equator to the pole, rad.
+DIP_RAD = 0.8
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class WorldPose:
+    """One pose of the panel, as camera and IMUs know it.
+
+    Attributes
+    ----------
+    name : for messages.
+    R_K_P : (3, 3) the panel in the camera, from its images.
+    covariance : (3, 3) of its rotation vector, rad^2 in {K}.
+    panel, base : the IMUs at rest.
+    panel_turn, base_turn : their rotation since the pose before, or None.
+    """
+
+    name: str
+    R_K_P: FloatArray
+    covariance: FloatArray
+    panel: Rest
+    base: Rest
+    panel_turn: Turn | None = None
+    base_turn: Turn | None = None
+
+    @property
+    def has_north(self) -> bool:
+        """Both IMUs have a magnetometer."""
+        return self.panel.mag is not None and self.base.mag is not None
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """The unknowns.
+
+    Attributes
+    ----------
+    R_K_B, R_P_I : camera from base IMU, panel from its IMU.
+    R_W_B, R_W_I : the IMUs in the world (z up), one a pose.
+    rest : (14,) biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the
+        field), magnetic dip at both (rad).
+    """
+
+    R_K_B: Rotation
+    R_P_I: Rotation
+    R_W_B: Rotation
+    R_W_I: Rotation
+    rest: FloatArray
+
+    def moved(self, step: FloatArray) -> Attitudes:
+        """Rotated by small angles: `R_K_B` in {K}, the others in their own axes."""
+        n = len(self.R_W_B)
+        turns = Rotation.from_rotvec(step[: 6 + 6 * n].reshape(-1, 3))
+        return Attitudes(
+            turns[0] * self.R_K_B,
+            self.R_P_I * turns[1],
+            self.R_W_B * turns[2 : 2 + n],
+            self.R_W_I * turns[2 + n :],
+            self.rest + step[6 + 6 * n :],
+        )
+
+
+class Problem:
+    """Residuals over their sigmas, and their derivatives, at any attitudes.
+
+    Rows: camera, base IMU, panel IMU (three each) of every pose, then fields, turns, what is known before.
+    Columns: `R_K_B` in {K}, `R_P_I`, then `R_W_B` and `R_W_I` of every pose in their own axes, the biases.
+    """
+
+    def __init__(self, poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | None):
+        self._poses, self._start, self._mounting = poses, start, mounting_sigma_rad
+        self._weight = [np.linalg.inv(np.linalg.cholesky(pose.covariance)) for pose in poses]
+        self._north = all(pose.has_north for pose in poses)
+        self._bias = 6 + 6 * len(poses)
+        self._size = self._bias + len(start.rest)
+
+    def linearise(self, at: Attitudes) -> tuple[FloatArray, FloatArray]:
+        """Residuals (r,) and derivatives (r, c) at some attitudes."""
+        rows = _Rows(self._size)
+        for i in range(len(self._poses)):
+            self._camera(rows, at, i)
+            for imu in (0, 1):
+                self._gravity(rows, at, i, imu)
+        for i in range(len(self._poses)):
+            for imu in (0, 1):
+                if self._north:
+                    self._field(rows, at, i, imu)
+                self._turn(rows, at, i, imu)
+        self._beforehand(rows, at)
+        return np.concatenate(rows.values), np.vstack(rows.slopes)
+
+    def camera_left(self, at: Attitudes) -> FloatArray:
+        """What is left (n, 3) of the panel's rotation in the camera, rad in {K}."""
+        seen = Rotation.from_matrix([pose.R_K_P for pose in self._poses])
+        return np.asarray((at.R_K_B * at.R_W_B.inv() * at.R_W_I * at.R_P_I.inv() * seen.inv()).as_rotvec())
+
+    def spread(self, misfit: FloatArray) -> float:
+        """Mean square residual over what is expected; 1 where less: a few poses may fit by luck."""
+        empty = (4 if self._north else 2) * len(self._poses)  # three rows of a direction have two degrees
+        spare = len(misfit) - empty - self._size
+        return max(1.0, float(misfit @ misfit) / spare) if spare > 0 else 1.0
+
+    def _attitude(self, i: int, imu: int) -> int:
+        """First column of an IMU's attitude in a pose; 0 is the base IMU, 1 the panel's."""
+        return 6 + 3 * (imu * len(self._poses) + i)
+
+    def _camera(self, rows: _Rows, at: Attitudes, i: int) -> None:
+        R_K_I = at.R_K_B * at.R_W_B[i].inv() * at.R_W_I[i]
+        seen = Rotation.from_matrix(self._poses[i].R_K_P)
+        error = (R_K_I * at.R_P_I.inv() * seen.inv()).as_rotvec()
+        turned = self._weight[i] @ _left_inverse(error)
+        on_I = turned @ R_K_I.as_matrix()
+        rows.add(
+            self._weight[i] @ error,
+            {
+                0: turned,
+                3: -on_I,
+                self._attitude(i, 0): -turned @ at.R_K_B.as_matrix(),
+                self._attitude(i, 1): on_I,
+            },
+        )
+
+    def _gravity(self, rows: _Rows, at: Attitudes, i: int, imu: int) -> None:
+        """Angle between what an accelerometer feels as up and what its attitude says."""
+        rest, R = self._imu(at, i, imu)
+        bias = slice(3 * imu, 3 * imu + 3)
+        up, by_force = _direction(rest.acc - at.rest[bias])
+        noise = rest.acc_sigma.mean() / np.linalg.norm(rest.acc)
+        level = _cross(_UP) / np.hypot(noise, TILT_RAD)
+        rows.add(
+            -level @ R @ up,
+            {self._attitude(i, imu): level @ R @ _cross(up), self._bias + 3 * imu: -level @ R @ by_force},
+        )
+
+    def _field(self, rows: _Rows, at: Attitudes, i: int, imu: int) -> None:
+        """Difference of unit fields in {W}, whose x axis is magnetic north."""
+        rest, R = self._imu(at, i, imu)
+        assert rest.mag is not None
+        iron, dip = slice(6 + 3 * imu, 9 + 3 * imu), at.rest[12 + imu]
+        field, by_field = _direction(rest.mag / np.linalg.norm(rest.mag) - at.rest[iron])
+        rows.add(
+            (R @ field - [np.cos(dip), 0.0, -np.sin(dip)]) / ROOM_RAD,
+            {
+                self._attitude(i, imu): -R @ _cross(field) / ROOM_RAD,
+                self._bias + 6 + 3 * imu: R @ by_field / ROOM_RAD,
+                self._bias + 12 + imu: np.array([[np.sin(dip)], [0.0], [np.cos(dip)]]) / ROOM_RAD,
+            },
+        )
+
+    def _turn(self, rows: _Rows, at: Attitudes, i: int, imu: int) -> None:
+        """The gyroscope's turn since the pose before against that of the attitudes."""
+        turn = (self._poses[i].base_turn, self._poses[i].panel_turn)[imu]
+        if turn is None or i == 0:
+            return
+        R_W = (at.R_W_B, at.R_W_I)[imu]
+        between = R_W[i - 1].inv() * R_W[i]
+        error = (Rotation.from_matrix(turn.R).inv() * between).as_rotvec()
+        later = _left_inverse(-error) / turn.sigma_rad  # the right Jacobian's inverse
+        rows.add(
+            error / turn.sigma_rad,
+            {
+                self._attitude(i, imu): later,
+                self._attitude(i - 1, imu): -later @ between.as_matrix().T,
+            },
+        )
+
+    def _beforehand(self, rows: _Rows, at: Attitudes) -> None:
+        """Every rotation is free, or nearly; biases are small; the mounting may have been lined up by eye."""
+        start = self._start
+        rows.near(0, at.R_K_B, start.R_K_B, FREE_RAD, on_left=True)
+        rows.near(3, at.R_P_I, start.R_P_I, FREE_RAD)
+        for i in range(len(self._poses)):
+            rows.near(self._attitude(i, 0), at.R_W_B[i], start.R_W_B[i], FREE_RAD)
+            rows.near(self._attitude(i, 1), at.R_W_I[i], start.R_W_I[i], FREE_RAD)
+        if self._mounting is not None:
+            rows.near(3, at.R_P_I, Rotation.identity(), self._mounting)
+        sigma = np.array([BIAS_M_S2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
+        rows.add(at.rest / sigma, {self._bias: np.diag(1 / sigma)})
+
+    def _imu(self, at: Attitudes, i: int, imu: int) -> tuple[Rest, FloatArray]:
+        pose, R_W = self._poses[i], (at.R_W_B, at.R_W_I)[imu]
+        return (pose.base, pose.panel)[imu], R_W[i].as_matrix()
+
+
+class _Rows:
+    """Rows of residuals and of their derivatives, gathered one after the other."""
+
+    def __init__(self, size: int):
+        self._size = size
+        self.values: list[FloatArray] = []
+        self.slopes: list[FloatArray] = []
+
+    def add(self, value: FloatArray, blocks: dict[int, FloatArray]) -> None:
+        """Add rows; `blocks` by their first column."""
+        slope = np.zeros((len(value), self._size))
+        for column, block in blocks.items():
+            slope[:, column : column + block.shape[1]] = block
+        self.values.append(value)
+        self.slopes.append(slope)
+
+    def near(self, column: int, R: Rotation, known: Rotation, sigma: float, on_left: bool = False) -> None:
+        """A rotation is known to `sigma` rad; its small angles count on the left or on the right."""
+        error = (R * known.inv() if on_left else known.inv() * R).as_rotvec()
+        self.add(error / sigma, {column: _left_inverse(error if on_left else -error) / sigma})
+
+
+def _direction(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The unit vector, and its derivative (3, 3) by what is taken off the vector."""
+    size = np.linalg.norm(vector)
+    unit = vector / size
+    return unit, -(np.eye(3) - np.outer(unit, unit)) / size
+
+
+def _cross(v: FloatArray) -> FloatArray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _left_inverse(phi: FloatArray) -> FloatArray:
+    """Inverse left Jacobian of the rotation group: how log(Exp(d) Exp(phi)) grows with d."""
+    angle = float(np.linalg.norm(phi))
+    skew = _cross(phi)
+    if angle < 1e-4:
+        return np.eye(3) - 0.5 * skew + skew @ skew / 12
+    share = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    return np.asarray(np.eye(3) - 0.5 * skew + share * skew @ skew)
