@@ -92,8 +92,8 @@ def upper_arm_flex(pieces: list[Piece], config: Config, sample_m: float) -> floa
 def with_measured_noise(config: Config, imu: ImuStream) -> Config:
     """The configuration with the sensor's own white noise where somebody measured it.
 
-    What a configuration states itself counts more. The default stands for a consumer device with all that a model of it lacks; of a quiet sensor a part of
-    that stays (`LEAST_DENSITY_SHARE`).
+    What a configuration states itself counts more. The default stands for a consumer device with all that
+    a model of it lacks; of a quiet sensor a part of that stays (`LEAST_DENSITY_SHARE`).
     """
     measured = {
         name: max(value, LEAST_DENSITY_SHARE * getattr(config.imu, name))
