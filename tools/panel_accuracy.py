@@ -88,9 +88,8 @@ def trial(config: PanelSimulation, seed: int) -> dict[str, Any]:
         found = calibrated(truth)
     except UnoccludeError as error:
         return {"seed": seed, "refused": str(error)}
-    ours, theirs = (
-        errors(each, truth, found) for each in (found.solution.camera_from_mocap, found.published)
-    )
+    ours = errors(found.solution.camera_from_mocap, truth, found)
+    theirs = errors(found.published, truth, found) if found.published is not None else (np.nan, np.nan)
     sigma = accuracy(found)
     spread = np.concatenate([np.radians(sigma.rotation_deg), sigma.at_panel_m])
     return {
@@ -136,7 +135,7 @@ def _show(title: str, rows: list[dict[str, Any]]) -> None:
     for name in ("ours", "published"):
         values = np.array([row[name] for row in good])
         for column, unit in enumerate(("deg", "mm")):
-            median, most, worst = np.percentile(values[:, column], [50, 95, 100])
+            median, most, worst = np.nanpercentile(values[:, column], [50, 95, 100])
             print(f"  {name:9} {unit:3}  median {median:6.3f}  95 % {most:6.3f}  worst {worst:6.3f}")
     inside, squared = (np.mean([row[key] for row in good]) for key in ("inside", "squared"))
     print(f"  inside 2 sigma, an axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.errors import CalibrationError
 from smoother.recording import BoolArray, FloatArray
 
 from .definition import Panel
@@ -32,7 +31,7 @@ class Frame:
 
 def frame_of_points(
     points_K: FloatArray, along_x: BoolArray, along_y: BoolArray, about_R: FloatArray
-) -> Frame:
+) -> Frame | None:
     """The panel in the camera by principal components, as published (JA II-F.1).
 
     First component of the points along x and along y, third component of all of them; the origin is where
@@ -44,13 +43,12 @@ def frame_of_points(
     along_x, along_y : (N,) those of the strips along the arms.
     about_R : (3, 3) the axes roughly, for the components' signs.
 
-    Raises
-    ------
-    CalibrationError
-        A group has too few points.
+    Returns
+    -------
+    The axes; None where a group has too few points.
     """
     if min(along_x.sum(), along_y.sum()) < FEWEST:
-        raise CalibrationError("too few depth points along an arm of the panel for its principal component")
+        return None
     centre_x, axes_x = principal(points_K[along_x])
     centre_y, axes_y = principal(points_K[along_y])
     axes = np.column_stack([axes_x[:, 0], axes_y[:, 0], principal(points_K)[1][:, 2]])

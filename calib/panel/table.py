@@ -38,7 +38,8 @@ def calibration_table(calibration: PanelCalibration) -> dict[str, Any]:
         table["depth_offset_m"] = float(solution.depth_offset_m)
         table["depth_offset_sigma_m"] = float(solution.depth_offset_sigma_m)
     table["residuals"] = pose_rows(calibration)
-    table["published"] = transform_values(calibration.published)
+    if calibration.published is not None:
+        table["published"] = transform_values(calibration.published)
     return table
 
 

@@ -145,7 +145,9 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         said.append(f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor.")
     apart = _published_apart(calibration)
     said.append(
-        f"The published method (principal components of regions{', mean of the poses' if poses > 1 else ''})"
+        "The published method (principal components of regions) has too few depth points along the arms."
+        if apart is None
+        else f"The published method (principal components of regions{', mean of the poses' if poses > 1 else ''})"
         f" differs from the answer by {apart[0]:.2f} degrees and {1e3 * apart[1]:.1f} mm at the panel."
     )
     return said
@@ -192,9 +194,11 @@ def _definition_misfit(calibration: PanelCalibration) -> list[float]:
     return [float(np.sqrt(np.mean((each - wanted) ** 2))) for each in found]
 
 
-def _published_apart(calibration: PanelCalibration) -> tuple[float, float]:
-    """Degrees, and metres at the panel's places."""
+def _published_apart(calibration: PanelCalibration) -> tuple[float, float] | None:
+    """Degrees, and metres at the panel's places; None where there is no such answer."""
     ours, theirs = calibration.solution.camera_from_mocap, calibration.published
+    if theirs is None:
+        return None
     angle = np.arccos(np.clip((np.trace(ours.R @ theirs.R.T) - 1) / 2, -1, 1))
     middle = np.mean(np.concatenate(calibration.markers_E), axis=0)
     apart = (ours.R - theirs.R) @ middle + ours.origin - theirs.origin

@@ -83,14 +83,17 @@ def _sections(found: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
 
 def _answer(found: PanelCalibration) -> str:
     sigma, ours = accuracy(found), transform_values(found.solution.camera_from_mocap)
-    theirs = transform_values(found.published)
     rows = [
         ("rotation qw, qx, qy, qz", _numbers(ours["rotation"], 6), _numbers(sigma.rotation_deg, 3) + " deg"),
         ("translation, m", _numbers(ours["translation"], 5), _numbers(1e3 * sigma.translation_m, 2) + " mm"),
         ("sigma at the panel", "", _numbers(1e3 * sigma.at_panel_m, 2) + " mm"),
-        ("published: rotation", _numbers(theirs["rotation"], 6), ""),
-        ("published: translation, m", _numbers(theirs["translation"], 5), ""),
     ]
+    if found.published is not None:
+        theirs = transform_values(found.published)
+        rows += [
+            ("published: rotation", _numbers(theirs["rotation"], 6), ""),
+            ("published: translation, m", _numbers(theirs["translation"], 5), ""),
+        ]
     return tabulated(
         "The answer",
         "A point of motion capture in the camera frame: p_camera = R p_mocap + t. Sigmas are one standard"
