@@ -143,11 +143,11 @@ def _findings(calibration: PanelCalibration) -> list[str]:
     ]
     if tilted:
         said.append(f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor.")
-    apart = _published_apart(calibration)
+    apart, mean = _published_apart(calibration), ", mean of the poses" if poses > 1 else ""
     said.append(
         "The published method (principal components of regions) has too few depth points along the arms."
         if apart is None
-        else f"The published method (principal components of regions{', mean of the poses' if poses > 1 else ''})"
+        else f"The published method (principal components of regions{mean})"
         f" differs from the answer by {apart[0]:.2f} degrees and {1e3 * apart[1]:.1f} mm at the panel."
     )
     return said
