@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from ..recording import FloatArray
 from .error_state import white_sigma
-from .kernel import PUBLISHED, Kernel, Measurements, condition, log_likelihood
+from .kernel import PUBLISHED, Kernel, Measurements, Posterior, log_likelihood
 from .scene import Path, Scene
 
 #: Accelerations are averaged to at most this rate, Hz.
@@ -38,6 +38,8 @@ TRAINING_S = 3.0
 TRAINING_RATE_HZ = 55.0
 #: What the likelihood may choose: w 1/s^2, acceleration noise m/s^2.
 BOUNDS = np.log([(1.0, 60.0), (0.05, 5.0)])
+#: Variances are computed at this rate and interpolated, Hz.
+SIGMA_RATE_HZ = 30.0
 LEAST_SIGMA_M = 2e-4
 
 
@@ -61,8 +63,10 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
         near = seen.between(start_s - MARGIN_S, end_s + MARGIN_S)
         level = near.position.mean(axis=0) if len(near.frame_t) else _nearest(seen, 0.5 * (start_s + end_s))
         near = replace(near, position=near.position - level)
-        position[rows], velocity[rows], variance[rows] = condition(kernel, near, scene.t[rows])
-        position[rows] += level
+        posterior, t = Posterior(kernel, near), scene.t[rows]
+        position[rows], velocity[rows] = level + posterior.position(t), posterior.velocity(t)
+        some = np.linspace(t[0], t[-1], int((t[-1] - t[0]) * SIGMA_RATE_HZ) + 2)
+        variance[rows] = np.interp(t, some, posterior.variance(some))
     return Path(position, velocity, variance[:, None, None] * np.eye(3))
 
 

@@ -102,27 +102,29 @@ def joint_covariance(kernel: Kernel, frame_t: FloatArray, acc_t: FloatArray) -> 
     return C
 
 
-def condition(
-    kernel: Kernel, seen: Measurements, at: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions given the measurements (4.24, with the covariance 4.23 belongs to).
+class Posterior:
+    """The positions given the measurements (4.24, with the covariance 4.23 belongs to)."""
 
-    Parameters
-    ----------
-    at : (k,) times, s.
+    def __init__(self, kernel: Kernel, seen: Measurements) -> None:
+        self._kernel, self._seen = kernel, seen
+        covariance = joint_covariance(kernel, seen.frame_t, seen.acc_t)
+        self._factor = cho_factor(covariance, lower=True, check_finite=False)
+        self._weights = cho_solve(self._factor, seen.targets, check_finite=False)
 
-    Returns
-    -------
-    position, velocity : (k, c) m and m/s.
-    variance : (k,) m^2 of the position, the same for all columns.
-    """
-    factor = cho_factor(joint_covariance(kernel, seen.frame_t, seen.acc_t), lower=True, check_finite=False)
-    weights = cho_solve(factor, seen.targets, check_finite=False)
-    cross = _to_measurements(kernel, at, _VALUE, seen)
-    moving = _to_measurements(kernel, at, _FIRST, seen) / STEP_S
-    explained = np.einsum("ij,ji->i", cross, cho_solve(factor, cross.T, check_finite=False))
-    variance = np.maximum(kernel.variance - explained, 0.0)
-    return cross @ weights, moving @ weights, variance
+    def position(self, at: FloatArray) -> FloatArray:
+        """(k, c) m at times (k,)."""
+        return np.asarray(_to_measurements(self._kernel, at, _VALUE, self._seen) @ self._weights)
+
+    def velocity(self, at: FloatArray) -> FloatArray:
+        """(k, c) m/s at times (k,), the first difference about each (4.12)."""
+        cross = _to_measurements(self._kernel, at, _FIRST, self._seen) / STEP_S
+        return np.asarray(cross @ self._weights)
+
+    def variance(self, at: FloatArray) -> FloatArray:
+        """(k,) m^2 of the positions, the same for all columns."""
+        cross = _to_measurements(self._kernel, at, _VALUE, self._seen)
+        explained = np.einsum("ij,ji->i", cross, cho_solve(self._factor, cross.T, check_finite=False))
+        return np.maximum(self._kernel.variance - explained, 0.0)
 
 
 def _to_measurements(
@@ -171,6 +173,6 @@ def predict(
         a, b = np.searchsorted(seen.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
         level = position.mean(axis=0)
         window = Measurements(frame_t, position - level, seen.acc_t[a:b], seen.acceleration[a:b])
-        found, _, variance = condition(kernel, window, at[k : k + 1])
-        mean[k], sigma[k] = found[0] + level, np.sqrt(variance[0])
+        posterior, now = Posterior(kernel, window), at[k : k + 1]
+        mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
     return mean, sigma

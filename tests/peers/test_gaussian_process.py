@@ -15,7 +15,7 @@ from smoother.peers.kernel import (
     STEP_S,
     Kernel,
     Measurements,
-    condition,
+    Posterior,
     joint_covariance,
     log_likelihood,
     predict,
@@ -50,11 +50,11 @@ def test_conditional_is_the_dense_one(kernel: Kernel):
     np.testing.assert_allclose(joint_covariance(kernel, seen.frame_t, seen.acc_t), C, rtol=1e-6, atol=1e-7)
     gain = Sigma @ K.T @ np.linalg.inv(C)  # 4.24
     mean, covariance = gain @ seen.targets, Sigma - gain @ K @ Sigma  # 4.23 with the noise
-    position, _, variance = condition(kernel, seen, grid)
-    np.testing.assert_allclose(position, mean, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(variance, np.diag(covariance), rtol=1e-5, atol=1e-9)
+    posterior = Posterior(kernel, seen)
+    np.testing.assert_allclose(posterior.position(grid), mean, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(posterior.variance(grid), np.diag(covariance), rtol=1e-5, atol=1e-9)
     # K_v (4.12) between the grid's times
-    _, between, _ = condition(kernel, seen, grid[:-1] + 0.5 * STEP_S)
+    between = posterior.velocity(grid[:-1] + 0.5 * STEP_S)
     np.testing.assert_allclose(between, np.diff(mean, axis=0) / STEP_S, rtol=1e-5, atol=1e-6)
     density = multivariate_normal(np.zeros(len(C)), C, allow_singular=False)
     expected = sum(density.logpdf(column) for column in seen.targets.T)

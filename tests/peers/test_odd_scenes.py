@@ -1,4 +1,4 @@
-"""Every peer with a model of the motion, on scenes that are short, sparse or odd: an answer, or nan and a note."""
+"""Every peer with a model of the motion, on short, sparse or odd scenes: an answer, or nan and a note."""
 
 from __future__ import annotations
 
