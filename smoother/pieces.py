@@ -35,6 +35,7 @@ class Piece:
     start_s, end_s : the part to look at, on the IMU's clock.
     recording : which recording of several.
     made_up : the camera's stamps were made up (`clock.stamps_made_up`).
+    down_sigma_rad : how well `down` is known, an axis; None = roughly.
     """
 
     signal: InertialSignal
@@ -50,6 +51,7 @@ class Piece:
     end_s: float
     recording: int = 0
     made_up: bool = False
+    down_sigma_rad: float | None = None
 
     def between(self, start_s: float, end_s: float) -> Piece:
         """The same piece, of which only a part (IMU clock) is looked at."""
@@ -91,6 +93,7 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
                 end_s=float(imu.t_s[-1]),
                 recording=number,
                 made_up=stamps_made_up(recording.arm.t_s),
+                down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
             )
         )
     return pieces

@@ -33,6 +33,9 @@ def first_priors(
     """The same priors for every window of a first pass."""
     longest = int(np.argmax([len(stretch.t) for stretch in stretches]))
     down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
+    down_sigma_rad = GRAVITY_SIGMA_RAD
+    if pieces[longest].down_sigma_rad is not None:  # a base IMU knows it better than the arm's motion
+        down, down_sigma_rad = pieces[longest].down, pieces[longest].down_sigma_rad
     seen_shoulder = any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches)
     layout = Layout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
@@ -46,7 +49,7 @@ def first_priors(
         config.imu.accelerometer_bias_sigma**2,
         config.imu.gyroscope_bias_sigma**2,
     )
-    variance[layout.gravity] = GRAVITY_SIGMA_RAD**2
+    variance[layout.gravity] = down_sigma_rad**2
     if layout.has_upper_arm:
         known = calibration.upper_arm or upper_arm_seen(pieces, config)
         mean[layout.upper_arm], variance[layout.upper_arm] = known.value_m, known.sigma_m**2
