@@ -1,0 +1,99 @@
+"""What a magnetometer brings on BROAD: `python tools/magnetometer_accuracy.py [options]`.
+
+Needs the data sets' folder in UNOCCLUDE_DATASETS. The magnetometer is calibrated on one trial and used in
+all. The strap alone is seen (30 Hz, 8 mm of noise), so that the heading comes from accelerations otherwise.
+Of every trial: orientation and heading of the whole recovery while the body moves, and error in hidden gaps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
+from smoother.evaluation import evaluate_gaps
+from smoother.io import import_broad
+from smoother.recording import Recording
+from smoother.result import Recovery
+from smoother.smoothing import smooth
+
+
+def corrected(recording: Recording, found: MagnetometerCalibration) -> Recording:
+    """The recording with its magnetometer corrected."""
+    assert recording.imu.mag is not None
+    imu = replace(recording.imu, mag=found.apply(recording.imu.mag), mag_calibrated=True)
+    return replace(recording, imu=imu)
+
+
+def attitude(recovery: Recovery, recording: Recording) -> tuple[float, float]:
+    """Orientation and heading error, degrees rms over the samples to score on."""
+    truth = recording.truth
+    assert truth is not None
+    known = np.isfinite(truth.quaternion).all(axis=1) & np.isfinite(recovery.quaternion).all(axis=1)
+    known &= truth.score
+    turn = [
+        Rotation.from_quat(each[known][:, [1, 2, 3, 0]]) for each in (recovery.quaternion, truth.quaternion)
+    ]
+    error = np.degrees((turn[0] * turn[1].inv()).as_rotvec())
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(error[:, 2] ** 2)))
+
+
+def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespace) -> None:
+    """Both ways over one trial, a line each."""
+    for name in ("without", "with"):
+        notes: tuple[str, ...] = ()
+        rows: list[list[float]] = [[] for _ in range(2 + 2 * len(options.lengths))]
+        for seed in range(options.seeds):
+            recording = import_broad(path, seed=seed)
+            if name == "with":
+                recording = corrected(recording, found)
+            recovery = smooth(replace(recording, truth=None))
+            notes = tuple(note for note in recovery.notes if "magnetometer" in note)
+            for k, value in enumerate(attitude(recovery, recording)):
+                rows[k].append(value)
+            for k, length in enumerate(options.lengths):
+                table = evaluate_gaps(recording, [length], {"graph": smooth}, seed=seed)
+                figures = table.lengths[length]["graph"].figures
+                rows[2 + 2 * k].append(100.0 * (figures.position_rms_m or np.nan))
+                rows[3 + 2 * k].append(figures.orientation_rms_deg or np.nan)
+        mean = [float(np.sqrt(np.mean(np.square(row)))) for row in rows]
+        parts = [
+            f"{length:g} s: {mean[2 + 2 * k]:5.2f} cm {mean[3 + 2 * k]:5.2f} deg"
+            for k, length in enumerate(options.lengths)
+        ]
+        print(
+            f"{path.stem[:34]:34} {name:7}: orientation {mean[0]:5.2f}  heading {mean[1]:5.2f} deg   "
+            f"{'   '.join(parts)}   {' '.join(notes)}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", help="trials whose name holds this")
+    parser.add_argument("--calibrated-on", default="05_", help="trial whose name starts so")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s")
+    options = parser.parse_args()
+    if not os.environ.get("UNOCCLUDE_DATASETS"):
+        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
+    trials = sorted(Path(os.environ["UNOCCLUDE_DATASETS"]).joinpath("broad").glob("*.mat"))
+    source = next(path for path in trials if path.stem.startswith(options.calibrated_on))
+    mag = import_broad(source).imu.mag
+    assert mag is not None
+    found = calibrate_magnetometer(mag)
+    print(f"calibrated on {source.stem}: {100 * found.residual:.1f} % off the sphere")
+    for path in trials:
+        if options.only in path.stem:
+            trial(path, found, options)
+
+
+if __name__ == "__main__":
+    main()
