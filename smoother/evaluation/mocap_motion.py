@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
@@ -14,8 +14,11 @@ from ..io.markers import Markers
 from ..recording import FloatArray, Truth
 from .align import HOLE_S
 from .marker_map import MarkerMap, find_markers
+from .mocap_fill import LONGEST_S, fill_on_plate
 from .rigid import find_shape, fit_poses, follow, plate_axes
 
+#: Joints whose markers are filled in the axes of the plate.
+ON_FOREARM = ("elbow", "wrist", "hand")
 #: Windows tried for smoothing the plate's pose, s; 0.16 s is a low-pass at about 10 Hz, as labs use it.
 SMOOTH_S = (0.06, 0.08, 0.12, 0.16, 0.2, 0.24, 0.32, 0.4)
 #: A map whose plate differs from the one that was seen by more than this is of another plate, m (rms).
@@ -69,19 +72,42 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
         index = find_markers(names, markers.names, marker_map.source, markers.source)
         return markers.position[:, index]
 
-    joints = {joint: places(names).mean(axis=1) for joint, names in marker_map.joints.items()}
+    plate = MocapMotion(markers.t_s, source=markers.source, notes=markers.notes)
+    if marker_map.plate:
+        plate = _with_plate(plate, places(marker_map.plate), marker_map)
+    seen = {joint: places(names) for joint, names in marker_map.joints.items()}
+    filled = {
+        joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in seen.items()
+    }
+    joints = {joint: each.mean(axis=1) for joint, (each, _) in filled.items()}
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
-    notes = list(markers.notes)
+    notes = list(plate.notes)
+    if any(count for _, count in filled.values()):
+        share = ", ".join(
+            f"{joint} {100 * count / each[..., 0].size:.1f} %"
+            for joint, (each, count) in filled.items()
+            if count
+        )
+        notes.append(
+            f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate ({share})."
+        )
     for joint, centre in joints.items():
         if not np.isfinite(centre).any():
             raise RecordingError(
                 f"{markers.source}: the markers of the {joint} ({', '.join(marker_map.joints[joint])}) are"
                 " never seen together; mend the map"
             )
-    motion = MocapMotion(
-        markers.t_s, joints, landmarks, source=markers.source, notes=(*notes, *_holes(joints))
-    )
-    return _with_plate(motion, places(marker_map.plate), marker_map) if marker_map.plate else motion
+    return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_holes(joints)))
+
+
+def _filled(plate: MocapMotion, seen: FloatArray) -> tuple[FloatArray, int]:
+    """Markers (N, M, 3) of a joint with short holes filled, and the number of samples that were."""
+    if plate.R_E_P is None or plate.p_E_P is None:
+        return seen, 0
+    parts = [
+        fill_on_plate(plate.t_s, seen[:, marker], plate.R_E_P, plate.p_E_P) for marker in range(seen.shape[1])
+    ]
+    return np.stack([path for path, _ in parts], axis=1), sum(count for _, count in parts)
 
 
 def motion_of_truth(truth: Truth, source: str) -> MocapMotion:
