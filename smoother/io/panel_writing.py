@@ -29,6 +29,10 @@ from .streams import ImuSamples
 DEPTH_TOPIC = "/camera/depth/image"
 INFRARED_TOPIC = "/camera/infrared/image"
 LENS_TOPIC = "/camera/depth/calibration"
+MARKER_TOPIC = "/mocap/markers"
+MOCAP = "mocap"
+#: Markers are shown as spheres of this size, m.
+SHOWN_M = 0.016
 CAMERA = "depth_camera"
 _TRUTH = "truth.toml"
 
@@ -150,7 +154,7 @@ def write_panel_recording(
     *,
     force: bool = False,
 ) -> None:
-    """Write the session as MCAP: depth (16UC1, mm) and infrared images, the lens, every IMU sample.
+    """Write the session as MCAP: depth (16UC1, mm) and infrared images, lens, mocap markers, IMU samples.
 
     Parameters
     ----------
@@ -176,6 +180,7 @@ def write_panel_recording(
         ):
             streams.append(_images(output, topic, encoding, stamp, images))
         streams.append(_lens(output, lens, stamp[:1]))
+        streams.append(_marker_stream(output, stamp, shots))
         output.write(streams)
 
 
@@ -216,6 +221,27 @@ def _lens(output: Output, lens: dict[str, Any], stamp: NDArray[np.int64]) -> Out
     data = message.SerializeToString(deterministic=True)
     channel = output.channel(LENS_TOPIC, "foxglove.CameraCalibration")
     return Outgoing(channel, stamp, lambda part: [data] * len(stamp[part]))
+
+
+def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[PanelShot]) -> Outgoing:
+    """A sphere a marker, in the mocap's frame."""
+
+    def encode(part: slice) -> list[bytes]:
+        out = []
+        for at, shot in zip(stamp[part], shots[part], strict=True):
+            message = message_class("foxglove.SceneUpdate")()
+            for name, position in zip(shot.marker_names, shot.markers, strict=True):
+                entity = message.entities.add(frame_id=MOCAP, id=name)
+                entity.timestamp.FromNanoseconds(int(at))
+                sphere = entity.spheres.add()
+                sphere.pose.position.x, sphere.pose.position.y, sphere.pose.position.z = position.tolist()
+                sphere.pose.orientation.w = 1.0
+                sphere.size.x = sphere.size.y = sphere.size.z = SHOWN_M
+                sphere.color.r = sphere.color.g = sphere.color.b = sphere.color.a = 1.0
+            out.append(message.SerializeToString(deterministic=True))
+        return out
+
+    return Outgoing(output.channel(MARKER_TOPIC, "foxglove.SceneUpdate"), stamp, encode)
 
 
 def _write_markers(path: Path, shot: PanelShot) -> None:
