@@ -1,0 +1,168 @@
+"""Images of a forearm with a dark strap: colour and depth, rendered by casting rays at simple bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.strap_lens import Lens
+
+from ..recording import FloatArray
+
+#: Brightness of skin, strap, marker, clothes and wall.
+SKIN, STRAP, MARKER, CLOTHES, WALL = 170.0, 25.0, 255.0, 80.0, 110.0
+WALL_M = 4.0
+#: Light falls from the camera and a little from above; the rest is ambient.
+AMBIENT = 0.45
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A forearm (a capsule) with its strap, in {K}, m.
+
+    Attributes
+    ----------
+    elbow, wrist : (3,) ends of its core.
+    radius : of the arm.
+    strap : distance of the strap's middle from the elbow along the arm; None for an arm without.
+    strap_width : along the arm.
+    marker : distance of a reflective ball from the strap's middle towards the elbow; None for none.
+    trunk : centre and half axes of an ellipsoid that may stand before the arm, or None.
+    """
+
+    elbow: FloatArray
+    wrist: FloatArray
+    radius: float = 0.035
+    strap: float | None = 0.2
+    strap_width: float = 0.03
+    marker: float | None = None
+    trunk: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def strap_core(self) -> FloatArray:
+        """(3,) the arm's core under the strap, m in {K}."""
+        assert self.strap is not None
+        return np.asarray(self.elbow + self.strap * self._y)
+
+    @property
+    def _y(self) -> FloatArray:
+        return np.asarray((self.wrist - self.elbow) / np.linalg.norm(self.wrist - self.elbow))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of the images; the defaults are those of a good camera in a lit room."""
+
+    brightness: float = 4.0
+    depth_m: float = 0.003
+    blur_px: float = 0.7
+    strap_holes: float = 0.7
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+def render(arm: Arm, lens: Lens, noise: Noise | None = None) -> tuple[NDArray[np.uint8], FloatArray]:
+    """Brightness (height, width) and depth (z in the lens's axes, m; nan where there is none).
+
+    Depth fails on most of a black strap, and on a reflective marker with a rim about it.
+    """
+    import cv2
+
+    column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    origin, rays = lens.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
+    grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
+    hole = np.zeros(len(rays), dtype=bool)
+    look = _near(lens, arm)
+    for surface in (_trunk, _capsule, _ball):
+        reach, shade, blind = surface(arm, origin, rays[look])
+        closer = reach < z[look]
+        index = np.flatnonzero(look)[closer]
+        z[index], grey[index], hole[index] = reach[closer], shade[closer], blind[closer]
+    shape = (lens.height, lens.width)
+    grey, z, hole = grey.reshape(shape), z.reshape(shape), hole.reshape(shape)
+    if noise is not None:
+        if noise.blur_px > 0:
+            grey = cv2.GaussianBlur(grey, (0, 0), noise.blur_px)
+        grey = grey + noise.rng.normal(0, noise.brightness, shape)
+        z = z + noise.rng.normal(0, noise.depth_m, shape) * (z / 2.0) ** 2
+        rim = cv2.dilate((grey >= 250).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        hole = (hole & (noise.rng.random(shape) < noise.strap_holes)) | rim
+        z = np.rint(1000 * z) / 1000  # depth images count millimetres
+    return np.clip(grey, 0, 255).astype(np.uint8), np.where(hole, np.nan, z)
+
+
+def _near(lens: Lens, arm: Arm) -> NDArray[np.bool_]:
+    """Pixels in which the arm or the trunk can be: the others see the wall."""
+    ends = np.stack([arm.elbow, arm.wrist])
+    if arm.trunk is not None:
+        centre, half = arm.trunk
+        ends = np.concatenate([ends, centre - half * np.eye(3), centre + half * np.eye(3)])
+    pixels, z = lens.pixels(ends)
+    margin = 1.6 * (arm.radius + 0.06) * lens.fx / float(np.nanmin(z))
+    low, high = np.nanmin(pixels, axis=0) - margin, np.nanmax(pixels, axis=0) + margin
+    column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    inside = (column > low[0]) & (column < high[0]) & (row > low[1]) & (row < high[1])
+    return np.asarray(inside.ravel())
+
+
+def _capsule(
+    arm: Arm, origin: FloatArray, rays: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Depth, brightness and blindness of the arm along rays (n, 3): a cylinder with round ends."""
+    y, length = arm._y, float(np.linalg.norm(arm.wrist - arm.elbow))
+    start = origin - arm.elbow
+    flat, base = rays - (rays @ y)[:, None] * y, start - (start @ y) * y
+    a, b = (flat**2).sum(axis=1), flat @ base
+    reach = _first(a, b, float(base @ base) - arm.radius**2)
+    along = start @ y + reach * (rays @ y)
+    reach = np.where((along >= 0) & (along <= length), reach, np.inf)
+    for end in (arm.elbow, arm.wrist):
+        off = origin - end
+        cap = _first((rays**2).sum(axis=1), rays @ off, float(off @ off) - arm.radius**2)
+        reach = np.minimum(reach, cap)
+    met = np.isfinite(reach)
+    points = origin + np.where(met, reach, 0.0)[:, None] * rays
+    along = (points - arm.elbow) @ y
+    normal = points - arm.elbow - np.clip(along, 0, length)[:, None] * y
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    light = -np.einsum("ni,ni->n", normal, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    colour, blind = np.full(len(rays), SKIN), np.zeros(len(rays), dtype=bool)
+    if arm.strap is not None:
+        blind = np.abs(along - arm.strap) < 0.5 * arm.strap_width
+        colour[blind] = STRAP
+    return reach, colour * (AMBIENT + (1 - AMBIENT) * np.clip(light, 0, 1)), blind & met
+
+
+def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """A reflective marker of 14 mm on the arm's near side."""
+    if arm.marker is None or arm.strap is None:
+        return np.full(len(rays), np.inf), np.zeros(len(rays)), np.zeros(len(rays), dtype=bool)
+    core = arm.strap_core - arm.marker * arm._y
+    into = core - origin
+    into = into - (into @ arm._y) * arm._y
+    off = origin - (core - (arm.radius + 0.007) * into / np.linalg.norm(into))
+    reach = _first((rays**2).sum(axis=1), rays @ off, float(off @ off) - 0.007**2)
+    return reach, np.full(len(rays), MARKER), np.isfinite(reach)
+
+
+def _trunk(
+    arm: Arm, origin: FloatArray, rays: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    nothing = np.zeros(len(rays), dtype=bool)
+    if arm.trunk is None:
+        return np.full(len(rays), np.inf), np.zeros(len(rays)), nothing
+    centre, half = arm.trunk
+    ray, off = rays / half, (origin - centre) / half
+    reach = _first((ray**2).sum(axis=1), ray @ off, float(off @ off) - 1.0)
+    # folds of the clothes: bands that a search for dark places may take for a strap
+    height = (origin + np.where(np.isfinite(reach), reach, 0)[:, None] * rays)[:, 1]
+    return reach, CLOTHES * (1 + 0.3 * np.sin(2 * np.pi * height / 0.06)), nothing
+
+
+def _first(a: FloatArray, b: FloatArray, c: float) -> FloatArray:
+    """Smaller root of a t^2 + 2 b t + c = 0; inf where there is none before the camera."""
+    square = b**2 - a * c
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reach = (-b - np.sqrt(square)) / a
+    return np.where((square > 0) & (reach > 0), reach, np.inf)
