@@ -31,7 +31,7 @@ BIAS_M_S2 = 0.03
 #: place, rad.
 IRON, ROOM_RAD = 0.05, np.radians(2.0)
 #: Magnetic dip is not asked for: any from the equator to the pole, rad.
-DIP_RAD = 0.8
+DIP_RAD = 3.0
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -208,7 +208,7 @@ class Problem:
         if self._mounting is not None:
             rows.near(3, at.R_P_I, Rotation.identity(), self._mounting)
         sigma = np.array([BIAS_M_S2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
-        rows.add(at.rest / sigma, {self._bias: np.diag(1 / sigma)})
+        rows.add((at.rest - start.rest) / sigma, {self._bias: np.diag(1 / sigma)})
 
     def _imu(self, at: Attitudes, i: int, imu: int) -> tuple[Rest, FloatArray]:
         pose, R_W = self._poses[i], (at.R_W_B, at.R_W_I)[imu]

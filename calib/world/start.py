@@ -13,6 +13,8 @@ from .chain import Attitudes, WorldPose
 _ROUNDS = 25
 #: Answers nearer than this are one; so many are followed up.
 _APART_RAD, _MOST = 0.3, 4
+#: Mean square (rad^2 a pose) by which a guess may fit worse than the best and still lead to the answer.
+_HOPELESS = 0.01
 #: A turn between poses counts as a direction where it is larger than this, rad.
 _TURN_RAD = 0.1
 _DIP_RAD = 0.8
@@ -35,7 +37,9 @@ def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
     starts = Rotation.create_group("O").as_matrix()
     tried = sorted((pairs.in_turn(R_P_I, _ROUNDS) for R_P_I in starts), key=lambda item: item[0])
     chosen: list[FloatArray] = []
-    for _, R_P_I in tried:
+    for loss, R_P_I in tried:
+        if loss > tried[0][0] + _HOPELESS * len(poses):
+            break
         apart = [Rotation.from_matrix(R_P_I.T @ other).magnitude() for other in chosen]
         if not apart or min(apart) > _APART_RAD:
             chosen.append(R_P_I)

@@ -124,6 +124,10 @@ def _next(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
             "To have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between "
             "some poses, the panel in view."
         )
-    elif sigma.tilt_deg > GOOD_DEG:
+    if not found.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
+        advice.append(
+            "Tilt the panel by 30 to 40 degrees, in each pose another way; rolls alone leave a turn open."
+        )
+    elif not sigma.heading_free and sigma.tilt_deg > GOOD_DEG:
         advice.append("Take more poses, the camera tilted anew for each, and hold each for two seconds.")
     return tuple(advice)

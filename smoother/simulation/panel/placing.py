@@ -11,6 +11,8 @@ from .lens import Lens
 
 #: The whole panel lies at least this far inside the image, pixels.
 MARGIN_PX = 6.0
+#: Height of the floor, the camera at 0, m.
+FLOOR_M = -1.1
 #: Tries before a range of poses is given up.
 _TRIES = 2000
 
@@ -22,9 +24,9 @@ def panel_corners(config: PanelSimulation) -> FloatArray:
 
 
 def place_panel(
-    config: PanelSimulation, lens: Lens, rng: np.random.Generator
+    config: PanelSimulation, lens: Lens, R_W_K: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """A pose of the panel in which the camera sees all of it.
+    """A pose of the panel above the floor in which the camera sees all of it.
 
     Returns
     -------
@@ -47,7 +49,7 @@ def place_panel(
         R_K_P = facing(ray, np.radians(tilt), rng.uniform(0, 2 * np.pi), np.radians(roll))
         p_K_P = distance * ray - R_K_P @ middle
         seen = corners @ R_K_P.T + p_K_P
-        if seen[:, 2].min() > 0.2:
+        if seen[:, 2].min() > 0.2 and (seen @ R_W_K[2]).min() > FLOOR_M + 0.05:
             pixel = lens.project(seen)
             if (pixel > MARGIN_PX).all() and (
                 pixel < np.array([lens.width, lens.height]) - 1 - MARGIN_PX
@@ -106,5 +108,5 @@ def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray
     R_W_E = Rotation.from_rotvec(np.radians([rng.normal(0, 0.5), rng.normal(0, 0.5), 0]))
     R_W_E = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * R_W_E
     p_W = R_W_K @ np.array([rng.uniform(-1, 1), 0, rng.uniform(1, 3)])
-    p_W[2] = -1.1
+    p_W[2] = FLOOR_M
     return R_W_K.T @ R_W_E.as_matrix(), R_W_K.T @ p_W

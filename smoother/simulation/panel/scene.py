@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from ...open3d_loader import load_open3d
 from ...recording import BoolArray, FloatArray
 from .config import PanelSimulation
-from .placing import panel_corners
+from .placing import FLOOR_M, panel_corners
 
 _ALBEDO = {"board": 0.55, "marker": 0.0, "hand": 0.7, "clothes": 0.35, "wall": 0.5, "floor": 0.3}
 _BOARD_M = 0.006  # thickness
-_CAMERA_HEIGHT_M = 1.1
 _WALL_M = 3.2
 #: A hand keeps this far from every marker, m.
 _HAND_FROM_MARKER_M = 0.09
@@ -109,7 +108,7 @@ def build_scene(
                 config.marker_diameter_m / 2, np.append(config.markers[index], config.marker_height_m), 40
             )
             scene.add("marker", _in_camera(scene, ball))
-    scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, -_CAMERA_HEIGHT_M]))
+    scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
     towards = R_K_W.T @ [0, 0, 1.0]
     wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
     scene.add("wall", _plane(-wall / np.linalg.norm(wall), np.array([0, 0, _WALL_M])))

@@ -140,7 +140,7 @@ def _pose(
     mocap_W: tuple[FloatArray, FloatArray],
     rng: np.random.Generator,
 ) -> PanelPose:
-    R_K_P, p_K_P = place_panel(config, lens, rng)
+    R_K_P, p_K_P = place_panel(config, lens, R_W_K, rng)
     scene = build_scene(config, R_K_P, p_K_P, R_W_K.T, rng)
     _distract(scene, lens, config.distractors, rng)
     ideal = render(scene, lens)

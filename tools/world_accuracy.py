@@ -1,0 +1,98 @@
+"""Accuracy of `calibrate world` on rendered sessions: camera from base IMU, tilt, mounting, sigmas.
+
+Example: .venv/bin/python tools/world_accuracy.py --seeds 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.panel.definition import Panel, intrinsics
+from calib.panel.images import view
+from calib.world.calibrate import WorldCalibration, calibrate_world, world_poses
+from calib.world.seen import view_panel
+from smoother.errors import UnoccludeError
+from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
+
+#: Sessions: what they are called, and their settings.
+SESSIONS = {
+    "camera turned between poses": {"camera_tilt_deg": 30.0, "tilt_deg": (15.0, 38.0)},
+    "camera stands still": {"tilt_deg": (15.0, 38.0)},
+    "camera stands still, magnetometers": {"magnetometer": True, "tilt_deg": (15.0, 38.0)},
+}
+LIMIT_DEG = 0.3
+
+
+def calibrated(panel: SimulatedPanel) -> WorldCalibration:
+    """The whole method on images and samples, as the command does it from a recording."""
+    config, lens = panel.config, panel.lens
+    known = Panel(np.array(config.markers), np.array(config.extent))
+    camera = intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, list(lens.distortion))
+    seen = [
+        view_panel(view(pose.depth, pose.infrared, f"pose {number}"), pose.t_s, known, camera)
+        for number, pose in enumerate(panel.poses, 1)
+    ]
+    count = len(seen)
+    return calibrate_world(*world_poses(seen, [panel.imu_panel] * count, [panel.imu_base] * count))
+
+
+def errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, float]:
+    """Degrees: camera from base IMU, its tilt, the mounting; and the tilt's error in sigmas."""
+    from calib.world.verdict import accuracy
+
+    error = Rotation.from_matrix(found.R_K_B @ panel.R_K_B.T).as_rotvec()
+    mounting = Rotation.from_matrix(found.R_P_I.T @ panel.R_P_I).magnitude()
+    tilts = []
+    for pose, row in zip(panel.poses, found.poses, strict=True):
+        up = row.base.acc - found.solution.at.rest[:3]
+        tilts.append(np.linalg.norm(np.cross(found.R_K_B @ up / np.linalg.norm(up), pose.R_W_K[2])))
+    sigma = accuracy(found)
+    return {
+        "rotation": float(np.degrees(np.linalg.norm(error))),
+        "tilt": float(np.degrees(max(tilts))),
+        "mounting": float(np.degrees(mounting)),
+        "tilt_sigma": sigma.tilt_deg,
+        "nees": float(error @ np.linalg.solve(found.solution.covariance[:3, :3], error) / 3),
+    }
+
+
+def main() -> int:
+    """Print a table; 1 where the limit is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20, help="sessions of each kind")
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--poses", type=int, default=6)
+    arguments = parser.parse_args()
+    print("6 poses, an ordinary phone's IMUs, panel IMU 3 degrees off; degrees, median / worst")
+    missed = False
+    for name, settings in SESSIONS.items():
+        rows = []
+        for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
+            panel = simulate_panel(PanelSimulation(poses=arguments.poses, **settings), seed)
+            try:
+                rows.append(errors(panel, calibrated(panel)))
+            except UnoccludeError as error:
+                print(f"  {name}, seed {seed}: {error}")
+                missed = True
+        if not rows:
+            continue
+        columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+        shown = ("rotation", "tilt", "mounting") if "turned" in name else ("tilt", "mounting")
+        shown = (*shown, "rotation") if "magnet" in name else shown
+        words = ", ".join(f"{key} {np.median(columns[key]):.2f} / {columns[key].max():.2f}" for key in shown)
+        inside = np.mean(columns["tilt"] <= 2 * np.sqrt(2) * columns["tilt_sigma"])
+        print(
+            f"  {name}: {words}; tilt within 2 sigma {100 * inside:.0f} %, NEES/3"
+            f" {columns['nees'].mean():.2f}"
+        )
+        if "turned" in name:
+            missed |= bool(columns["rotation"].max() > LIMIT_DEG)
+    return int(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
