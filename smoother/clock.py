@@ -16,8 +16,7 @@ import numpy as np
 from .recording import FloatArray, IntArray
 from .window import Solution, Window
 
-#: Offsets are estimated over cells of this length, s.
-CELL_S = 1.0
+#: Offsets of made-up stamps are estimated over cells of this length, s; others a window at a time.
 CELL_MADE_UP_S = 0.5
 #: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
 LARGEST_OFFSET_S = 0.4
@@ -39,8 +38,9 @@ RATE_TOLERANCE = 0.01
 SKEW_SIGMA = 5e-4
 SKEW_SPAN_S = 30.0
 SKEW_GAIN = 3.0
-#: An offset step is never longer than this, s.
+#: An offset step is never longer than this, s; information is never taken for less than a part of its bound.
 LONGEST_STEP_S = 0.06
+SMALLEST_PART = 0.02
 
 
 @dataclass(frozen=True)
@@ -108,28 +108,25 @@ class ClockFit:
 
     def __init__(self, clocks: Sequence[Clock], made_up: Sequence[bool]) -> None:
         self.clocks, self._made_up = list(clocks), list(made_up)
-        self._last: dict[int, tuple[float, float]] = {}
-        self._part = dict.fromkeys(range(len(clocks)), 0.5)
 
     def step(self, windows: Sequence[Window], solutions: Sequence[Solution], owner: IntArray) -> None:
         """Move every clock by what the residuals of another round say."""
         for number in np.unique(owner).tolist():
             chosen = np.flatnonzero(owner == number).tolist()
-            t, slope, bound = _pulls([windows[k] for k in chosen], [solutions[k] for k in chosen])
-            if bound.sum() > 0:
-                self.clocks[number] = self._moved(number, t, slope, bound)
+            pulls = _pulls([windows[k] for k in chosen], [solutions[k] for k in chosen])
+            if pulls.information.sum() > 0:
+                self.clocks[number] = self._moved(number, pulls)
 
-    def _moved(self, number: int, t: FloatArray, slope: FloatArray, bound: FloatArray) -> Clock:
+    def _moved(self, number: int, pulls: _Pulls) -> Clock:
         clock = self.clocks[number]
-        t = t - clock.mean_s  # back to the camera's clock, near enough to place knots
-        part = self._curvature(number, clock.mean_s, float(slope.sum()), float(bound.sum()))
-        cell_s = CELL_MADE_UP_S if self._made_up[number] else CELL_S
-        cell = np.floor((t - t.min()) / cell_s).astype(int)
-        pull = np.bincount(cell, weights=slope)
-        information = part * np.bincount(cell, weights=bound)
-        middle = t.min() + cell_s * (np.arange(len(pull)) + 0.5)
+        t = pulls.t - clock.mean_s  # back to the camera's clock, near enough to place knots
+        cell = np.floor(t / CELL_MADE_UP_S).astype(int) if self._made_up[number] else pulls.window
+        _, cell = np.unique(cell, return_inverse=True)
+        information = np.bincount(cell, weights=pulls.information)
         seen = information > 1e-6 * information.max()
-        middle, pull, information = middle[seen], pull[seen], information[seen]
+        information = information[seen]
+        pull = np.bincount(cell, weights=pulls.slope)[seen]
+        middle = (np.bincount(cell, weights=t) / np.bincount(cell))[seen]
         now = clock.at(middle)
         local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
         best, walk = _likeliest(middle, local, 1.0 / information, self._made_up[number])
@@ -148,38 +145,44 @@ class ClockFit:
             skew,
         )
 
-    def _curvature(self, number: int, offset: float, slope: float, bound: float) -> float:
-        """Part of the bound that the loss's second derivative is (secant; the states follow the rest)."""
-        if number in self._last:
-            before, steepness = self._last[number]
-            if abs(offset - before) > 2e-4:
-                self._part[number] = float(
-                    np.clip((steepness - slope) / (offset - before) / bound, 0.05, 1.0)
-                )
-        self._last[number] = (offset, slope)
-        return self._part[number]
+
+@dataclass(frozen=True)
+class _Pulls:
+    """Sample by sample, (n,) each: time, fall of the loss for a later offset, information, window.
+
+    The loss falls by residual . velocity / sigma^2 a second (envelope theorem). Information is
+    velocity^2 / sigma^2 less what the states follow of a shift (`offset.offset_information`).
+    """
+
+    t: FloatArray
+    slope: FloatArray
+    information: FloatArray
+    window: IntArray
 
 
-def _pulls(
-    windows: Sequence[Window], solutions: Sequence[Solution]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """For each sample: time, residual . velocity / sigma^2, and velocity^2 / sigma^2 (envelope theorem)."""
-    t, slope, bound = [], [], []
-    for window, solution in zip(windows, solutions, strict=True):
-        core = (window.t >= window.core_start_s) & (window.t <= window.core_end_s)
-        layout, states = window.priors.layout, solution.states
+def _pulls(windows: Sequence[Window], solutions: Sequence[Solution]) -> _Pulls:
+    """The samples of the windows' own parts."""
+    t, slope, information, number = [], [], [], []
+    for k, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
+        own, all_t, all_slope, bound = [], [], [], []
         for sight in window.sights:
-            is_lever = sight.joint in layout.joints
-            lever = solution.message.shared.mean[layout.lever(sight.joint)] if is_lever else np.zeros(3)
-            velocity = np.gradient(states.p + states.R @ lever, window.t, axis=0)[sight.node]
+            velocity = solution.states.v[sight.node] + sight.velocity
             residual = solution.residuals[sight.joint]
             size = np.linalg.norm(residual, axis=1) / sight.sigma_m
             weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / sight.sigma_m**2
-            own = core[sight.node]
-            t.append(window.t[sight.node][own])
-            slope.append((weight * np.einsum("ni,ni->n", residual, velocity))[own])
-            bound.append((weight * np.einsum("ni,ni->n", velocity, velocity))[own])
-    return np.concatenate(t), np.concatenate(slope), np.concatenate(bound)
+            own.append((sight.t_s >= window.core_start_s) & (sight.t_s <= window.core_end_s))
+            all_t.append(sight.t_s)
+            all_slope.append(weight * np.einsum("ni,ni->n", residual, velocity))
+            bound.append(weight * np.einsum("ni,ni->n", velocity, velocity))
+        if not own:
+            continue
+        core, most = np.concatenate(own), np.concatenate(bound)
+        part = np.clip(solution.offset_information / max(most.sum(), 1e-12), SMALLEST_PART, 1.0)
+        t.append(np.concatenate(all_t)[core])
+        slope.append(np.concatenate(all_slope)[core])
+        information.append(part * most[core])
+        number.append(np.full(int(core.sum()), k))
+    return _Pulls(*(np.concatenate(each) for each in (t, slope, information, number)))
 
 
 def _likeliest(

@@ -16,7 +16,7 @@ from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from .recording import JOINTS, FloatArray, IntArray
 from .shared import Layout
-from .window import Window
+from .window import Sight, Window
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
@@ -193,12 +193,34 @@ def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     for sight in window.sights:
         is_lever = sight.joint in window.priors.layout.joints
         key = L(JOINTS.index(sight.joint))
-        for node, position, sigma in zip(sight.node, sight.position, sight.sigma_m, strict=True):
+        for node, position, sigma in zip(*gathered(sight, window.noise.cauchy), strict=True):
             model = robust(float(sigma), window.noise.cauchy)
             if is_lever:
                 graph.add(gtsam.GPSFactorArmCalib(X(node), key, position, model))
             else:
                 graph.add(gtsam.GPSFactorArm(X(node), position, np.zeros(3), model))
+
+
+def gathered(sight: Sight, cauchy: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """A joint's samples node by node: nodes (m,), positions at the node (m, 3), sigmas (m,).
+
+    Samples that share a node are averaged, each weighted by Cauchy's loss about their median, so that one
+    that is far off costs itself and not the others.
+    """
+    at_node = sight.position - sight.shift
+    node, first, count = np.unique(sight.node, return_index=True, return_counts=True)
+    if len(node) == len(sight.node):
+        return sight.node, at_node, sight.sigma_m
+    rank = np.arange(len(sight.node)) - np.repeat(first, count)
+    group = np.repeat(np.arange(len(node)), count)
+    table = np.full((len(node), int(count.max()), 3), np.nan)
+    table[group, rank] = at_node
+    off = np.linalg.norm(at_node - np.nanmedian(table, axis=1)[group], axis=1) / sight.sigma_m
+    off[np.repeat(count, count) < 3] = 0.0  # two cannot outvote each other
+    weight = 1.0 / (1.0 + (off / cauchy) ** 2) / sight.sigma_m**2
+    total = np.bincount(group, weight)
+    mean = np.stack([np.bincount(group, weight * at_node[:, axis]) for axis in range(3)], axis=1)
+    return node, mean / total[:, None], np.round(1.0 / np.sqrt(total), 6)
 
 
 def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:

@@ -98,7 +98,14 @@ def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preint
     t : (n + 1,) increasing times inside the signal, s.
     bias : (6,) or (n, 6) accelerometer and gyroscope bias to take off, m/s^2 and rad/s.
     """
-    dt = np.diff(t)
+    return integrate_between(signal, t[:-1], t[1:], bias)
+
+
+def integrate_between(
+    signal: InertialSignal, start_s: FloatArray, end_s: FloatArray, bias: FloatArray
+) -> Preintegration:
+    """Integrate the signal over any intervals, (n,) each; as `integrate`."""
+    dt = end_s - start_s
     bias = np.broadcast_to(bias, (len(dt), 6))
     delta_R = np.tile(np.eye(3), (len(dt), 1, 1))
     delta_v, delta_p = np.zeros((len(dt), 3)), np.zeros((len(dt), 3))
@@ -106,7 +113,7 @@ def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preint
     for count in np.unique(steps):  # intervals of equal step count go together
         rows = np.flatnonzero(steps == count)
         h = dt[rows] / count
-        edges = t[rows, None] + h[:, None] * np.arange(count + 1)
+        edges = start_s[rows, None] + h[:, None] * np.arange(count + 1)
         rate = signal.mean(edges[:, :-1], edges[:, 1:]) - bias[rows, None]
         R, v, p = np.tile(np.eye(3), (len(rows), 1, 1)), np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
         for k in range(count):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .clock import stamps_made_up
+from .clock import LARGEST_OFFSET_S, stamps_made_up
 from .inertial import InertialSignal
 from .occlusion import accepted_samples, joints_needed
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, Recording
@@ -17,6 +17,8 @@ from .timing import split_at_pauses, steady
 FILTER_RATE_HZ = 120.0
 #: A piece shorter than this is not worth a filter, samples.
 FEWEST_SAMPLES = 8
+#: Frames kept beside a part of a piece: the largest clock offset and what a local fit needs, s.
+AROUND_S = LARGEST_OFFSET_S + 1.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,20 @@ class Piece:
     down_sigma_rad: float | None = None
 
     def between(self, start_s: float, end_s: float) -> Piece:
-        """The same piece, of which only a part (IMU clock) is looked at."""
-        return replace(self, start_s=max(start_s, self.start_s), end_s=min(end_s, self.end_s))
+        """The same piece, of which only a part (IMU clock) is looked at, with the frames around it."""
+        start_s, end_s = max(start_s, self.start_s), min(end_s, self.end_s)
+        first, last = np.searchsorted(self.frame_t, [start_s - AROUND_S, end_s + AROUND_S])
+        some = slice(int(first), int(last))
+        return replace(
+            self,
+            frame_t=self.frame_t[some],
+            position=self.position[some],
+            accepted=self.accepted[some],
+            reason=self.reason[some],
+            frames=slice(self.frames.start + some.start, self.frames.start + some.stop),
+            start_s=start_s,
+            end_s=end_s,
+        )
 
 
 def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Piece]:

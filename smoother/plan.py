@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from .arrays import interpolate
+from .carry import carry
 from .inertial import InertialSignal, equivalent_samples, integrate, split_blocks
 from .occlusion import occluded_at
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
@@ -36,7 +37,7 @@ class Stretch:
     t : (n,) nodes on the IMU's clock, s.
     start : start values at the nodes.
     frame_t : (f,) camera frames on the IMU's clock, s.
-    frame_node : (f,) node of each camera frame that has one, -1 where it has none.
+    frame_node : (f,) node that each camera frame is told to, -1 where there is none.
     position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
     gaps : the occluded stretches inside.
     liveliness : (n,) how much the sensor's acceleration varies, m/s^2.
@@ -110,7 +111,7 @@ def cut(
                 core_start_s=a,
                 core_end_s=b,
                 inertia=_inertia(stretch.signal, t, prior.shared.mean[prior.layout.bias]),
-                sights=_sights(stretch, lo, hi),
+                sights=_sights(stretch, lo, hi, prior, gravity_magnitude),
                 shoulder=_shoulder(stretch, lo, hi),
                 start=start,
                 velocity_change=_velocity_change(stretch, lo, hi),
@@ -155,19 +156,27 @@ def _inertia(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Inertia
     return Inertia(acc, gyro, h, first, bias, signal.velocity_error(t))
 
 
-def _sights(stretch: Stretch, lo: int, hi: int) -> tuple[Sight, ...]:
-    inside = (stretch.frame_node >= lo) & (stretch.frame_node < hi)
+def _sights(stretch: Stretch, lo: int, hi: int, prior: Priors, gravity_magnitude: float) -> tuple[Sight, ...]:
+    layout, mean = prior.layout, prior.shared.mean
+    inside = np.flatnonzero((stretch.frame_node >= lo) & (stretch.frame_node < hi))
+    node, frame_t = stretch.frame_node[inside], stretch.frame_t[inside]
+    gravity = layout.down(mean) * gravity_magnitude
+    way = carry(stretch.signal, stretch.t, stretch.start, frame_t, node, gravity, mean[layout.bias])
     sights = []
     for joint in FOREARM_JOINTS:
         column = JOINTS.index(joint)
-        frames = np.flatnonzero(inside & stretch.accepted[:, column])
-        if len(frames):
+        rows = np.flatnonzero(stretch.accepted[inside, column])
+        if len(rows):
+            lever = mean[layout.lever(joint)] if joint in layout.joints else np.zeros(3)
             sights.append(
                 Sight(
                     joint,
-                    stretch.frame_node[frames] - lo,
-                    stretch.position[frames, column],
-                    stretch.sigma_m[frames, column],
+                    frame_t[rows],
+                    node[rows] - lo,
+                    stretch.position[inside[rows], column],
+                    stretch.sigma_m[inside[rows], column],
+                    way.shift(lever)[rows],
+                    way.velocity(lever)[rows],
                 )
             )
     return tuple(sights)

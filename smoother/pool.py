@@ -67,10 +67,14 @@ class Pool:
             self._executor.shutdown(wait=error is None, cancel_futures=True)
 
     def solve(
-        self, windows: Sequence[Window], with_covariance: bool, done: Callable[[float], None]
+        self,
+        windows: Sequence[Window],
+        with_covariance: bool,
+        done: Callable[[float], None],
+        with_offset: bool = False,
     ) -> list[Solution]:
-        """Solve every window; `done` hears the share that is finished."""
-        job = partial(solve, with_covariance=with_covariance)
+        """Solve every window (see `solve.solve`); `done` hears the share that is finished."""
+        job = partial(solve, with_covariance=with_covariance, with_offset=with_offset)
         results: Iterator[Solution] = map(job, windows)
         if self._executor is not None:
             with _blank_main():

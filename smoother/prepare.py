@@ -19,7 +19,7 @@ from .start import (
     liveliness,
     states_from_camera,
 )
-from .timing import fill, thin
+from .timing import fill, gather, thin
 
 #: Beyond so much time from the last visible frame there is no answer, s.
 REACH_S = 10.0
@@ -52,21 +52,24 @@ def prepare(
     start_s, end_s = max(piece.start_s, seen[0] - REACH_S), min(piece.end_s, seen[-1] + REACH_S)
     if end_s - start_s < 0.1:
         return None
-    t = fill(seen[thin(seen)], start_s, end_s)
+    visible = enough_joints(accepted, piece.needed)
+    kept = np.flatnonzero(measured)[thin(seen)]
+    owner = kept[gather(frame_t[kept], visible[kept])]
+    t = fill(frame_t[np.unique(owner)], start_s, end_s)
     alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
     R = (alignment.at(t) * piece.attitude.at(t)).as_matrix()
     rows = np.flatnonzero(inside)
-    node = np.clip(np.searchsorted(t, frame_t[rows] - 1e-9), 0, len(t) - 1)
-    exact = np.abs(t[node] - frame_t[rows]) < 1e-9
+    frame_node = np.full(len(frame_t), -1)
+    node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)
+    frame_node[kept] = np.where(np.abs(t[node] - frame_t[owner]) < 1e-9, node, -1)
     imu_t, imu_position = _imu_positions(piece, frame_t, accepted, alignment, calibration)
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
-    visible = enough_joints(accepted, piece.needed)
     stretch = Stretch(
         signal=piece.signal,
         t=t,
         start=states_from_camera(t, R, imu_t, imu_position),
         frame_t=frame_t[rows],
-        frame_node=np.where(exact, node, -1),
+        frame_node=frame_node[rows],
         position=piece.position[rows],
         accepted=accepted[rows],
         sigma_m=np.tile(sigma_m, (len(rows), 1)),

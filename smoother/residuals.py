@@ -38,7 +38,7 @@ def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, J
     for window, solution in zip(windows, solutions, strict=True):
         for sight in window.sights:
             found.setdefault(sight.joint, []).append(solution.residuals[sight.joint])
-            times.setdefault(sight.joint, []).append(window.t[sight.node])
+            times.setdefault(sight.joint, []).append(sight.t_s)
     memory = _memory(found, times)
     return {joint: _noise(np.vstack(found[joint]), memory) for joint in found}
 

@@ -128,7 +128,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
             )
             windows += cuts
             owner += [piece.recording] * len(cuts)
-        answers = pool.solve(windows, False, lambda share: None)
+        answers = pool.solve(windows, False, lambda share: None, with_offset=True)
         motions = _motions(stretches, borders, windows, answers)
         found = calibration_from(
             combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m

@@ -12,6 +12,7 @@ from .arrays import interpolate
 from .errors import SolveError
 from .graph import bias_of_intervals, build, shared_jacobian, shared_keys
 from .marginals import Marginals, marginals_of
+from .offset import offset_information
 from .recording import JOINTS, FloatArray, IntArray
 from .shared import Gaussian
 from .window import Message, Solution, States, Window
@@ -30,12 +31,13 @@ NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.5
 
 
-def solve(window: Window, with_covariance: bool) -> Solution:
+def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> Solution:
     """Optimise a window with Levenberg-Marquardt and read its answer.
 
     Parameters
     ----------
     with_covariance : also the covariance of every node (a third of the time).
+    with_offset : also what the window says of the clock offset.
 
     Raises
     ------
@@ -79,6 +81,7 @@ def solve(window: Window, with_covariance: bool) -> Solution:
         residuals=_residuals(values, window, states),
         iterations=optimizer.iterations(),
         error=graph.error(values),
+        offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
     )
 
 
@@ -192,5 +195,5 @@ def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str
         key = L(JOINTS.index(sight.joint))
         lever = values.atPoint3(key) if sight.joint in window.priors.layout.joints else np.zeros(3)
         answer = states.p[sight.node] + states.R[sight.node] @ lever
-        residuals[sight.joint] = sight.position - answer
+        residuals[sight.joint] = sight.position - sight.shift - answer
     return residuals

@@ -114,7 +114,7 @@ def acceleration_pairs(
     linear functional (the quadratic coefficient of a least-squares parabola), so no filter differs.
     """
     step = 0.01
-    grid = np.arange(signal.start_s, signal.end_s, step)
+    grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
     force = signal.mean(grid[:-1], grid[1:])[:, :3]
     acc_E = attitude.at(0.5 * (grid[1:] + grid[:-1])).apply(force) - np.array([0.0, 0.0, gravity])
     velocity = np.vstack([np.zeros(3), np.cumsum(acc_E * step, axis=0)])
@@ -156,7 +156,8 @@ def liveliness(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray
     which turns gravity into a constant acceleration, does not count.
     """
     step = 0.02
-    edges = np.arange(signal.start_s, signal.end_s, step)
+    around = LIVELY_HALF_S + step
+    edges = np.arange(max(signal.start_s, t[0] - around), min(signal.end_s, t[-1] + around), step)
     force = signal.mean(edges[:-1], edges[1:])[:, :3]
     acc = attitude.at(0.5 * (edges[1:] + edges[:-1])).apply(force)
     acc -= acc.mean(axis=0)

@@ -7,15 +7,19 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from .recording import BoolArray, FloatArray, ImuStream
+from .recording import BoolArray, FloatArray, ImuStream, IntArray
 
 #: Longest interval between IMU samples that is bridged, s (or so many sample periods).
 PAUSE_S = 0.1
 PAUSE_SAMPLES = 5.0
 #: Node spacing where the camera gives nothing, s.
-GAP_NODE_S = 0.1
+GAP_NODE_S = 0.2
 #: Nodes keep at least so far apart, s; closer frames are left to their neighbour.
 CLOSEST_S = 0.008
+#: Frames up to so far from a node are carried to it, s, except so near to a gap, s: there the camera's last
+#: samples decide.
+CARRIED_S = 0.07
+FINE_S = 0.15
 #: Stamps that scatter by more than this part of a sample are steadied, over a span of time, s.
 STEADY_SCATTER = 0.08
 STEADY_SPAN_S = 4.0
@@ -41,6 +45,35 @@ def thin(t: FloatArray) -> BoolArray:
         keep[i] = t[i] - last >= CLOSEST_S
         last = t[i] if keep[i] else last
     return keep
+
+
+def gather(t: FloatArray, visible: BoolArray) -> IntArray:
+    """Which frame's node each frame is told to, (n,): itself, or the middle one of an odd group.
+
+    The IMU ties frames a few hundredths of a second apart much better than the camera sees them, so
+    that far from gaps a group of them can share one node (`carry`).
+
+    Parameters
+    ----------
+    t : (n,) increasing times of the frames that saw something of the forearm, s.
+    visible : (n,) frames that saw enough of it.
+    """
+    owner = np.arange(len(t))
+    if len(t) < 3:
+        return owner
+    dt = np.diff(t)
+    step = float(np.median(dt))
+    half = int(CARRIED_S / step)
+    if half < 1:
+        return owner
+    breaks = np.flatnonzero((dt > 2.5 * step) | (visible[1:] != visible[:-1])) + 1
+    size, fine = 2 * half + 1, int(np.ceil(FINE_S / step))
+    for a, b in pairwise([0, *breaks.tolist(), len(t)]):
+        count = (b - a - 2 * fine) // size
+        if count > 0 and visible[a]:
+            rows = a + fine + np.arange(count * size)
+            owner[rows] = a + fine + half + size * np.repeat(np.arange(count), size)
+    return np.where(np.abs(t - t[owner]) <= 1.5 * CARRIED_S, owner, np.arange(len(t)))
 
 
 def fill(t: FloatArray, start_s: float, end_s: float) -> FloatArray:

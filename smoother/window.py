@@ -54,15 +54,22 @@ class Sight:
     Attributes
     ----------
     joint : its name.
-    node : (k,) index of the node each belongs to.
+    t_s : (k,) frame times on the IMU's clock, s.
+    node : (k,) index of the node each belongs to, increasing.
     position : (k, 3) m in {K}.
     sigma_m : (k,) standard deviation an axis, m.
+    shift : (k, 3) joint at the frame less joint at the node, m in {K}, as the IMU has it; zero for a frame
+        that is a node.
+    velocity : (k, 3) joint's velocity at the frame less the IMU's at the node, m/s in {K}.
     """
 
     joint: str
+    t_s: FloatArray
     node: IntArray
     position: FloatArray
     sigma_m: FloatArray
+    shift: FloatArray
+    velocity: FloatArray
 
 
 @dataclass(frozen=True)
@@ -177,6 +184,7 @@ class Solution:
     bias : (n, 6) at the nodes.
     residuals : by joint, camera minus answer (k, 3) in the order of `Sight`.
     iterations, error : of the optimiser; `error` is half the weighted squared sum.
+    offset_information : on a clock offset of the window's own, 1/s^2; 0 where not asked for.
     """
 
     index: int
@@ -190,3 +198,4 @@ class Solution:
     residuals: dict[str, FloatArray]
     iterations: int
     error: float
+    offset_information: float = 0.0

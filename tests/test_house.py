@@ -30,6 +30,7 @@ AT_THE_TOP = {
     "smoother/graph.py": "gtsam",
     "smoother/solve.py": "gtsam",
     "smoother/marginals.py": "gtsam",
+    "smoother/offset.py": "gtsam",
     "smoother/report": "plotly",
 }
 LONGEST = 350

@@ -77,8 +77,8 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
     heard: list[Job] = []
     solve = smoother.pool.solve
 
-    def listen(window: Window, with_covariance: bool) -> Solution:
-        solution = solve(window, with_covariance)
+    def listen(window: Window, with_covariance: bool, with_offset: bool) -> Solution:
+        solution = solve(window, with_covariance, with_offset)
         heard.append(Job(window, with_covariance, solution))
         return solution
 

@@ -111,18 +111,18 @@ def calibrated(*recordings: Recording) -> MotionCalibration:
 
 @pytest.mark.parametrize(("latency_s", "seed"), [(-0.2, 0), (-0.07, 1), (0.0, 2), (0.12, 3), (0.2, 4)])
 def test_a_constant_offset(latency_s: float, seed: int) -> None:
-    """Nothing calibrated, white noise: to a millisecond, a thirtieth of a frame; and no drift invented."""
+    """Nothing calibrated, white noise: rms 0.8 ms over seeds, as sigma states; and no drift invented."""
     made = arm(seed, repetitions=1, latency_s=latency_s)
     (clock,) = calibrated(made.recording).knowledge.clocks
-    assert clock.mean_s == pytest.approx(-latency_s, abs=0.001)
+    assert clock.mean_s == pytest.approx(-latency_s, abs=0.002)
     assert clock.drift_s < 0.001
     assert abs(clock.mean_s + latency_s) < 4 * clock.sigma_s
 
 
-@pytest.fixture(scope="module")
-def fast_clock() -> tuple[Clock, FloatArray, FloatArray]:
+@pytest.fixture(scope="module", params=[1, 2])
+def fast_clock(request: pytest.FixtureRequest) -> tuple[Clock, FloatArray, FloatArray]:
     """300 ppm over five minutes: 9 cs, three frames. The clock, frame times, and its errors there, s."""
-    made, skew = arm(1, protocol="random", duration_s=300.0), 300e-6
+    made, skew = arm(request.param, protocol="random", duration_s=300.0), 300e-6
     tracks = made.recording.arm
     warped = replace(made.recording, arm=replace(tracks, t_s=tracks.t_s * (1.0 + skew)))
     (clock,) = calibrated(warped).knowledge.clocks
@@ -132,7 +132,7 @@ def fast_clock() -> tuple[Clock, FloatArray, FloatArray]:
 def test_a_clock_that_runs_fast(fast_clock: tuple[Clock, FloatArray, FloatArray]) -> None:
     """It is followed, also beyond the blocks looked at: a constant would be 4.5 cs off at both ends."""
     clock, _, error = fast_clock
-    assert clock.skew == pytest.approx(-300e-6, abs=20e-6)  # found: -290e-6
+    assert clock.skew == pytest.approx(-300e-6, abs=10e-6)  # found: within 3e-6
     assert np.sqrt(np.mean(error**2)) < 0.002
     assert np.abs(error).max() < 0.004
 

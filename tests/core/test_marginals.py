@@ -22,9 +22,9 @@ def test_dense_and_gtsam_agree(monkeypatch) -> None:  # type: ignore[no-untyped-
     seen: list[Window] = []
     real = smoother.pool.solve
 
-    def listen(window: Window, with_covariance: bool) -> object:
+    def listen(window: Window, **wanted: bool) -> object:
         seen.append(window)
-        return real(window, with_covariance)
+        return real(window, **wanted)
 
     monkeypatch.setattr(smoother.pool, "solve", listen)
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=6.0), seed=3)

@@ -21,13 +21,16 @@ from .scenes import Scene, arm, blind
 STEP_S = 1 / 30
 
 
+def sight_of(joint: str, node: np.ndarray, sigma_m: float) -> Sight:
+    """Samples at nodes, of which only time and sigma are looked at."""
+    nothing = np.zeros((len(node), 3))
+    return Sight(joint, STEP_S * node, node, nothing, np.full(len(node), sigma_m), nothing, nothing)
+
+
 def answered(residuals: dict[str, FloatArray], sigma_m: float = 0.01) -> tuple[Window, Solution]:
     """A window and an answer of which only times, samples and residuals are looked at."""
     count = max(map(len, residuals.values()))
-    sights = tuple(
-        Sight(joint, np.arange(len(each)), np.zeros_like(each), np.full(len(each), sigma_m))
-        for joint, each in residuals.items()
-    )
+    sights = tuple(sight_of(joint, np.arange(len(each)), sigma_m) for joint, each in residuals.items())
     window = SimpleNamespace(
         t=STEP_S * np.arange(count), sights=sights, noise=SimpleNamespace(cauchy=Config().camera.cauchy)
     )
@@ -77,7 +80,7 @@ def test_lost_frames_do_not_hide_the_memory() -> None:
         series = remembering(0.8, 0.008, 600, rng)
         kept = np.flatnonzero(rng.uniform(size=600) > 0.33)
         window, _ = answered({"wrist": series})
-        sight = Sight("wrist", kept, np.zeros((len(kept), 3)), np.full(len(kept), 0.01))
+        sight = sight_of("wrist", kept, 0.01)
         windows.append(cast(Window, SimpleNamespace(t=window.t, sights=(sight,), noise=window.noise)))
         solutions.append(cast(Solution, SimpleNamespace(residuals={"wrist": series[kept]})))
     assert joint_noise(windows, solutions)["wrist"].effective_m == pytest.approx(0.024, rel=0.3)
