@@ -14,12 +14,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from ..errors import RecordingError
+from ..recording import IntArray
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -72,6 +74,25 @@ class Message(NamedTuple):
     data: memoryview
 
 
+class Run(NamedTuple):
+    """Messages of one chunk as columns, (n,) each, in the file's order.
+
+    `topic` numbers the list `topics`; `data` are copies.
+    """
+
+    topics: list[Topic]
+    topic: IntArray
+    sequence: IntArray
+    log_ns: IntArray
+    publish_ns: IntArray
+    data: list[bytes]
+
+    def part(self, rows: slice) -> Run:
+        """Some of the messages."""
+        columns = (column[rows] for column in self[1:5])
+        return Run(self.topics, *columns, self.data[rows])  # type: ignore[arg-type]
+
+
 class Container:
     """A file to be read once, front to back.
 
@@ -117,22 +138,51 @@ class Container:
         for block in self._blocks():
             yield from self._messages(block)
 
+    def runs(self, wanted: Callable[[Topic], bool]) -> Iterator[Run]:
+        """Yield the messages of wanted topics a chunk at a time, in the file's order."""
+        topics: list[Topic] = []
+        numbers: dict[int, int] = {}  # by channel; -1: not wanted
+        for block in self._blocks():
+            rows: list[tuple[int, int, int, int]] = []
+            data: list[bytes] = []
+            for start, end in self._records_in(block):
+                channel, *rest = _MESSAGE.unpack_from(block, start)
+                number = numbers.get(channel)
+                if number is None:
+                    topic = self._channels.get(channel)
+                    if topic is None:
+                        continue
+                    number = numbers[channel] = len(topics) if wanted(topic) else -1
+                    if number >= 0:
+                        topics.append(topic)
+                if number >= 0:
+                    rows.append((number, *rest))
+                    data.append(block[start + _MESSAGE.size : end])
+            if rows:
+                table = np.array(rows, np.uint64).astype(np.int64).T
+                yield Run(topics, *table, data)
+
     def _messages(self, block: bytes) -> Iterator[Message]:
-        position, size = 0, len(block)
         view = memoryview(block)
         channels = self._channels
+        for start, end in self._records_in(block):
+            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(block, start)
+            topic = channels.get(channel)
+            if topic is not None:
+                yield Message(topic, sequence, log_ns, publish_ns, view[start + _MESSAGE.size : end])
+
+    def _records_in(self, block: bytes) -> Iterator[tuple[int, int]]:
+        """Yield where each message record's content starts and ends; schemas and channels are taken in."""
+        position, size, head, message = 0, len(block), _HEAD.unpack_from, int(Opcode.MESSAGE)
         while position + 9 <= size:
-            opcode, length = _HEAD.unpack_from(block, position)
+            opcode, length = head(block, position)
             start = position + 9
             position = start + length
             if position > size:
                 self._cut = True
                 return
-            if opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
-                channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(block, start)
-                topic = channels.get(channel)
-                if topic is not None:
-                    yield Message(topic, sequence, log_ns, publish_ns, view[start + 22 : position])
+            if opcode == message and length >= _MESSAGE.size:
+                yield start, position
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(opcode, block[start:position])
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..recording import IntArray
 from .chunks import ChunkedFile
-from .container import Message, Topic
+from .container import Run, Topic
 from .schemas import schema_data
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
@@ -88,7 +88,7 @@ class Output:
             self._channels[key] = self._file.channel(topic.name, topic.encoding, schema, topic.metadata)
         return self._channels[key]
 
-    def write(self, outgoing: Sequence[Outgoing], passed: Iterable[Message] = ()) -> None:
+    def write(self, outgoing: Sequence[Outgoing], passed: Iterable[Run] = ()) -> None:
         """Write streams, and messages of another file between them, by log time.
 
         Parameters
@@ -100,10 +100,16 @@ class Output:
         waiting = next(carried, None)
         for edge, batch in _slices(outgoing):
             held = 0
-            while waiting is not None and (waiting.log_ns < edge or edge == _END):
-                data = bytes(waiting.data)
-                batch.add(self._channel(waiting.topic), waiting, data)
-                held += len(data)
+            while waiting is not None:
+                late = waiting.log_ns >= edge
+                stop = int(np.argmax(late)) if late.any() and edge != _END else len(waiting.data)
+                if stop:
+                    part = waiting.part(slice(0, stop))
+                    batch.add(part, [self._channel(topic) for topic in part.topics])
+                    held += sum(map(len, part.data))
+                if stop < len(waiting.data):
+                    waiting = waiting.part(slice(stop, None))
+                    break
                 waiting = next(carried, None)
                 if held > _HELD_BYTES:
                     self._write(batch)
@@ -128,19 +134,21 @@ class _Batch:
 
     def __init__(self) -> None:
         self._encoded: list[tuple[int, IntArray, list[bytes]]] = []
-        self._carried: list[tuple[int, int, int, int]] = []
+        self._carried: list[NDArray] = []
         self._carried_data: list[bytes] = []
 
     def extend(self, channel: int, time_ns: IntArray, data: list[bytes]) -> None:
         self._encoded.append((channel, time_ns, data))
 
-    def add(self, channel: int, message: Message, data: bytes) -> None:
-        self._carried.append((channel, message.sequence, message.log_ns, message.publish_ns))
-        self._carried_data.append(data)
+    def add(self, run: Run, channels: list[int]) -> None:
+        """Messages carried over; `channels` of the run's topics."""
+        channel = np.array(channels, np.int64)[run.topic]
+        self._carried.append(np.stack([channel, run.sequence, run.log_ns, run.publish_ns], axis=1))
+        self._carried_data += run.data
 
     def sorted(self) -> tuple[IntArray, IntArray, IntArray, NDArray, list[bytes]]:
         """Channel, sequence (-1: to be numbered), log time, publish time, data; by log time."""
-        parts = [np.array(self._carried, np.uint64).reshape(-1, 4).astype(np.int64)]
+        parts = [np.zeros((0, 4), np.int64), *self._carried]
         for channel, time_ns, _ in self._encoded:
             part = np.full((len(time_ns), 4), -1, np.int64)
             part[:, 0] = channel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Collection
 
 import numpy as np
 
@@ -27,7 +28,7 @@ _SMALL_NS = 1_000_000 * _SECOND
 AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
 
 
-def open_recording(path: str | os.PathLike[str]) -> RecordingFile:
+def open_recording(path: str | os.PathLike[str], *, only: Collection[str] = ()) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of.
 
     Streams are found by schema. Images are passed over. A file that was cut off gives what it has.
@@ -35,6 +36,7 @@ def open_recording(path: str | os.PathLike[str]) -> RecordingFile:
     Parameters
     ----------
     path : the file.
+    only : topics: read on only until they and an IMU were met, for what holds from the first message on.
 
     Returns
     -------
@@ -62,6 +64,8 @@ def open_recording(path: str | os.PathLike[str]) -> RecordingFile:
             decoder = decoders[position]
             if decoder is not None and messages:
                 decoder.feed(messages)
+        if only and _met(only, [container.topics[position] for position in decoders], by_topic):
+            break
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.topics = [
@@ -70,6 +74,12 @@ def open_recording(path: str | os.PathLike[str]) -> RecordingFile:
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None])
     _take_metadata(file)
     return file
+
+
+def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
+    """Whether these and an IMU are among the topics that had messages."""
+    is_imu = any(isinstance(decoder[id(topic)], ImuDecoder) for topic in topics)
+    return is_imu and set(only) <= {topic.name for topic in topics}
 
 
 def read_recording(

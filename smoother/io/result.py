@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from ..result import Recovery
 from .atomic import check_output, writing
-from .container import Container, Message
+from .container import Container, Run, Topic
 from .merge import Outgoing, Output
 from .reading import METADATA, RESULT_PREFIX, open_recording
 from .recording_writing import CAMERA
@@ -59,7 +59,7 @@ def write_recovery(
     frames: dict[str, str] = {}
     shift = 0
     if source is not None:
-        file = open_recording(source)
+        file = open_recording(source, only={recovery.arm.name for recovery in results})
         frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
         shift = file.imus[0].log_shift_ns if file.imus else 0
         # A recorder's delay is no reason to move; a sensor that counts from its own start is.
@@ -72,12 +72,13 @@ def write_recovery(
             outgoing += RecoveryStreams(
                 output, recovery, suffix, frames.get(recovery.arm.name, CAMERA), shift
             ).all()
-        passed: Iterator[Message] = iter(())
+        passed: Iterator[Run] = iter(())
         if source is not None:
-            if METADATA in file.metadata:
-                output.metadata(METADATA, file.metadata[METADATA])
-            passed = _carried(Container(source), passthrough_images)
+            container = Container(source)
+            passed = _carried(container, passthrough_images)
         output.write(outgoing, passed)
+        if source is not None and METADATA in container.metadata:  # wherever in the source it stands
+            output.metadata(METADATA, container.metadata[METADATA])
 
 
 def _label(results: Sequence[Recovery], number: int) -> str:
@@ -94,9 +95,10 @@ def _version() -> str:
         return "unknown"
 
 
-def _carried(source: Container, passthrough_images: bool) -> Iterator[Message]:
-    for message in source.messages():
-        if message.topic.name.startswith(RESULT_PREFIX):
-            continue
-        if passthrough_images or not _IMAGES.search(message.topic.schema):
-            yield message
+def _carried(source: Container, passthrough_images: bool) -> Iterator[Run]:
+    def wanted(topic: Topic) -> bool:
+        if topic.name.startswith(RESULT_PREFIX):
+            return False
+        return passthrough_images or not _IMAGES.search(topic.schema)
+
+    return source.runs(wanted)
