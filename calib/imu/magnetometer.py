@@ -34,6 +34,9 @@ LARGEST_RESIDUAL = 0.15
 LARGE_RESIDUAL = 0.04
 #: Residuals farther off than this many scaled median deviations pull no more than one there.
 _FAR = 3.0
+#: Samples so many scaled median deviations off are strays, and so large a share of them is worth a word.
+_STRAY = 6.0
+STRAY_SHARE = 0.005
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,10 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
     # about the middle and in units of the spread, so that the equations are well scaled
     middle, scale = samples.mean(axis=0), float(np.sqrt(np.mean(np.var(samples, axis=0)) * 3.0))
     even = (samples - middle) / scale
-    offset, matrix = refine(even, *fit_ellipsoid(even))
+    first = fit_ellipsoid(even)
+    rough = np.linalg.norm((even - first[0]) @ first[1], axis=1) - 1.0
+    _check_residual(0.5 * float(np.sqrt(np.mean(rough**2))))  # a magnet that passed may have pulled it
+    offset, matrix = refine(even, *first)
     radii = np.sort(scale / np.linalg.eigvalsh(matrix))
     found = MagnetometerCalibration(
         offset=middle + scale * offset,
@@ -106,7 +112,7 @@ def calibrate_magnetometer(raw: FloatArray) -> MagnetometerCalibration:
         radii,
         len(samples),
         coverage,
-        tuple(_remarks(residual, coverage)),
+        tuple(_remarks(length - 1.0, residual, coverage)),
     )
 
 
@@ -163,7 +169,13 @@ def refine(points: FloatArray, centre: FloatArray, matrix: FloatArray) -> tuple[
     start = np.concatenate([centre, matrix[rows, columns]])
     spread = 1.4826 * float(np.median(np.abs(residual(start))))
     answer = least_squares(
-        residual, start, jacobian, loss="soft_l1", f_scale=max(_FAR * spread, 1e-6), x_scale="jac"
+        residual,
+        start,
+        jacobian,
+        loss="soft_l1",
+        f_scale=max(_FAR * spread, 1e-6),
+        x_scale="jac",
+        max_nfev=40,
     )
     return unpack(answer.x)
 
@@ -193,6 +205,10 @@ def _check(radii: FloatArray, residual: float, coverage: Coverage) -> None:
             f"the magnetometer's ellipsoid is {radii[2] / radii[0]:.1f} times as long as it is wide, which"
             " soft iron does not do; turn the sensor about all its axes, away from magnets."
         )
+    _check_residual(residual)
+
+
+def _check_residual(residual: float) -> None:
     if residual > LARGEST_RESIDUAL:
         raise CalibrationError(
             f"the magnetometer's samples lie {100 * residual:.0f} % off their ellipsoid (root mean square):"
@@ -201,8 +217,16 @@ def _check(radii: FloatArray, residual: float, coverage: Coverage) -> None:
         )
 
 
-def _remarks(residual: float, coverage: Coverage) -> list[str]:
+def _remarks(off: FloatArray, residual: float, coverage: Coverage) -> list[str]:
     said = []
+    spread = 1.4826 * float(np.median(np.abs(off)))
+    stray = float(np.mean(np.abs(off) > max(_STRAY * spread, LARGE_RESIDUAL)))
+    if stray > STRAY_SHARE:
+        said.append(
+            f"{100 * stray:.1f} % of the samples lie far off the rest and hardly counted: something of iron"
+            " came"
+            " near for a while"
+        )
     if coverage.hole_rad > LARGE_HOLE_RAD:
         said.append(
             f"{np.degrees(coverage.hole_rad):.0f} degrees of the sphere around the sensor's "
