@@ -229,7 +229,11 @@ def _masked_correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, Float
 def _refine(
     signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, lag: float, correlation: float
 ) -> MocapClock:
-    """Least squares with Cauchy's loss over offset, skew and (where not known) the plate's rotation."""
+    """Least squares with Cauchy's loss over offset, skew and how the plate's turns show in the IMU.
+
+    The last is a whole matrix, close to the plate's rotation: the gyroscope's scale and cross-axis errors
+    are in it, which would else pull at the clock.
+    """
     t = t_answer[:: max(1, int(0.02 / max(np.median(np.diff(t_answer)), 1e-6)))]
     measured = signals.answer(t)
     inside = (t - lag >= t_truth[0]) & (t - lag <= t_truth[-1]) & np.isfinite(measured).any(axis=1)
@@ -237,13 +241,13 @@ def _refine(
     centre = float(np.mean(t - lag))  # on the mocap's clock: offset and skew hang together least there
     offset, skew = lag, 0.0
     mount = signals.mount
-    if signals.solves_mount:
+    if isinstance(signals, _Turns) and mount is None:
         mount = _first_mount(measured, signals.truth(t - lag))
 
     def mounted(values: FloatArray) -> FloatArray:
         return values if mount is None else values @ mount.T
 
-    size = 5 if signals.solves_mount else 2
+    size = 2 if mount is None else 11
     information, block_sum = np.eye(size), np.eye(size)
     for _ in range(12):
         at = centre + (t - offset - centre) / (1.0 + skew)
@@ -253,13 +257,14 @@ def _refine(
         good = np.isfinite(residual) & np.isfinite(rate)
         by_offset = np.where(good, mounted(rate), 0.0)
         columns = [by_offset, by_offset * (at - centre)[:, None]]
-        if signals.solves_mount:
+        if mount is not None:
             turned = np.where(good, mounted(model), 0.0)
-            columns += [np.cross(turned, axis) for axis in np.eye(3)]
+            columns += [-np.eye(3)[i] * turned[:, j, None] for i in range(3) for j in range(3)]
         residual = np.where(good, residual, 0.0)
         spread = 1.4826 * np.median(np.abs(residual[good])) if good.any() else 1.0
         weight = good / (1.0 + (residual / max(spread, 1e-9)) ** 2)
-        # the derivative of the residual is + rate by the offset, + turned x axis by a turn of the mount
+        # the derivative of the residual is + rate by the offset, - turned_j in row i by entry ij of a
+        # matrix that is put before the mount
         design = np.stack(columns, axis=2)
         information = np.einsum("nd,ndi,ndj->ij", weight, design, design)
         gradient = np.einsum("ndi,nd->ni", design, weight * residual)
@@ -270,8 +275,8 @@ def _refine(
         step = -np.linalg.solve(information + 1e-15 * np.trace(information) * np.eye(size), pull)
         offset += float(np.clip(step[0], -0.1, 0.1))
         skew += float(step[1])
-        if signals.solves_mount:
-            mount = Rotation.from_rotvec(step[2:]).as_matrix() @ mount
+        if mount is not None:
+            mount = (np.eye(3) + step[2:].reshape(3, 3)) @ mount
         block_sum = _by_blocks(t, gradient)
         if abs(step[0]) < 1e-8 and abs(step[1]) < 1e-9:
             break
@@ -286,11 +291,22 @@ def _refine(
         skew_sigma=float(np.sqrt(max(covariance[1, 1], 0.0))),
         correlation=correlation,
         by=signals.by,
-        R_A_P=mount if signals.solves_mount else None,
-        mount_sigma_rad=float(np.sqrt(np.trace(covariance[2:, 2:])))
-        if signals.solves_mount
-        else float("nan"),
+        R_A_P=_nearest_rotation(mount) if signals.solves_mount and mount is not None else None,
+        mount_sigma_rad=_turn_sigma(covariance[2:, 2:]) if signals.solves_mount else float("nan"),
     )
+
+
+def _nearest_rotation(matrix: FloatArray) -> FloatArray:
+    U, _, Vt = np.linalg.svd(matrix)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _turn_sigma(covariance: FloatArray) -> float:
+    """Sigma of the turn, rad, of a matrix near one whose entries have this covariance (9, 9)."""
+    turn = np.zeros((3, 9))
+    for axis, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        turn[axis, 3 * i + j], turn[axis, 3 * j + i] = 0.5, -0.5
+    return float(np.sqrt(max(np.trace(turn @ covariance @ turn.T), 0.0)))
 
 
 def _by_blocks(t: FloatArray, gradient: FloatArray) -> FloatArray:

