@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import D
@@ -34,8 +32,11 @@ def offset_information(
             keys, A = jacobian.keys(), jacobian.getA()
             weight = np.linalg.norm(A[:, 3:6]) / np.sqrt(3.0)  # whitened: a rotation times this
             column = weight * next(velocity)[:, None]
-            blocks: list[Any] = [keys[0], A[:, :6], *([keys[1], A[:, 6:]] if len(keys) > 1 else []), D(0), column]
-            factor = gtsam.JacobianFactor(*blocks, jacobian.getb(), unit)
+            pose, b = (keys[0], A[:, :6]), jacobian.getb()
+            if len(keys) > 1:
+                factor = gtsam.JacobianFactor(*pose, keys[1], A[:, 6:], D(0), column, b, unit)
+            else:
+                factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
         whole.push_back(factor)
     marginal = whole.marginal([D(0)])
     return scatter + float(sum(marginal.at(i).information()[0, 0] for i in range(marginal.size())))

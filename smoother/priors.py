@@ -33,9 +33,10 @@ def first_priors(
     """The same priors for every window of a first pass."""
     longest = int(np.argmax([len(stretch.t) for stretch in stretches]))
     down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
-    down_sigma_rad = GRAVITY_SIGMA_RAD
-    if pieces[longest].down_sigma_rad is not None:  # a base IMU knows it better than the arm's motion
-        down, down_sigma_rad = pieces[longest].down, pieces[longest].down_sigma_rad
+    known_sigma_rad = pieces[longest].down_sigma_rad
+    if known_sigma_rad is not None:  # a base IMU knows it better than the arm's motion
+        down = pieces[longest].down
+    down_sigma_rad = GRAVITY_SIGMA_RAD if known_sigma_rad is None else known_sigma_rad
     seen_shoulder = any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches)
     layout = Layout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),

@@ -89,8 +89,14 @@ class Run(NamedTuple):
 
     def part(self, rows: slice) -> Run:
         """Some of the messages."""
-        columns = (column[rows] for column in self[1:5])
-        return Run(self.topics, *columns, self.data[rows])  # type: ignore[arg-type]
+        return Run(
+            self.topics,
+            self.topic[rows],
+            self.sequence[rows],
+            self.log_ns[rows],
+            self.publish_ns[rows],
+            self.data[rows],
+        )
 
 
 class Container:
@@ -159,8 +165,8 @@ class Container:
                     rows.append((number, *rest))
                     data.append(block[start + _MESSAGE.size : end])
             if rows:
-                table = np.array(rows, np.uint64).astype(np.int64).T
-                yield Run(topics, *table, data)
+                topic_of, sequence, log_ns, publish_ns = np.array(rows, np.uint64).astype(np.int64).T
+                yield Run(topics, topic_of, sequence, log_ns, publish_ns, data)
 
     def _messages(self, block: bytes) -> Iterator[Message]:
         view = memoryview(block)
