@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
 from .blobs import Blobs, find_blobs
@@ -16,8 +15,10 @@ from .frame import Frame, fit_frame, frame_of_markers, frame_of_points
 from .identify import (
     EDGE_ON_DEG,
     SEE_DEPTH,
+    TURN_IT,
     DepthMissing,
-    NotIdentified,
+    EdgeOn,
+    NotSeen,
     Reading,
     identify_markers,
     identify_spots,
@@ -167,9 +168,8 @@ def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
     distance = float(np.linalg.norm(middle))
     tilt = float(np.degrees(np.arccos(np.clip(-(plane.normal @ middle) / distance, -1, 1))))
     if tilt > EDGE_ON_DEG:
-        raise CalibrationError(
-            f"{view.name}: the panel is seen edge-on ({tilt:.0f} degrees from facing the camera); turn it"
-            " towards the camera, within 40 degrees."
+        raise EdgeOn(
+            f"{view.name}: the panel is seen edge-on, {tilt:.0f} degrees from facing the camera; {TURN_IT}"
         )
     inside = plane.inliers
     regions = on_plane(regions, inside, panel)
@@ -206,11 +206,11 @@ def pose_data(
 
 def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading, FloatArray]:
     """Bright spots at the first threshold at which four of them are the panel's."""
-    said: list[tuple[int, CalibrationError]] = []
+    said: list[tuple[int, NotSeen]] = []
     for blobs in find_blobs(view.infrared, lens):
         try:
             return blobs, *identify_spots(blobs, view.depth_m, lens.ray_image(), panel, view.name)
-        except (NotIdentified, DepthMissing) as error:
+        except NotSeen as error:
             error.add(view, blobs)
             said.append((len(blobs), error))
             if error.final:

@@ -23,6 +23,7 @@ AS_GOOD, MORE_M = 3.0, 0.0015
 #: Steeper against the line of sight than this a panel is edge-on, degrees between normal and line of sight.
 EDGE_ON_DEG = 65.0
 SEE_DEPTH = "see that the camera measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
+TURN_IT = "turn it towards the camera, within 40 degrees of facing it."
 _PAIRS = np.array(list(combinations(range(4), 2)))
 _ORDERS = np.array(list(permutations(range(4))))
 
@@ -49,6 +50,14 @@ class NotSeen(CalibrationError):
 
 class NotIdentified(NotSeen):
     """The four markers could not be told; a picture of what was seen helps."""
+
+
+class MirrorImage(NotSeen):
+    """The panel's definition is the mirror image of the panel."""
+
+
+class EdgeOn(NotSeen):
+    """The panel is seen too flat."""
 
 
 class DepthMissing(NotSeen):
@@ -92,9 +101,9 @@ def identify_spots(
     Raises
     ------
     NotIdentified
-        Fewer than four spots, none or several ways to read them, or the panel's mirror image.
-    DepthMissing
-        The depth between the spots is missing.
+        Fewer than four spots, none or several ways to read them.
+    MirrorImage, EdgeOn, DepthMissing
+        The definition is mirrored, the panel is seen too flat, the depth between the spots is missing.
     """
     if len(blobs) < 4:
         count = ("no bright spot is", "one bright spot is", "two bright spots are", "three bright spots are")
@@ -113,13 +122,13 @@ def identify_spots(
     readings = _readings(places, sets, panel.markers_P, SCALE)
     facing = [r for r in readings if _faces(places, sets, r, panel)]
     if not facing and readings:
-        raise NotIdentified(
+        raise MirrorImage(
             f"{name}: the markers are the mirror image of the panel's definition; give its markers as seen"
             " from the side of the markers, x along the longer arm and x cross y towards the camera.",
             final=True,
         )
     if not facing:
-        raise NotIdentified(f"{name}: {_why_none(blobs, places, sets)}")
+        raise _none_fits(name, blobs, places)
     best = _clearly_best(
         facing,
         f"{name}: {len(blobs)} bright spots are to be seen and more than one way fits them to the panel;"
@@ -228,23 +237,20 @@ def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> tuple
     return np.where(known[:, None], refined, theta), known
 
 
-def _why_none(blobs: Blobs, places: FloatArray, sets: FloatArray) -> str:
-    """What to say where no four spots fit the panel."""
-    if len(blobs) == 4 and len(sets) == 1:
-        at = places[0]
-        centre = at.mean(axis=0)
-        if np.isfinite(centre).all():
-            normal = np.linalg.svd(at - centre)[2][2]
-            angle = np.degrees(np.arccos(min(abs(normal @ centre) / np.linalg.norm(centre), 1.0)))
-            if angle > EDGE_ON_DEG - 10:
-                return (
-                    "the panel is seen edge-on; turn it towards the camera, within 40 degrees of facing it."
-                )
-        return (
-            "the four bright spots do not have the distances of the panel's definition; see that all four are"
-            " markers of this panel, and that the panel was measured in metres."
+def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
+    """What to say where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
+    if len(blobs) > 4:
+        return NotIdentified(
+            f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition; see"
+            " that all four markers are to be seen, and cover what else reflects."
         )
-    return (
-        f"of {len(blobs)} bright spots no four have the distances of the panel's definition; see that all"
-        " four markers are to be seen, and cover what else reflects."
+    centre = places[0].mean(axis=0)
+    if np.isfinite(centre).all():
+        normal = np.linalg.svd(places[0] - centre)[2][2]
+        angle = np.degrees(np.arccos(min(abs(normal @ centre) / np.linalg.norm(centre), 1.0)))
+        if angle > EDGE_ON_DEG - 10:
+            return EdgeOn(f"{name}: the panel is seen edge-on; {TURN_IT}")
+    return NotIdentified(
+        f"{name}: the four bright spots do not have the distances of the panel's definition; see that all"
+        " four are markers of this panel, and that the panel was measured in metres."
     )

@@ -153,7 +153,8 @@ def pictured(path: Path) -> Iterator[None]:
 
         with writing(path, force=True) as temporary:
             temporary.write_bytes(drawn_spots(error.view.infrared, error.blobs))
-        raise type(error)(f"{error} What was seen is drawn in {path}.") from error
+        text = str(error).rstrip(".")
+        raise NotIdentified(f"{text}; what was seen is drawn in {path}.") from error
 
 
 def _words(found: PanelCalibration) -> dict[str, Any]:
