@@ -146,9 +146,11 @@ def _add_person(scene: Scene, R_K_W: FloatArray, rng: np.random.Generator) -> No
     elbow = palm - 0.25 * inward - [0, 0, 0.15]
     scene.add("clothes", _in_camera(scene, _rod(palm, elbow, 0.035)))
     # The body stands upright behind the panel.
-    middle = scene.R_K_P @ panel_corners(scene.config).mean(axis=0) + scene.p_K_P
-    chest = middle * (1 + rng.uniform(0.3, 0.45) / np.linalg.norm(middle))
-    up = R_K_W @ [0, 0, 1.0]
+    corners = panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P
+    middle, up = corners.mean(axis=0), R_K_W @ [0, 0, 1.0]
+    back = middle - up * (up @ middle)
+    back /= np.linalg.norm(back)
+    chest = middle + back * (((corners - middle) @ back).max() + 0.17 + rng.uniform(0.08, 0.25))
     scene.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
     scene.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
 

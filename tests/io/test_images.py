@@ -1,0 +1,123 @@
+"""Images and lenses of recordings: ROS 2 and Foxglove, raw and compressed, damaged ones told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import ros_bags
+
+from smoother.errors import RecordingError
+from smoother.io.atomic import writing
+from smoother.io.images import ImageMessage, LensMessage, read_images
+from smoother.io.merge import Outgoing, Output
+from smoother.io.panel_session import read_pairs
+from smoother.io.schemas import message_class
+
+_TAIL = ros_bags.IMAGE.partition("uint8[] data\n")[2]
+COMPRESSED = "std_msgs/Header header\nstring format\nuint8[] data\n" + _TAIL
+CAMERA_INFO = (
+    "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\n" + _TAIL
+)
+K = [365.0, 0.0, 250.0, 0.0, 366.0, 210.0, 0.0, 0.0, 1.0]
+
+
+def pictures() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return rng.integers(0, 4000, (6, 5)).astype(np.uint16), rng.integers(0, 65535, (6, 5)).astype(np.uint16)
+
+
+def raw(ns: int, frame: str, image: np.ndarray, encoding: str, big: bool = False, pad: int = 0) -> dict:
+    rows = image.astype(image.dtype.newbyteorder(">" if big else "<")).view(np.uint8).reshape(len(image), -1)
+    rows = np.hstack([rows, np.zeros((len(rows), pad), np.uint8)])
+    return {
+        "header": ros_bags.header(ns, frame),
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "encoding": encoding,
+        "is_bigendian": int(big),
+        "step": rows.shape[1],
+        "data": rows.tobytes(),
+    }
+
+
+def info(ns: int, model: str, d: list[float]) -> dict:
+    names = {"distortion_model": model, "d": d, "k": K, "r": [0.0] * 9, "p": [0.0] * 12}
+    return {"header": ros_bags.header(ns, "depth_camera"), "height": 6, "width": 5, **names}
+
+
+@pytest.mark.parametrize(("big", "pad"), [(False, 0), (True, 0), (False, 6)])
+def test_ros_images_come_back(tmp_path: Path, big: bool, pad: int):
+    depth, infrared = pictures()
+    path = tmp_path / "ros.mcap"
+    with ros_bags.Bag(path) as bag:
+        for k in range(3):  # three frames of one pose
+            ns = 5_000_000_000 + k * 33_000_000
+            image = raw(ns, "depth_camera", depth + k, "16UC1", big, pad)
+            bag.write("/depth/image_raw", "sensor_msgs/msg/Image", ros_bags.IMAGE, image, ns)
+            _, packed = cv2.imencode(".png", infrared)
+            message = {
+                "header": ros_bags.header(ns + 5_000_000, "ir"),
+                "format": "png",
+                "data": packed.tobytes(),
+            }
+            bag.write("/ir/compressed", "sensor_msgs/msg/CompressedImage", COMPRESSED, message, ns)
+        lens = info(5_000_000_000, "rational_polynomial", [0.1, -0.2, 0.001, 0.002, 0.05, 0.0, 0.0, 0.0])
+        bag.write("/depth/camera_info", "sensor_msgs/msg/CameraInfo", CAMERA_INFO, lens, 5_000_000_000)
+    ((first, second),), camera = read_pairs(path)
+    np.testing.assert_array_equal(first.pixels(), depth + 1)  # the middle one
+    np.testing.assert_array_equal(second.pixels(), infrared)
+    assert (first.stamp_ns, first.frame_id) == (5_033_000_000, "depth_camera")
+    assert camera is not None and camera.distortion == (0.1, -0.2, 0.001, 0.002, 0.05)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (365.0, 366.0, 250.0, 210.0, 5)
+
+
+def test_foxglove_compressed_images_come_back(tmp_path: Path):
+    depth, _ = pictures()
+    path = tmp_path / "foxglove.mcap"
+    _, packed = cv2.imencode(".png", depth)
+    message = message_class("foxglove.CompressedImage")(frame_id="c", format="png", data=packed.tobytes())
+    message.timestamp.FromNanoseconds(7)
+    with writing(path) as temporary, Output(temporary) as output:
+        channel = output.channel("/depth", "foxglove.CompressedImage")
+        output.write([Outgoing(channel, np.array([7]), lambda part: [message.SerializeToString()])])
+    (image,) = read_images(path)
+    assert isinstance(image, ImageMessage) and image.stamp_ns == 7
+    np.testing.assert_array_equal(image.pixels(), depth)
+
+
+def test_what_cannot_be_read_is_told(tmp_path: Path):
+    depth, _ = pictures()
+    path = tmp_path / "odd.mcap"
+    with ros_bags.Bag(path) as bag:
+        image = raw(1, "c", depth, "bayer_rggb16")
+        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, image, 1)
+        message = {"header": ros_bags.header(2, "c"), "format": "png", "data": b"nothing"}
+        bag.write("/infrared", "sensor_msgs/msg/CompressedImage", COMPRESSED, message, 2)
+    images = [image for image in read_images(path) if not isinstance(image, LensMessage)]
+    for image in images:
+        with pytest.raises(RecordingError, match="cannot be read"):
+            image.pixels()
+    lens = tmp_path / "fisheye.mcap"
+    with ros_bags.Bag(lens) as bag:
+        bag.write("/i", "sensor_msgs/msg/CameraInfo", CAMERA_INFO, info(1, "equidistant", [0.1] * 4), 1)
+    with pytest.raises(RecordingError, match="equidistant"):
+        list(read_images(lens))
+
+
+def test_pairs_need_both_images_at_one_time(tmp_path: Path):
+    depth, infrared = pictures()
+    path = tmp_path / "apart.mcap"
+    with ros_bags.Bag(path) as bag:
+        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, raw(1, "c", depth, "16UC1"), 1)
+    with pytest.raises(RecordingError, match="no infrared images"):
+        read_pairs(path)
+    with ros_bags.Bag(path) as bag:
+        bag.write("/depth", "sensor_msgs/msg/Image", ros_bags.IMAGE, raw(1, "c", depth, "16UC1"), 1)
+        late = raw(1_000_000_000, "c", infrared, "mono16")
+        bag.write("/infrared", "sensor_msgs/msg/Image", ros_bags.IMAGE, late, 2)
+    with pytest.raises(RecordingError, match="no stamps in common"):
+        read_pairs(path)
