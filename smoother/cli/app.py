@@ -13,11 +13,13 @@ from . import (
     calibrate_imu,
     calibrate_panel,
     calibrate_world,
+    compare,
     config,
     demo,
     doctor,
     export,
     gaps,
+    import_strap,
     imports,
     info,
     simulate,
@@ -84,6 +86,10 @@ app.command(
     epilog="Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml",
 )(validate.validate)
 app.command(
+    "compare",
+    epilog="Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html",
+)(compare.compare)
+app.command(
     "gaps", epilog="Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"
 )(gaps.gaps)
 app.command("export", epilog="Example: unocclude export recovered.mcap --format trc -o recovered.trc")(
@@ -99,6 +105,9 @@ _imports.command(
     "utd-mhad",
     epilog="Example: unocclude import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap",
 )(imports.utd_mhad)
+_imports.command("strap", epilog="Example: unocclude import strap session.mcap -o with_strap.mcap")(
+    import_strap.strap
+)
 app.add_typer(_imports, name="import")
 
 _calibrate = _app("Measure once what does not change, and keep it in a calibration file.")

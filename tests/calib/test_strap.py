@@ -65,10 +65,13 @@ def test_five_millimetres():
 
 def test_a_marker_beside_the_strap_does_not_move_it():
     arm, _ = an_arm(0)
+    places = []
     for marker in (None, 0.028, -0.028):
         seen = look(replace(arm, marker=marker), np.random.default_rng(1), 0.0)
         assert seen.found, seen.reason
-        assert np.linalg.norm(seen.core - arm.strap_core) < 0.006
+        assert np.linalg.norm(seen.core - arm.strap_core) < 0.009  # at 2.6 m and half turned to the camera
+        places.append(seen.core)
+    assert np.linalg.norm(np.array(places[1:]) - places[0], axis=1).max() < 0.005
 
 
 def test_nothing_is_found_where_the_strap_cannot_be_seen():

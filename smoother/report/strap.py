@@ -1,0 +1,94 @@
+"""The page of `import strap`: where the strap was seen, brightness along the forearm, pictures, reasons."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import plotly.graph_objects as go
+
+from calib.strap import SEARCH
+
+from .look import JOINT_COLOURS, OCCLUDED, dress
+from .sheet import figure, listing, picture, tabulated, write_sheet
+from .strap_words import next_time, verdict
+
+if TYPE_CHECKING:
+    from ..io.strap_cameras import StrapFound
+
+
+def write_strap_report(
+    path: str | os.PathLike[str], name: str, found: StrapFound, *, force: bool = False
+) -> None:
+    """Write the page of a search for the strap."""
+    made = f"Colour {found.topics[0]}, depth {found.topics[1]}. Times count from the first colour image."
+    write_sheet(path, f"The strap in the images: {name}", made, verdict(found), _sections(found), force=force)
+
+
+def _sections(found: StrapFound) -> Iterator[str]:
+    yield listing("For the next recording", next_time(found))
+    total = max(len(found.reasons), 1)
+    rows = [(what, count, f"{100 * count / total:.1f}") for what, count in sorted(found.counts.items())]
+    yield tabulated("Found and rejected", "What became of every colour image.", ("", "images", "%"), rows)
+    if found.profiles:
+        yield figure(
+            "Brightness along the forearm",
+            "From elbow to wrist over time: the strap is the dark line; dots are where it was found.",
+            brightness(found),
+        )
+    if any(not reason for reason in found.reasons):
+        yield figure(
+            "The sensor's place",
+            "Position in the camera frame, one axis each, and its standard deviation below.",
+            places(found),
+        )
+    if found.pictures:
+        import cv2
+
+        good, png = cv2.imencode(".png", np.concatenate(found.pictures, axis=1))
+        if good:
+            yield picture(
+                "As the camera saw it", "The strap where it was found, at some instants.", png.tobytes()
+            )
+    yield listing("Notes", found.notes, "There is nothing to note.")
+
+
+def brightness(found: StrapFound) -> go.Figure:
+    """Brightness profiles side by side, and the places found."""
+    t = np.array([time for time, _ in found.profiles])
+    table = np.stack([profile for _, profile in found.profiles], axis=1)
+    part = 100 * np.linspace(*SEARCH, len(table))
+    drawn = go.Figure(go.Heatmap(x=t, y=part, z=np.rint(table), colorscale="gray", showscale=False))
+    good = [not reason for reason in found.reasons]
+    mark = {"size": 3, "color": OCCLUDED}
+    drawn.add_trace(
+        go.Scattergl(x=found.t_s[good], y=100 * found.along[good], mode="markers", marker=mark, name="strap")
+    )
+    drawn.update_xaxes(title_text="time, s")
+    drawn.update_yaxes(title_text="% of elbow to wrist")
+    return dress(drawn, 380)
+
+
+def places(found: StrapFound) -> go.Figure:
+    """Position and sigma over time."""
+    from plotly.subplots import make_subplots
+
+    drawn = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.7, 0.3])
+    colours = (JOINT_COLOURS["wrist"], JOINT_COLOURS["elbow"], JOINT_COLOURS["hand"])
+    for axis, (name, colour) in enumerate(zip("xyz", colours, strict=True)):
+        mark = {"size": 3, "color": colour}
+        for row, values, shown in (
+            (1, found.position[:, axis], True),
+            (2, 1e3 * found.sigma_m[:, axis], False),
+        ):
+            drawn.add_trace(
+                go.Scattergl(x=found.t_s, y=values, mode="markers", marker=mark, name=name, showlegend=shown),
+                row=row,
+                col=1,
+            )
+    drawn.update_yaxes(title_text="m", row=1, col=1)
+    drawn.update_yaxes(title_text="sigma, mm", rangemode="tozero", row=2, col=1)
+    drawn.update_xaxes(title_text="time, s", row=2, col=1)
+    return dress(drawn, 480)

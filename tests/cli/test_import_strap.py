@@ -1,0 +1,121 @@
+"""`unocclude import strap` on a simulated arm with rendered images."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from smoother.cli.run import run
+from smoother.io import read_recording, write_recording
+from smoother.recording import JointState
+from smoother.simulation import ArmSimulation, simulate_arm
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
+from strap_recordings import radius_of, with_images
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory):
+    """A recording with images, its arm, and what the command made of it."""
+    folder = tmp_path_factory.mktemp("strap")
+    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=10.0), 6)
+    with_images(simulated, folder / "rec.mcap", every=4)
+    arguments = ["import", "strap", folder / "rec.mcap", "-o", folder / "out.mcap", "--processes", 1]
+    arguments += [
+        "--radius-m",
+        radius_of(simulated),
+        "--json",
+        folder / "s.json",
+        "--report",
+        folder / "s.html",
+    ]
+    assert run([str(each) for each in arguments]) == 0
+    return folder, simulated
+
+
+def test_the_strap_is_where_the_sensor_is(session):
+    folder, simulated = session
+    arm, truth = read_recording(folder / "out.mcap").arm, simulated.recording.truth
+    rows = arm.tracked("strap")
+    assert rows.sum() > 30
+    true = np.stack(
+        [np.interp(arm.t_s[rows], truth.t_s, truth.position[:, axis]) for axis in range(3)], axis=1
+    )
+    error = np.linalg.norm(arm.joint("strap")[rows] - true, axis=1)
+    # 5 mm of the core's place, and what the lever arms' direction (found from motion) does over 3.5 cm
+    assert np.sqrt(np.mean(error**2)) < 0.012
+    assert np.quantile(error, 0.95) < 0.02
+    # nothing is found while the camera does not see the forearm
+    hidden = simulated.occluded[np.searchsorted(simulated.recording.arm.t_s, arm.t_s - 1e-6)]
+    assert not (rows & hidden).any()
+
+
+def test_other_joints_stay_and_images_stay_out(session):
+    folder, _ = session
+    before, after = read_recording(folder / "rec.mcap"), read_recording(folder / "out.mcap")
+    for joint in ("shoulder", "elbow", "wrist", "hand"):
+        assert np.array_equal(before.arm.joint(joint), after.arm.joint(joint), equal_nan=True)
+    assert np.array_equal(before.imu.acc, after.imu.acc)
+    assert before.camera_frame == after.camera_frame
+    with open(folder / "out.mcap", "rb") as stream:
+        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
+    assert topics >= {"/skeleton", "/colour/calibration"} and not topics & {"/colour/image", "/depth/image"}
+
+
+def test_sigma_goes_with_the_strap(session):
+    from smoother.io.schemas import message_class
+
+    folder, _ = session
+    seen = 0
+    with open(folder / "out.mcap", "rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(topics=["/skeleton"]):
+            skeleton = message_class("unocclude.Skeleton").FromString(message.data)
+            for joint in skeleton.joints:
+                if joint.name.startswith("strap") and joint.state == JointState.TRACKED:
+                    covariance = np.reshape(list(joint.position_covariance), (3, 3))
+                    assert 0.001 < np.sqrt(np.linalg.eigvalsh(covariance)[-1]) < 0.05
+                    seen += 1
+    assert seen > 30
+
+
+def test_what_is_said(session):
+    folder, _ = session
+    figures = json.loads((folder / "s.json").read_text())
+    assert figures["images"] > 60 and figures["found"] == figures["reasons"]["found"]
+    assert figures["reasons"]["elbow or wrist is not tracked"] > 0
+    assert figures["colour_topic"] == "/colour/image" and figures["depth_topic"] == "/depth/image"
+    page = (folder / "s.html").read_text(encoding="utf-8")
+    assert (
+        "Brightness along the forearm" in page
+        and "As the camera saw it" in page
+        and "Found and rejected" in page
+    )
+
+
+def test_refusals(session, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder, simulated = session
+    write_recording(simulated.recording, tmp_path / "plain.mcap")
+    cases = [
+        ((tmp_path / "plain.mcap",), "has no colour and no depth images"),
+        ((folder / "rec.mcap", "--depth-topic", "nothing"), "has no depth images"),
+        ((tmp_path / "none.mcap",), "none.mcap does not exist"),
+    ]
+    for arguments, sentence in cases:
+        command = [
+            "import",
+            "strap",
+            *map(str, arguments),
+            "-o",
+            str(tmp_path / "o.mcap"),
+            "--processes",
+            "1",
+        ]
+        assert run(command) == 1
+        error = capsys.readouterr().err
+        assert sentence in error and error.count("\n") == 1, error
+        assert not (tmp_path / "o.mcap").exists()
