@@ -94,12 +94,13 @@ class Magnetometer:
         """The recovery with a word on the magnetometer."""
         if not self.note:
             return recovery
-        figures = {
+        figures: dict[str, object] = {
             "magnetometer_blocks": self.blocks,
             "magnetometer_blocks_used": self.used,
-            "magnetometer_sigma_deg": float(np.degrees(self.sigma_rad)),
-            "magnetic_field_direction": self.direction.tolist(),
         }
+        if self.used:
+            figures["magnetometer_sigma_deg"] = float(np.degrees(max(self.sigma_rad, FACTOR_SIGMA_RAD)))
+            figures["magnetic_field_direction"] = self.direction.tolist()
         return replace(recovery, notes=(*recovery.notes, self.note), figures={**recovery.figures, **figures})
 
 

@@ -18,7 +18,7 @@ from .rest import Rests, find_rests
 GRAVITY = 9.81
 #: Of a recording that rests for so much of its time and so long at a stretch, noise is all that is asked.
 _MOSTLY = 0.8
-LONG_REST_S = 60.0
+LONG_REST_S = 20.0
 
 
 @dataclass(frozen=True)

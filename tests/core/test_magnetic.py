@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smoother.graph import build
 from smoother.magnetic import middle_direction
 from smoother.recording import FloatArray, Recording
 
-from .scenes import Scene, point, recovered
+from .scenes import Scene, last_pass, point, recovered
 
 #: The field of middle Europe in a frame with z up: 65 degrees down.
 FIELD_K = np.array([np.cos(np.radians(65.0)) * np.sin(0.4), 0.0, -np.sin(np.radians(65.0))])
@@ -104,3 +105,19 @@ def test_the_middle_of_directions_is_not_pulled_by_a_few():
     bad = rng.normal(0.0, 1.0, (20, 3))
     found = middle_direction(np.vstack([good, bad]))
     assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
+
+
+def test_the_factors_are_the_angle_under_cauchys_loss(made):
+    """The graph's error with and without the field, against the formula."""
+    windows = [job.window for job in last_pass(with_field(made.recording), made.calibration)]
+    told = [window for window in windows if window.field is not None]
+    assert told
+    for window in told:
+        field, k = window.field, window.noise.cauchy
+        graph, values = build(window)
+        less, _ = build(replace(window, field=None))
+        seen = np.einsum("nij,nj->ni", window.start.R[field.node], field.in_A)
+        off = np.linalg.norm(np.cross(seen, field.in_K), axis=1) / field.sigma_rad
+        loss = 0.5 * k**2 * np.log1p((off / k) ** 2)
+        # sigma is rounded to 1e-5 rad
+        assert graph.error(values) - less.error(values) == pytest.approx(loss.sum(), rel=2e-3, abs=1e-6)
