@@ -81,6 +81,11 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     turns = motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any()
     signals: _Turns | _Ways = _Turns(recovery, motion) if turns else _Ways(recovery, motion)
     lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, span)
+    if not np.isfinite(correlation):
+        raise RecordingError(
+            f"{motion.source}: its clock could not be aligned: the {signals.by} is known for less than"
+            f" {span:.1f} s together; check that it is of the same recording, and the marker map"
+        )
     if not correlation >= LEAST_CORRELATION:
         raise RecordingError(
             f"{motion.source}: its clock could not be aligned: the {signals.by} of truth and answer agree"
