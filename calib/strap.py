@@ -185,6 +185,7 @@ def _dark_stretch(profile: FloatArray, part: FloatArray, width: float) -> tuple[
     mean = uniform_filter1d(profile, max(int(width / step), 3), mode="nearest")
     low = np.flatnonzero((mean <= np.roll(mean, 1)) & (mean <= np.roll(mean, -1)))
     bright, inner = float(np.median(profile)), int(0.4 * width / step)
+    profile = np.minimum(profile, bright)  # a reflective marker beside the strap must not shift its edge
     first = 0.0
     for k in low[np.argsort(mean[low], kind="stable")][:CANDIDATES].tolist():
         # the strap's own level, not that of its blurred edges

@@ -65,6 +65,7 @@ def strap(
     """
     from calib.strap_mount import mounted_on
 
+    from ..io.strap_cameras import check_images
     from ..io.strap_import import import_strap
     from ..smoothing import smooth
     from .config_file import read_config, with_processes
@@ -74,6 +75,7 @@ def strap(
     recording, known = load_arm(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
     )
+    check_images(recording_file, colour, depth)
     recovery = smooth(recording, known, config)
     mounted = mounted_on(recovery, _radius(radius_m, calibration_file, recording.side))
     noise = recovery.figures.get("camera_sigma_m")

@@ -52,6 +52,20 @@ class StrapFound:
         return dict(Counter(reason or "found" for reason in self.reasons))
 
 
+def check_images(path: str | os.PathLike[str], colour: str | None = None, depth: str | None = None) -> None:
+    """Refuse a recording without colour or depth images before any work is done for it.
+
+    Raises
+    ------
+    RecordingError
+        One of them is missing.
+    """
+    cameras = Cameras(path, colour, depth, np.eye(3))
+    for _ in cameras.images():
+        if len(cameras.chosen) == 2:
+            return
+
+
 class Cameras:
     """The colour and the depth camera of a file, found by what their topics carry."""
 

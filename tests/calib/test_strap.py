@@ -71,7 +71,8 @@ def test_a_marker_beside_the_strap_does_not_move_it():
         assert seen.found, seen.reason
         assert np.linalg.norm(seen.core - arm.strap_core) < 0.009  # at 2.6 m and half turned to the camera
         places.append(seen.core)
-    assert np.linalg.norm(np.array(places[1:]) - places[0], axis=1).max() < 0.005
+    # a pixel is 6 mm there, and strap and marker are as far apart
+    assert np.linalg.norm(np.array(places[1:]) - places[0], axis=1).max() < 0.007
 
 
 def test_nothing_is_found_where_the_strap_cannot_be_seen():

@@ -24,7 +24,7 @@ def session(tmp_path_factory: pytest.TempPathFactory):
     """A recording with images, its arm, and what the command made of it."""
     folder = tmp_path_factory.mktemp("strap")
     simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=10.0), 6)
-    with_images(simulated, folder / "rec.mcap", every=4)
+    with_images(simulated, folder / "rec.mcap", every=5)
     arguments = ["import", "strap", folder / "rec.mcap", "-o", folder / "out.mcap", "--processes", 1]
     arguments += [
         "--radius-m",
@@ -86,7 +86,7 @@ def test_sigma_goes_with_the_strap(session):
 def test_what_is_said(session):
     folder, _ = session
     figures = json.loads((folder / "s.json").read_text())
-    assert figures["images"] > 60 and figures["found"] == figures["reasons"]["found"]
+    assert figures["images"] > 50 and figures["found"] == figures["reasons"]["found"]
     assert figures["reasons"]["elbow or wrist is not tracked"] > 0
     assert figures["colour_topic"] == "/colour/image" and figures["depth_topic"] == "/depth/image"
     page = (folder / "s.html").read_text(encoding="utf-8")
