@@ -1,0 +1,239 @@
+"""`unocclude compare`: every method on one recording, one table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import UnoccludeError
+from ..peers.registry import DEFAULT_ORIENTATION
+from .load import load_arm
+from .methods import GRAPH, METHODS, choose, make_methods, peer_settings
+from .options import (
+    Body,
+    BoundaryS,
+    Calibration,
+    ConfigFile,
+    Force,
+    Imu,
+    Json,
+    Orientation,
+    Processes,
+    RecordingPath,
+    Report,
+    Side,
+    Skeleton,
+    SolveLeverArms,
+    one_side,
+)
+from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
+from .progress import progress_bar
+from .strap import with_strap
+
+if TYPE_CHECKING:
+    from ..evaluation import Alignment
+    from ..evaluation.compare import Comparison, MethodResult
+    from ..recording import Recording, Truth
+    from ..result import Recovery
+
+
+def compare(
+    recording_file: RecordingPath,
+    truth_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="TRUTH",
+            help="As `validate` takes it (.c3d, .trc, .csv, .mcap); without it the recording's own truth.",
+            show_default=False,
+        ),
+    ] = None,
+    methods: Annotated[
+        str,
+        typer.Option(
+            "--methods", metavar="M,M,..", help=f"Methods to compare, or all: {', '.join(METHODS)}."
+        ),
+    ] = "all",
+    orientation: Orientation = DEFAULT_ORIENTATION,
+    boundary_s: BoundaryS = None,
+    calibration_file: Calibration = None,
+    markers: Annotated[
+        Path | None,
+        typer.Option("--markers", metavar="MAP.toml", help="Of the truth: which markers make a joint."),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
+    ] = False,
+    config_file: ConfigFile = None,
+    imu: Imu = None,
+    skeleton: Skeleton = None,
+    side: Side = None,
+    body: Body = None,
+    solve_lever_arms: SolveLeverArms = False,
+    processes: Processes = None,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Recover a recording by every method and hold each against the truth: one table, the best first.
+
+    The graph runs once; the other methods are told its calibration, its clock and what it believed of
+    the camera. No method sees the truth.
+    """
+    from ..evaluation.compare import compare
+    from .config_file import read_config, with_processes
+
+    names = choose(methods)
+    settings = peer_settings(names, orientation, boundary_s)
+    inputs = [recording_file, truth_file, calibration_file, markers, config_file]
+    check_outputs(force, [report, json_file], inputs)
+    config = with_processes(read_config(config_file), processes)
+    recording, calibration = load_arm(
+        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
+    )
+    _check_truth(recording_file, recording, truth_file, markers, align)
+    told = with_strap(calibration, recording) if solve_lever_arms else calibration
+    blind = replace(recording, truth=None)
+    with progress_bar("comparing") as progress:
+        running = make_methods(
+            [GRAPH, *names], told, config, settings, lambda part, _: progress(part / 2, GRAPH)
+        )
+        graph = running[GRAPH](blind)
+        truth, alignment = truth_for(
+            recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
+        )
+        found = compare(
+            blind,
+            graph,
+            truth,
+            {name: running[name] for name in names},
+            alignment,
+            lambda part, name: progress((1 + part) / 2, name),
+        )
+    if report is not None:
+        from ..report.comparison import write_comparison
+
+        write_comparison(found, recording, report, force=force)
+    write_json(json_file, {"recording": recording.name, "side": recording.side, **found.to_dict()}, force)
+    print_comparison(found)
+    print_notes([*recording.notes, *found.notes])
+    if report is not None or json_file is not None:
+        say_written(report, json_file)
+
+
+def _check_truth(
+    path: Path, recording: Recording, truth_file: Path | None, markers: Path | None, align: bool
+) -> None:
+    """Refuse before anything is solved what cannot be compared in the end."""
+    if truth_file is not None:
+        if not truth_file.is_file():
+            raise UnoccludeError(f"{truth_file}: there is no such file")
+        return
+    if markers is not None or align:
+        raise typer.BadParameter("--markers and --align are for a truth named with --truth")
+    if recording.truth is None or not len(recording.truth):
+        raise UnoccludeError(
+            f"{path} holds no truth: name one with --truth, or hide visible stretches with `unocclude gaps`"
+        )
+
+
+def truth_for(
+    recording: Recording,
+    graph: Recovery,
+    truth_file: Path | None,
+    *,
+    markers: Path | None,
+    calibration: Path | None,
+    align: bool,
+) -> tuple[Truth, Alignment]:
+    """The truth for a comparison: the recording's own, or a file's, brought to it as `validate` does.
+
+    A calibration is used for the truth's frame where it holds [camera_from_mocap] and the truth needs one.
+    """
+    from calib.file import read_calibration
+
+    from ..evaluation import Alignment, read_reference
+    from ..io.markers import MARKER_FORMATS
+
+    if truth_file is None:
+        assert recording.truth is not None
+        return recording.truth, Alignment()
+    of_markers = truth_file.suffix.lower() in MARKER_FORMATS
+    frame = None
+    if calibration is not None and (of_markers or align):
+        holds = "camera_from_mocap" in read_calibration(calibration).tables
+        frame = calibration if holds else None
+    return read_reference(
+        truth_file,
+        graph,
+        markers=markers,
+        calibration=frame,
+        camera_frame=recording.camera_frame,
+        align=align,
+    )
+
+
+def print_comparison(found: Comparison) -> None:
+    """Print the tables of a comparison."""
+    what = "forearm IMU" if found.point == "sensor" else found.point
+    columns = (
+        "method",
+        "rms, cm",
+        "95 %",
+        "max",
+        "rms, deg",
+        "NEES",
+        "inside 95 %",
+        "visible rms, cm",
+        "deg",
+    )
+    title = f"Error of the {what} in gaps, the best method first"
+    print_table(found.title(title), columns, [_row(found, row) for row in found.rows])
+    _print_joints(found)
+    _print_lag(found)
+
+
+def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
+    hidden, seen = found.figures(row, "occluded"), found.figures(row, "visible")
+    if hidden is None or seen is None:
+        return (row.method, *["-"] * 8)
+    return (
+        row.method,
+        centimetres(hidden.position_rms_m),
+        centimetres(hidden.position_p95_m),
+        centimetres(hidden.position_max_m),
+        hidden.orientation_rms_deg,
+        hidden.nees,
+        hidden.coverage_95,
+        centimetres(seen.position_rms_m),
+        seen.orientation_rms_deg,
+    )
+
+
+def _print_joints(found: Comparison) -> None:
+    answered = [row for row in found.rows if row.validation is not None]
+    joints = list(dict.fromkeys(joint for row in answered for joint in row.validation.points))  # type: ignore[union-attr]
+    if not joints:
+        return
+    rows = []
+    for row in answered:
+        assert row.validation is not None
+        cells = [row.validation.points.get(joint, {}).get("occluded") for joint in joints]
+        rows.append(
+            (row.method, *[centimetres(None if each is None else each.position_rms_m) for each in cells])
+        )
+    print_table(found.title("Joints in gaps, rms, cm"), ("method", *joints), rows)
+
+
+def _print_lag(found: Comparison) -> None:
+    say(found.camera_words)
+    rows = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in found.rows]
+    title = "Lag left behind the truth, ms (peak of cross-correlation; - where an answer does not follow it)"
+    print_table(found.title(title), ("method", "all samples", "in gaps"), rows)
+
+
+def _ms(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:+.1f}"

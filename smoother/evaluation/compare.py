@@ -1,0 +1,262 @@
+"""Every method on one recording, held against one truth: errors, honesty, and the lag that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import RecordingError, UnoccludeError
+from ..recording import FloatArray, Recording, Truth
+from ..result import Gap, Recovery
+from .align import truth_at
+from .lag_left import lag_left_s
+from .metrics import Figures
+from .reference import Alignment
+from .validate import Validation, validate
+
+#: A method: recording in, recovery out.
+Method = Callable[[Recording], Recovery]
+#: Called with the part done (0 to 1) and what is being done.
+Progress = Callable[[float, str], None]
+#: The point that is compared where the truth has it; joints where it has no IMU.
+SENSOR = "sensor"
+POINTS = (SENSOR, "wrist", "hand", "elbow")
+PARTS = ("all", "occluded", "visible")
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What one method made of the recording.
+
+    Attributes
+    ----------
+    method : its name.
+    validation : its figures, or None where it failed.
+    lag_s : lag of its answer behind the truth over all samples, s; None where none can be told.
+    lag_occluded_s : the same over the samples in gaps.
+    path : (N, 3) the compared point at the IMU's times, m in {K}; nan where there is no answer.
+    failure : why there is no answer, "" where there is one.
+    """
+
+    method: str
+    validation: Validation | None
+    lag_s: float | None = None
+    lag_occluded_s: float | None = None
+    path: FloatArray | None = None
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All methods on one recording.
+
+    Attributes
+    ----------
+    rows : the methods, the best first (by the rms of the compared point in gaps, else over all
+        samples); those without an answer last.
+    point : what is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
+    clock_offset_s, clock_offset_sigma_s : t_imu = t_camera + offset, found by the graph, told to all.
+    camera_lag_s : by joint, lag of the camera's own samples behind the truth, stamps as they came, s.
+    t_s : (N,) the IMU's times.
+    gaps : of the recording, on the IMU's clock.
+    truth, alignment : what all were held against, and how it was brought there.
+    notes : what a reader must know, one sentence each.
+    """
+
+    rows: tuple[MethodResult, ...]
+    point: str
+    clock_offset_s: float
+    clock_offset_sigma_s: float
+    camera_lag_s: dict[str, float]
+    t_s: FloatArray
+    gaps: tuple[Gap, ...]
+    truth: Truth
+    alignment: Alignment
+    notes: tuple[str, ...] = ()
+
+    @property
+    def reference(self) -> FloatArray:
+        """The truth of the compared point (N, 3) at the IMU's times; nan where there is none."""
+        at = truth_at(self.truth, self.t_s)
+        position = at.position if self.point == SENSOR else at.joints[self.point]
+        return np.where(at.score[:, None], position, np.nan)
+
+    def figures(self, row: MethodResult, part: str) -> Figures | None:
+        """Figures of the compared point over a part ("all", "occluded" or "visible")."""
+        return None if row.validation is None else figures_of(row.validation, self.point, part)
+
+    def title(self, text: str) -> str:
+        """The title of one of its results: says where the truth was aligned."""
+        return f"{text} ({self.alignment.title})" if self.alignment.title else text
+
+    @property
+    def camera_words(self) -> str:
+        """The camera's latency as the graph found it, and as the truth sees it, in a sentence."""
+        words = (
+            f"The camera's stamps are {-1e3 * self.clock_offset_s:+.1f} +-"
+            f" {1e3 * self.clock_offset_sigma_s:.1f} ms late, as the graph found without the truth"
+        )
+        lags = ", ".join(f"{joint} {1e3 * lag:+.1f}" for joint, lag in self.camera_lag_s.items())
+        return f"{words}; its samples lag behind the truth, ms: {lags}" if lags else words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values by name, as `--json` writes them."""
+        return {
+            "point": self.point,
+            "order": [row.method for row in self.rows],
+            "methods": {row.method: self._method(row) for row in self.rows},
+            "camera": {
+                "clock_offset_s": self.clock_offset_s,
+                "clock_offset_sigma_s": self.clock_offset_sigma_s,
+                "latency_s": -self.clock_offset_s,
+                "lag_before_s": self.camera_lag_s,
+            },
+            **self.alignment.to_dict(),
+            "notes": list(self.notes),
+        }
+
+    def _method(self, row: MethodResult) -> dict[str, Any]:
+        found: dict[str, Any] = {"failure": row.failure}
+        if row.validation is not None:
+            whole = row.validation.to_dict()
+            found |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
+            found |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
+        return found
+
+
+def compare(
+    recording: Recording,
+    told: Recovery,
+    truth: Truth,
+    methods: Mapping[str, Method],
+    alignment: Alignment | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Run every method on one recording and hold each answer against the same truth.
+
+    Parameters
+    ----------
+    recording : what the methods are given; it should hold no truth.
+    told : the graph's recovery of this very recording, which also gave the clock.
+    truth : in the camera frame and on the IMU's clock.
+    methods : by name, a function from a recording to its recovery.
+    alignment : how the truth was brought there; None where it came so.
+    progress : called with (part done, what is being done).
+
+    Raises
+    ------
+    RecordingError
+        Truth and recording do not overlap.
+    """
+    alignment = alignment or Alignment()
+    point = compared_point(validate(told, truth, alignment), told)
+    rows = []
+    for place, (name, method) in enumerate(methods.items()):
+        if progress is not None:
+            progress(place / len(methods), name)
+        rows.append(_result(name, method, recording, truth, alignment, point))
+    if progress is not None:
+        progress(1.0, "done")
+    return Comparison(
+        rows=tuple(sorted(rows, key=lambda row: _rank(row, point))),
+        point=point,
+        clock_offset_s=told.clock_offset_s,
+        clock_offset_sigma_s=told.clock_offset_sigma_s,
+        camera_lag_s=_camera_lag(recording, truth),
+        t_s=told.t_s,
+        gaps=told.gaps,
+        truth=truth,
+        alignment=alignment,
+        notes=tuple(_notes(rows, alignment, told)),
+    )
+
+
+def compared_point(found: Validation, recovery: Recovery) -> str:
+    """The first of `POINTS` that truth and answer share.
+
+    Raises
+    ------
+    RecordingError
+        They share none.
+    """
+    for point in POINTS:
+        figures = figures_of(found, point, "all")
+        if figures is not None and figures.samples:
+            return point
+    raise RecordingError(
+        f"{recovery.name}: the truth holds no position that the methods answer (the IMU's, wrist, hand or"
+        " elbow), so there is nothing to compare"
+    )
+
+
+def figures_of(found: Validation, point: str, part: str) -> Figures | None:
+    """Figures of a point over a part, the IMU's orientation with the IMU; None where there are none."""
+    if point == SENSOR:
+        figures: Figures = getattr(found, part)
+        return figures
+    return found.points.get(point, {}).get(part)
+
+
+def _result(
+    name: str, method: Method, recording: Recording, truth: Truth, alignment: Alignment, point: str
+) -> MethodResult:
+    try:
+        recovery = method(recording)
+        found = validate(recovery, truth, alignment)
+    except UnoccludeError as error:
+        return MethodResult(name, None, failure=str(error))
+    path = recovery.position if point == SENSOR else recovery.joints[point]
+    reference = truth.position if point == SENSOR else truth.joints[point]
+    reference = np.where(truth.score[:, None], reference, np.nan)
+    hidden = np.where(recovery.occluded[:, None], path, np.nan)
+    return MethodResult(
+        name,
+        found,
+        lag_s=lag_left_s(recovery.t_s, path, truth.t_s, reference),
+        lag_occluded_s=lag_left_s(recovery.t_s, hidden, truth.t_s, reference),
+        path=path,
+    )
+
+
+def _rank(row: MethodResult, point: str) -> tuple[bool, float]:
+    """The error in gaps, else over all samples; without an answer last."""
+    if row.validation is None:
+        return True, 0.0
+    for part in ("occluded", "all"):
+        figures = figures_of(row.validation, point, part)
+        if figures is not None and figures.position_rms_m is not None:
+            return False, figures.position_rms_m
+    return True, 0.0
+
+
+def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
+    """Lag of what the camera tracked, before anything was done about it."""
+    found = {}
+    references = {**truth.joints, "strap": truth.position}
+    for joint in recording.arm.present:
+        if joint not in references or joint == "shoulder":
+            continue
+        tracked = np.where(recording.arm.tracked(joint)[:, None], recording.arm.joint(joint), np.nan)
+        lag = lag_left_s(recording.arm.t_s, tracked, truth.t_s, references[joint])
+        if lag is not None:
+            found[joint] = lag
+    return found
+
+
+def _notes(rows: list[MethodResult], alignment: Alignment, told: Recovery) -> list[str]:
+    notes = [*alignment.notes]
+    if alignment.kind != "none":
+        notes.append("The truth was aligned by the graph's answer, once for all methods.")
+        notes.append("A lag is against the truth's clock as it was aligned.")
+    for row in rows:
+        if row.validation is None:
+            notes.append(f"{row.method} could not recover it: {row.failure}")
+        elif row.validation.all.unanswered:
+            count = row.validation.all.unanswered
+            notes.append(f"{row.method} left {count} samples with truth unanswered; they are in no figure.")
+    if not told.occluded.any():
+        notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
+    return list(dict.fromkeys(notes))
