@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray, ImuStream
 
-from .chain import WorldPose
+from .chain import BIAS_M_S2, WorldPose
 from .rest import rest_at, turn_between
 from .solve import Solution, solve
 from .start import first_guesses
@@ -112,7 +112,9 @@ def world_poses(
     return poses, notes
 
 
-def calibrate_world(poses: Sequence[WorldPose], notes: Sequence[str] = ()) -> WorldCalibration:
+def calibrate_world(
+    poses: Sequence[WorldPose], notes: Sequence[str] = (), bias_m_s2: float = BIAS_M_S2
+) -> WorldCalibration:
     """Find `R_K_B`, and how the panel's IMU sits on the panel.
 
     From few poses, or poses that are alike, the mounting is taken as lined up by eye: the paper's way.
@@ -121,6 +123,7 @@ def calibrate_world(poses: Sequence[WorldPose], notes: Sequence[str] = ()) -> Wo
     ----------
     poses : see `world_poses`.
     notes : what happened before.
+    bias_m_s2 : sigma of the accelerometers' biases, an axis.
 
     Raises
     ------
@@ -129,7 +132,7 @@ def calibrate_world(poses: Sequence[WorldPose], notes: Sequence[str] = ()) -> Wo
     """
     kept, said = list(poses), list(notes)
     while True:
-        solution, by_eye = _solve(kept)
+        solution, by_eye = _solve(kept, bias_m_s2)
         worst = int(np.argmax(solution.worst_sigma))
         if solution.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
             return WorldCalibration(solution, tuple(kept), by_eye, tuple(said))
@@ -148,10 +151,10 @@ def calibrate_world(poses: Sequence[WorldPose], notes: Sequence[str] = ()) -> Wo
             kept[worst] = replace(kept[worst], panel_turn=None, base_turn=None)
 
 
-def _solve(poses: list[WorldPose]) -> tuple[Solution, bool]:
+def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[Solution, bool]:
     """The solution, and whether the mounting had to be taken as lined up by eye."""
     if len(poses) >= FEWEST:
-        tried = [solve(poses, start, None) for start in first_guesses(poses, lined_up=False)]
+        tried = [solve(poses, start, None, bias_m_s2) for start in first_guesses(poses, lined_up=False)]
         tried.sort(key=lambda solution: solution.cost)
         best = tried[0]
         known = np.sqrt(np.linalg.eigvalsh(best.covariance[6:, 6:])[-1]) < BY_EYE_RAD
@@ -159,7 +162,7 @@ def _solve(poses: list[WorldPose]) -> tuple[Solution, bool]:
         apart = [(best.at.R_P_I.inv() * other.at.R_P_I).magnitude() for other in likely]
         if known and max(apart, default=0.0) < BY_EYE_RAD:
             return best, False
-    return solve(poses, first_guesses(poses, lined_up=True)[0], BY_EYE_RAD), True
+    return solve(poses, first_guesses(poses, lined_up=True)[0], BY_EYE_RAD, bias_m_s2), True
 
 
 def tilt_covariance(R_K_B: FloatArray, covariance: FloatArray, acc: FloatArray) -> FloatArray:

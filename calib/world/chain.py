@@ -25,8 +25,8 @@ from .rest import Rest, Turn
 FREE_RAD = 2.0
 #: What scale and cross-axis errors of an accelerometer leave of a direction, rad.
 TILT_RAD = np.radians(0.05)
-#: A calibrated accelerometer's bias, m/s^2 an axis.
-BIAS_M_S2 = 0.03
+#: Bias of an accelerometer as its maker calibrated it, and of one calibrated by rest poses, m/s^2 an axis.
+BIAS_M_S2, CORRECTED_M_S2 = 0.03, 0.012
 #: Magnetometers: iron on the sensor (a share of the field), and iron in the room, which differs from place to
 #: place, rad.
 IRON, ROOM_RAD = 0.05, np.radians(2.0)
@@ -100,8 +100,15 @@ class Problem:
     Columns: `R_K_B` in {K}, `R_P_I`, then `R_W_B` and `R_W_I` of every pose in their own axes, the biases.
     """
 
-    def __init__(self, poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | None):
+    def __init__(
+        self,
+        poses: list[WorldPose],
+        start: Attitudes,
+        mounting_sigma_rad: float | None,
+        bias_m_s2: float = BIAS_M_S2,
+    ):
         self._poses, self._start, self._mounting = poses, start, mounting_sigma_rad
+        self._bias_sigma = np.array([bias_m_s2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
         self._weight = [np.linalg.inv(np.linalg.cholesky(pose.covariance)) for pose in poses]
         self._north = all(pose.has_north for pose in poses)
         self._bias = 6 + 6 * len(poses)
@@ -207,7 +214,7 @@ class Problem:
             rows.near(self._attitude(i, 1), at.R_W_I[i], start.R_W_I[i], FREE_RAD)
         if self._mounting is not None:
             rows.near(3, at.R_P_I, Rotation.identity(), self._mounting)
-        sigma = np.array([BIAS_M_S2] * 6 + [IRON] * 6 + [DIP_RAD] * 2)
+        sigma = self._bias_sigma
         rows.add((at.rest - start.rest) / sigma, {self._bias: np.diag(1 / sigma)})
 
     def _imu(self, at: Attitudes, i: int, imu: int) -> tuple[Rest, FloatArray]:

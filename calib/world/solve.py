@@ -8,7 +8,7 @@ import numpy as np
 
 from smoother.recording import FloatArray
 
-from .chain import Attitudes, Problem, WorldPose
+from .chain import BIAS_M_S2, Attitudes, Problem, WorldPose
 
 _ROUNDS = 60
 #: A gain smaller than this share of the sum of squares ends the iteration.
@@ -35,7 +35,12 @@ class Solution:
     cost: float
 
 
-def solve(poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | None) -> Solution:
+def solve(
+    poses: list[WorldPose],
+    start: Attitudes,
+    mounting_sigma_rad: float | None,
+    bias_m_s2: float = BIAS_M_S2,
+) -> Solution:
     """Solve the chain over all poses, by Gauss and Newton with Levenberg's damping.
 
     Parameters
@@ -43,8 +48,9 @@ def solve(poses: list[WorldPose], start: Attitudes, mounting_sigma_rad: float | 
     start : see `start.first_guess`.
     mounting_sigma_rad : how far `R_P_I` may lie from no rotation at all: the IMU was lined up with the panel
         by eye. None where the poses alone decide.
+    bias_m_s2 : sigma of the accelerometers' biases, m/s^2 an axis.
     """
-    problem = Problem(poses, start, mounting_sigma_rad)
+    problem = Problem(poses, start, mounting_sigma_rad, bias_m_s2)
     at, damping = start, 1e-6
     misfit, jacobian = problem.linearise(at)
     for _ in range(_ROUNDS):

@@ -80,6 +80,7 @@ def world(
     from calib.file import CalibrationFile, read_calibration, write_calibration
     from calib.panel.definition import read_intrinsics, read_panel
     from calib.world.calibrate import calibrate_world, world_poses
+    from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2
     from calib.world.seen import view_panel
     from calib.world.table import calibration_tables
 
@@ -100,10 +101,11 @@ def world(
         views, times, panels, bases = _from_files(*images)
         if lens is None:
             raise typer.BadParameter("give --intrinsics with --depth")
-    panels, bases, corrected = _corrected(panels, bases, file)
+    panels, bases, corrected, both = _corrected(panels, bases, file)
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         seen = [view_panel(view, t_s, known, lens) for view, t_s in zip(views, times, strict=True)]
-    found = calibrate_world(*world_poses(seen, panels, bases))
+    poses, notes = world_poses(seen, panels, bases)
+    found = calibrate_world(poses, notes, CORRECTED_M_S2 if both else BIAS_M_S2)
     tables = calibration_tables(found)
     tables["camera_from_base"]["accelerometer_corrected"] = corrected
     written = CalibrationFile()
@@ -163,8 +165,11 @@ def _from_recording(
 
 def _corrected(
     panels: list[ImuStream], bases: list[ImuStream], file: Any
-) -> tuple[list[ImuStream], list[ImuStream], bool]:
-    """The IMUs with what the file knows of them taken off (once a stream); True where it knew the base's."""
+) -> tuple[list[ImuStream], list[ImuStream], bool, bool]:
+    """The IMUs with what the file knows of them taken off (once a stream).
+
+    Also: the base IMU's accelerometer was known, and both were.
+    """
     from calib.imu.sensor import sensor_of
 
     def corrected(streams: list[ImuStream]) -> tuple[list[ImuStream], bool]:
@@ -174,8 +179,8 @@ def _corrected(
         once = {id(stream): sensor.apply(stream) for stream in streams}
         return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
 
-    (panels, _), (bases, known) = corrected(panels), corrected(bases)
-    return panels, bases, known
+    (panels, other), (bases, known) = corrected(panels), corrected(bases)
+    return panels, bases, known, known and other
 
 
 def _words(found: WorldCalibration) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from calib.world.calibrate import (
     tilt_covariance,
     world_poses,
 )
-from calib.world.chain import Problem
+from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2, Problem
 from calib.world.rest import rest_at, turn_between
 from calib.world.start import first_guesses
 from calib.world.verdict import accuracy, verdict
@@ -236,3 +236,11 @@ def test_streams_of_one_name_only_link_when_they_are_one_stream():
     apart, _ = session.poses(apart=True)
     assert together[1].panel_turn is not None and apart[1].panel_turn is None
     assert isinstance(session.panel, ImuStream)
+
+
+def test_calibrated_accelerometers_are_believed_more():
+    session = Session(16, accelerometer_bias=0.01)
+    poses, notes = session.poses()
+    made, corrected = (calibrate_world(poses, notes, sigma) for sigma in (BIAS_M_S2, CORRECTED_M_S2))
+    assert accuracy(corrected).tilt_deg < 0.95 * accuracy(made).tilt_deg
+    assert session.tilt_deg(corrected) < 0.3
