@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -70,6 +70,12 @@ def names_given(known: ArmCalibration | None) -> tuple[str, ...]:
         return ()
     parts = {"upper_arm": known.upper_arm, "R_F_A": known.R_F_A}
     return (*known.lever_arms, *(name for name, value in parts.items() if value is not None))
+
+
+def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:
+    """The recovery with the names of what was given for it, so that only the rest is called found."""
+    given = names_given(calibration)
+    return replace(recovery, figures={**recovery.figures, GIVEN: list(given)}) if given else recovery
 
 
 def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | None:

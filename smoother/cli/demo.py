@@ -29,12 +29,14 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Recover a small recording, hold it against its truth, and write a report."""
+    from calib.found import with_given
+
     from .. import smooth
     from ..evaluation import validate
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config_file import read_config, with_processes
-    from .smooth import print_recovery, smooth_figures, with_given
+    from .smooth import print_recovery, smooth_figures
     from .validate import print_validation
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -27,31 +27,15 @@ def load_arm(
 
     Where the recording leaves the side open, a calibration of one arm settles it.
     """
-    from ..io import read_recording
+    from ..io.arm_reading import read_arm
 
-    prefer, calibration = None, None
-    if calibration_file is not None:
-        from calib.file import read_calibration
-
-        calibration = read_calibration(calibration_file)
-        sides = [name for name in calibration.arms if name != "any"]
-        prefer = sides[0] if len(sides) == 1 else None
-    recording = read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer)
-    if calibration is not None:
-        from .sensor import corrected
-
-        recording = corrected(recording, calibration)
-        from calib.world.apply import with_gravity
-
-        recording = with_gravity(recording, calibration)
+    recording, calibration = read_arm(
+        path, calibration_file, imu=imu, skeleton=skeleton, side=side, body=body
+    )
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"
     say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
-    if calibration is None or (
-        not calibration.arms and {"imu", "camera_from_base"} & set(calibration.tables)
-    ):
-        return recording, None  # a file of sensors alone leaves the arm to be found
-    return recording, calibration.arm(recording.side)
+    return recording, calibration
 
 
 def load_recovery(path: Path, side: str | None = None) -> Recovery:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -36,7 +35,6 @@ from .strap import with_strap, with_strap_note
 if TYPE_CHECKING:
     from calib.found import Found
 
-    from ..calibration import ArmCalibration
     from ..recording import Recording
     from ..result import Recovery
 
@@ -69,6 +67,8 @@ def smooth(
     force: Force = False,
 ) -> None:
     """Recover the arm's motion in every gap, with its uncertainty, and write it as MCAP."""
+    from calib.found import with_given
+
     from ..io import write_recovery
     from .config_file import read_config, with_processes
     from .limit import limit_sigma
@@ -101,14 +101,6 @@ def smooth(
     write_json(json_file, smooth_figures(recording, recovery), force)
     print_recovery(recording, recovery)
     say_written(output, report, json_file)
-
-
-def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:
-    """The recovery with the names of what was given for it, so that only the rest is called found."""
-    from calib.found import GIVEN, names_given
-
-    given = names_given(calibration)
-    return replace(recovery, figures={**recovery.figures, GIVEN: list(given)}) if given else recovery
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

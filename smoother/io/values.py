@@ -51,9 +51,19 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
             "has_residuals": recovery.residuals is not None,
             "notes": recovery.notes,
-            "config": recovery.config,
+            "config": _lasting(recovery.config),
             "figures": recovery.figures,
         }.items()
+    }
+
+
+def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The configuration without the number of processes: it says nothing of the result."""
+    return {
+        section: {key: value for key, value in settings.items() if (section, key) != ("windows", "processes")}
+        if isinstance(settings, Mapping)
+        else settings
+        for section, settings in config.items()
     }
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from calib.file import CalibrationFile
+from smoother.recording import ImuStream, Recording
 
-    from ..recording import ImuStream, Recording
+from ..file import CalibrationFile
+from .sensor import sensor_of, sensors_in
 
 
 def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
     """The recording with its IMUs corrected where the file knows them, and a note of it."""
-    from calib.imu.sensor import sensors_in
-
     imu, notes = _corrected(recording.imu, calibration)
     base = recording.base_imu
     if base is not None:
@@ -30,8 +27,6 @@ def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
 
 
 def _corrected(imu: ImuStream, calibration: CalibrationFile) -> tuple[ImuStream, list[str]]:
-    from calib.imu.sensor import sensor_of
-
     found = sensor_of(calibration, imu.name)
     if found is None:
         return imu, []
