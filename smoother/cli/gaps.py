@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,13 +20,14 @@ from .options import (
     Orientation,
     Processes,
     RecordingPath,
+    Report,
     Seed,
     Side,
     Skeleton,
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, print_table, write_json
+from .output import check_outputs, print_notes, print_table, say_written, write_json
 from .progress import progress_bar
 from .strap import with_strap
 
@@ -60,6 +61,7 @@ def gaps(
     body: Body = None,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
+    report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -74,7 +76,7 @@ def gaps(
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
     settings = peer_settings(names, orientation, boundary_s)
-    check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
+    check_outputs(force, [report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     recording, calibration = load_arm(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
@@ -90,9 +92,26 @@ def gaps(
             gaps_per_run=gaps_per_run,
             progress=progress,
         )
-    write_json(json_file, table.to_dict(), force)
+    if report is not None:
+        from ..report.gap_curves import write_gap_curves
+
+        write_gap_curves(table, recording.name, report, notes=recording.notes, force=force)
+    write_json(json_file, gap_figures(table), force)
     print_gaps(table)
     print_notes([*recording.notes, *table.notes])
+    if report is not None or json_file is not None:
+        say_written(report, json_file)
+
+
+def gap_figures(table: GapTable) -> dict[str, Any]:
+    """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
+    from ..evaluation.gap_spread import spread_by_length
+
+    spread = [
+        {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}
+        for length, methods in spread_by_length(table.rows).items()
+    ]
+    return table.to_dict() | {"spread": spread}
 
 
 def parse_lengths(text: str) -> list[float]:

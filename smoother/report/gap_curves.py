@@ -1,0 +1,183 @@
+"""`write_gap_curves`: error against gap length with its spread, every method a line, as one page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ..evaluation.gap_spread import Spread, spread_by_length
+from ..evaluation.gaps import GapTable
+from .look import dress
+from .methods_look import PLAIN, STYLES, faint, line_of
+from .sheet import figure, listing, tabulated, write_sheet
+
+Spreads = dict[float, dict[str, Spread]]
+
+
+def write_gap_curves(
+    table: GapTable,
+    name: str,
+    path: str | os.PathLike[str],
+    *,
+    notes: tuple[str, ...] = (),
+    force: bool = False,
+) -> None:
+    """Write the errors in hidden gaps as one HTML page that needs nothing else, the network included.
+
+    Parameters
+    ----------
+    table : what `evaluate_gaps` found.
+    name : of the recording.
+    notes : of the recording.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    spreads = spread_by_length(table.rows)
+    gaps = sum(next(iter(methods.values())).gaps for methods in spreads.values())
+    against = next((row.reference for row in table.rows if row.reference), "truth")
+    reference = (
+        "the truth" if against == "truth" else f"what the camera saw of the {against}, its noise included"
+    )
+    write_sheet(
+        path,
+        f"Error against gap length: {name}",
+        f"{gaps} stretches that the camera saw were hidden and recovered; compared with {reference}.",
+        verdict(spreads),
+        _sections(spreads, (*notes, *table.notes)),
+        force=force,
+    )
+
+
+def verdict(spreads: Spreads) -> list[str]:
+    """How long a gap can be trusted, and to what, in sentences."""
+    said = []
+    for limit_cm in (1, 2, 5):
+        longest = _longest_within(spreads, "graph", limit_cm / 100)
+        if longest is not None:
+            said.append(
+                f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
+            )
+    if not said and any("graph" in methods for methods in spreads.values()):
+        said.append("At none of these lengths are three of four gaps recovered to 5 cm rms by the graph")
+    for length, methods in spreads.items():
+        known = {name: each.median_m for name, each in methods.items() if each.median_m is not None}
+        if len(known) > 1:
+            ranked = sorted(known, key=lambda name: known[name])[:3]
+            words = ", ".join(f"{name} {100 * known[name]:.1f}" for name in ranked)
+            said.append(f"Gaps of {length:g} s, median error, cm: {words}")
+    return said or ["No gap has an answer."]
+
+
+def _longest_within(spreads: Spreads, method: str, limit_m: float) -> float | None:
+    """The longest length up to which the upper quartile stays within a limit at every length, s."""
+    longest = None
+    for length, methods in spreads.items():
+        high = methods[method].high_m if method in methods else None
+        if high is None or high > limit_m or methods[method].failed > methods[method].gaps / 4:
+            break
+        longest = length
+    return longest
+
+
+def curves(spreads: Spreads) -> go.Figure:
+    """Median of the gaps' rms against their length, quartiles as a band for the graph, as bars else."""
+    drawn = go.Figure()
+    names = list(dict.fromkeys(name for methods in spreads.values() for name in methods))
+    for place, name in enumerate(reversed(names)):  # the first on top of the others
+        known = [
+            (length, methods[name])
+            for length, methods in spreads.items()
+            if name in methods and methods[name].median_m is not None
+        ]
+        if not known:
+            continue
+        x = np.array([length for length, _ in known])
+        low, median, high = (
+            100 * np.array([getattr(each, field) for _, each in known])
+            for field in ("low_m", "median_m", "high_m")
+        )
+        shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
+        trace = go.Scatter(x=x * shift, y=median, name=name, mode="lines+markers", line=line_of(name))
+        if name == "graph":
+            drawn.add_trace(_band(x, low, high, name))
+        else:
+            trace.update(
+                error_y={
+                    "type": "data",
+                    "symmetric": False,
+                    "array": high - median,
+                    "arrayminus": median - low,
+                    "thickness": 1,
+                    "width": 2,
+                }
+            )
+        drawn.add_trace(trace)
+    ticks = [f"{length:g}" for length in spreads]
+    drawn.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
+    drawn.update_yaxes(type="log", title_text="error in a gap, rms, cm", dtick="D2")
+    dress(drawn, 620, head=70)
+    return drawn.update_layout(legend={"traceorder": "reversed"})
+
+
+def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Scatter:
+    colour, _ = STYLES.get(name, PLAIN)
+    outline = {"x": np.concatenate([x, x[::-1]]), "y": np.concatenate([high, low[::-1]])}
+    return go.Scatter(
+        **outline,
+        fill="toself",
+        fillcolor=faint(colour, 0.2),
+        line={"width": 0},
+        showlegend=False,
+        hoverinfo="skip",
+    )
+
+
+def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
+    yield figure("Error against gap length", _CURVES, curves(spreads))
+    rows = [
+        (
+            f"{length:g}",
+            name,
+            *[_cm(value) for value in (each.median_m, each.low_m, each.high_m, each.rms_m, each.worst_m)],
+            each.gaps,
+            each.failed or None,
+        )
+        for length, methods in spreads.items()
+        for name, each in sorted(methods.items(), key=_by_median)
+    ]
+    columns = (
+        "gap, s",
+        "method",
+        "median, cm",
+        "25 %",
+        "75 %",
+        "rms over gaps",
+        "worst gap",
+        "gaps",
+        "failed",
+    )
+    yield tabulated("The figures", _TABLE, columns, rows)
+    yield listing("Notes", dict.fromkeys(notes), "There is nothing to note.")
+
+
+def _by_median(entry: tuple[str, Spread]) -> float:
+    median = entry[1].median_m
+    return float("inf") if median is None else median
+
+
+def _cm(value: float | None) -> str | None:
+    return None if value is None else f"{100 * value:.2f}"
+
+
+_CURVES = (
+    "Each gap's error is its root mean square; lines join the medians over the gaps of a length. Bars (for"
+    " the graph a band) reach from the 25 % to the 75 % quartile. Both axes are logarithmic. Click a name to"
+    " hide its line."
+)
+_TABLE = "The rms inside each gap, summed up over gaps: the best median first."
