@@ -90,6 +90,8 @@ class Intrinsics:
         """Pixels (N, 2) of points (N, 3) in {K}, in front of the camera."""
         import cv2
 
+        if len(points_K) == 0:
+            return np.empty((0, 2))
         points = np.ascontiguousarray(points_K, dtype=np.float64).reshape(-1, 1, 3)
         seen, _ = cv2.projectPoints(
             points, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)

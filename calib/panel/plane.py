@@ -21,6 +21,8 @@ LEAST_OUTLIER_M = 0.004
 TRIPLES = 200
 #: Fewer pixels than this, or than this share of those given, make no plane.
 FEWEST, LEAST_SHARE = 60, 0.3
+#: No depth camera scatters more than this share of the depth.
+LARGEST_NOISE = 0.02
 #: Step of the depth's offset for the derivatives, m.
 STEP_M = 0.01
 
@@ -104,12 +106,13 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
         noise = 1.4826 * float(np.median(np.abs(residuals[inliers] - np.median(residuals[inliers]))))
         within = np.abs(residuals) <= max(OUTLIER * noise, LEAST_OUTLIER_M)
         within &= ~_beside(~within, pixels)
-        if within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
+        rough = noise > LARGEST_NOISE * float(np.median(depth_m))
+        if rough or within.sum() < max(FEWEST, LEAST_SHARE * len(within)):
             raise CalibrationError(
-                f"{what}: the depth under the panel is no plane: only {within.sum()} of {len(within)} pixels"
-                " agree; see that nothing stands before it."
+                f"{what}: the depth under the panel is no plane ({within.sum()} of {len(within)} pixels agree"
+                f" to {1e3 * noise:.0f} mm); see that nothing stands before it."
             )
-        theta = _least_squares(full[within], depth_m[within])
+        theta = _least_squares(full[within], depth_m[within], theta)
         if (within == inliers).all():
             break
         inliers = within
@@ -121,7 +124,7 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
     covariance *= (max(noise, 2e-4) * common) ** 2
     warp = _warp(rays[inliers], residuals[inliers], noise * common)
     covariance += _tilt_by_warp(jacobian, rays[inliers], warp)
-    low, high = (_least_squares(full[inliers], depth_m[inliers] - step) for step in (-STEP_M, STEP_M))
+    low, high = (_least_squares(full[inliers], depth_m[inliers] - step, theta) for step in (-STEP_M, STEP_M))
     return Plane(
         theta=theta,
         covariance=covariance,
@@ -149,12 +152,15 @@ def _start(full: FloatArray, inverse: FloatArray) -> FloatArray:
     return np.asarray(thetas[np.argmin(misfit)])
 
 
-def _least_squares(full: FloatArray, depth_m: FloatArray) -> FloatArray:
-    """The depth's own least squares, as two linear ones in the inverse depth, weighted with z^2."""
-    weight = depth_m**2
-    for _ in range(2):
-        theta = np.linalg.lstsq(full * weight[:, None], weight / depth_m, rcond=None)[0]
-        weight = depth_m / (full @ theta)
+def _least_squares(full: FloatArray, depth_m: FloatArray, start: FloatArray) -> FloatArray:
+    """Least squares of the depth itself, by Gauss and Newton from a start that is near."""
+    theta = start
+    for _ in range(4):
+        depth = 1 / (full @ theta)
+        step = np.linalg.lstsq(full * depth[:, None] ** 2, depth - depth_m, rcond=None)[0]
+        theta = theta + step
+        if np.abs(step).max() < 1e-12:
+            break
     return np.asarray(theta, dtype=np.float64)
 
 
@@ -173,7 +179,7 @@ def _beside(bad: BoolArray, pixels: FloatArray) -> BoolArray:
 
 def _common(pixels: FloatArray, residuals: FloatArray) -> float:
     """Square root of (scatter of block means) / (what independent pixels would give), at least 1."""
-    worst = 1.0
+    worst, scatter = 1.0, max(float(np.mean(residuals**2)), 1e-18)
     for side in (4, 8, 16):
         cells = np.floor(pixels / side).astype(int)
         cells -= cells.min(axis=0)
@@ -182,7 +188,7 @@ def _common(pixels: FloatArray, residuals: FloatArray) -> float:
         mean = np.bincount(cell, residuals) / count
         large = count >= side * side / 2
         if large.sum() >= 12:
-            ratio = float(np.mean(mean[large] ** 2 * count[large]) / np.mean(residuals**2))
+            ratio = float(np.mean(mean[large] ** 2 * count[large])) / scatter
             worst = max(worst, np.sqrt(ratio))
     return worst
 

@@ -124,7 +124,8 @@ def _graph_solution(poses: list[PoseData], solve_offset: bool) -> Solution:
 
     graph, start = _build(poses, solve_offset)
     settings = gtsam.LevenbergMarquardtParams()
-    settings.setRelativeErrorTol(1e-10)
+    settings.setRelativeErrorTol(1e-12)
+    settings.setAbsoluteErrorTol(1e-12)
     try:
         values = gtsam.LevenbergMarquardtOptimizer(graph, start, settings).optimize()
         marginals = gtsam.Marginals(graph, values)
