@@ -1,12 +1,11 @@
-"""The README's picture: `python tools/figures.py -o docs/picture.svg`.
+"""The README's picture, docs/picture.svg: one occlusion of data/demo.mcap before and after.
 
-One occlusion of data/demo.mcap before and after, drawn from a real run with nothing calibrated. The SVG is
-written by hand, so that the picture needs no plotting library.
+Drawn from a real run with nothing calibrated. The SVG is written by hand, so that the picture needs no
+plotting library.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from smoother import read_recording, smooth
 from smoother.recording import FloatArray, Recording
 from smoother.result import Recovery
 
-HERE = Path(__file__).parents[1]
+HERE = Path(__file__).parents[2]
 CHAIN = ("shoulder", "elbow", "wrist", "hand")
 SEEN, RECOVERED, TRUTH, GAP, FRAME, TEXT = "#1a6fb5", "#d9650b", "#222222", "#f3e9dc", "#bbbbbb", "#333333"
 #: Time shown around the gap, s; how often the arm is drawn, s.
@@ -180,17 +179,9 @@ def picture(recording: Recording, recovery: Recovery, number: int) -> str:
     )
 
 
-def main() -> None:
-    """Recover the demo recording and draw one of its gaps."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=HERE / "docs" / "picture.svg")
-    parser.add_argument("--gap", type=int, default=0, help="which gap, from 0")
-    options = parser.parse_args()
+def draw(output: Path, gap: int) -> None:
+    """Recover the demo recording and draw one of its gaps, counted from 0."""
     recording = read_recording(HERE / "data" / "demo.mcap")
     recovery = smooth(replace(recording, truth=None))
-    options.output.write_text(picture(recording, recovery, options.gap), encoding="utf-8")
-    print(f"written: {options.output}")
-
-
-if __name__ == "__main__":
-    main()
+    output.write_text(picture(recording, recovery, gap), encoding="utf-8")
+    print(f"written: {output}")
