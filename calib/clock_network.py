@@ -26,6 +26,8 @@ PRIOR_SAMPLES = 4.0
 #: What is farther off than so many sigmas is set aside.
 OUTLIER = 5.0
 ROUNDS = 40
+#: No crystal is off by more, s/s.
+LARGEST_SKEW = 3.0 * SKEW_SIGMA
 #: Agreement better than this part of the stamps' own noise means that all rounds share one rounding.
 TOO_GOOD = 0.5
 
@@ -65,20 +67,30 @@ def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -
         if settled:
             break
     used = system.heard_together(np.abs(left) < OUTLIER * scale * rows.sigma)
+    used |= system.cut_off(used)
     for _ in range(3):  # the noise sets the weight between sources
         weight = used.astype(float) / scale**2
         a, b, left, covariance = system.solve(a, b, weight)
         scale = system.noise(left, used.astype(float), robust=False)
-    covariance = covariance + system.shared_rounding(left, used)
+    spans = system.spans(a, b)
+    covariance = covariance + system.shared_rounding(left, used) + _no_crystal(b, np.ptp(spans, axis=1))
     return ClockNetwork(
         nodes=tuple(nodes),
         group=group,
         value=np.concatenate([a, b]),
         covariance=covariance,
         tau0_s=tau0[group],
-        span_s=system.spans(a, b),
+        span_s=spans,
         leftovers=system.leftovers(nodes, a, b, left, used, scale),
     )
+
+
+def _no_crystal(skew: FloatArray, span_s: FloatArray) -> FloatArray:
+    """Covariance to add where a skew is larger than any crystal's: times contradict each other and few"
+    " rounds hide it.
+    """
+    wrong = np.where(np.abs(skew) > LARGEST_SKEW, skew, 0.0)
+    return np.diag(np.concatenate([(wrong * span_s) ** 2, wrong**2]))
 
 
 @dataclass(frozen=True)
@@ -198,6 +210,22 @@ class _System:
             return used
         alone = np.bincount(self.rows.event, used) < 2
         return used & ~alone[self.rows.event]
+
+    def cut_off(self, used: BoolArray) -> BoolArray:
+        """(M,) all rows of nodes that the rows in use no longer link to their group: their scatter is"
+        " their noise.
+        """
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        n, events = self.count, int(self.rows.event.max(initial=-1)) + 1
+        heard = np.stack([self.node[used], n + self.rows.event[used]])
+        edges = np.concatenate([heard, self.ends.T], axis=1)
+        graph = coo_matrix((np.ones(edges.shape[1]), edges), shape=(n + events, n + events))
+        part = connected_components(graph, directed=False)[1][:n]
+        first = {int(g): part[np.flatnonzero(self.group == g)[0]] for g in np.unique(self.group)}
+        lost = np.array([part[k] != first[int(self.group[k])] for k in range(n)])
+        return np.isin(self.rows.event, self.rows.event[lost[self.node]])
 
     def noise(self, left: FloatArray, weight: FloatArray, robust: bool) -> FloatArray:
         """(M,) how much larger than stated the noise of each row's source is (at least as stated)."""

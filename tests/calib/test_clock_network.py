@@ -120,6 +120,14 @@ def test_rounds_that_share_one_rounding_are_not_averaged():
     assert abs(link.offset_s - 1.0 - 0.4 * STEP_S) < 2.5 * link.sigma_s
 
 
+def test_rounds_that_contradict_each_other_cost_sigma():
+    """Two rounds, one of them 60 ms late: no telling which; both stay, and sigma says so."""
+    t = np.array([0.0, 20.0, 1.0, 21.06])
+    heard = Receptions(np.array([0, 1, 0, 1]), ["a", "a", "b", "b"], t, np.full(4, 1e-4), "broadcast")
+    link = solve_clocks([heard]).between("a", "b")
+    assert link.sigma_s > 5e-3 and 0.99 < link.offset_s < 1.07
+
+
 @given(st.integers(0, 10_000), st.integers(2, 6), st.floats(0.0, 0.5))
 @settings(max_examples=25, deadline=None)
 def test_any_network_has_offsets_that_add_up(seed: int, nodes: int, missed: float):
