@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..recording import FloatArray
-from .align import position_at
+from .align import linear_at
 from .lag import FEWEST, LONGEST_S
 
 #: Lags are looked at in steps of this, then about the best one in finer steps, s.
@@ -41,7 +41,7 @@ def lag_left_s(
     t, a = t_s[known], samples[known]
 
     def correlation(lag_s: float) -> float:
-        b = position_at(reference_t_s, reference, t - lag_s)
+        b = linear_at(reference_t_s, reference, t - lag_s)
         both = np.isfinite(b).all(axis=1)
         return _correlation(a[both], b[both]) if both.sum() >= FEWEST else float("nan")
 

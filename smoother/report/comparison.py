@@ -172,7 +172,7 @@ def in_gap(found: Comparison, recording: Recording, gap: Gap) -> go.Figure:
     drawn.update_xaxes(title_text="time, s", row=4, col=1)
     drawn.add_vrect(gap.start_s, gap.end_s, fillcolor=SHADE, line_width=0, layer="below", row="all", col=1)
     dress(drawn, 820, head=90)
-    return drawn.update_layout(legend={"traceorder": "reversed"})
+    return drawn.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
 
 
 def _line(

@@ -56,15 +56,16 @@ def write_gap_curves(
 
 def verdict(spreads: Spreads) -> list[str]:
     """How long a gap can be trusted, and to what, in sentences."""
-    said = []
-    for limit_cm in (1, 2, 5):
+    said, before = [], 0.0
+    for limit_cm in (1, 2, 5, 10):
         longest = _longest_within(spreads, "graph", limit_cm / 100)
-        if longest is not None:
+        if longest is not None and longest > before:
+            before = longest
             said.append(
                 f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
             )
     if not said and any("graph" in methods for methods in spreads.values()):
-        said.append("At none of these lengths are three of four gaps recovered to 5 cm rms by the graph")
+        said.append("At none of these lengths are three of four gaps recovered to 10 cm rms by the graph")
     for length, methods in spreads.items():
         known = {name: each.median_m for name, each in methods.items() if each.median_m is not None}
         if len(known) > 1:
@@ -130,6 +131,7 @@ def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Sca
     outline = {"x": np.concatenate([x, x[::-1]]), "y": np.concatenate([high, low[::-1]])}
     return go.Scatter(
         **outline,
+        mode="lines",
         fill="toself",
         fillcolor=faint(colour, 0.2),
         line={"width": 0},

@@ -1,0 +1,163 @@
+"""`compare` and `gaps --report` through the real commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from smoother.cli.methods import METHODS
+from smoother.cli.run import run
+
+
+def done(*arguments: object) -> None:
+    assert run([str(argument) for argument in arguments]) == 0
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds with an occlusion, its motion capture and its calibration."""
+    folder = tmp_path_factory.mktemp("compare")
+    done(
+        *("simulate", "arm", "--protocol", "random", "--duration-s", 10, "--seed", 6),
+        *("-o", folder / "rec.mcap", "--mocap", "--calibration-out", folder / "cal.toml"),
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def everything(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, str]:
+    """Figures and page of every method, held against the recording's own truth."""
+    where = tmp_path_factory.mktemp("everything")
+    done(
+        *("compare", session / "rec.mcap", "--calibration", session / "cal.toml", "--processes", 1),
+        *("--json", where / "c.json", "--report", where / "c.html"),
+    )
+    return json.loads((where / "c.json").read_text()), (where / "c.html").read_text()
+
+
+def test_every_method_is_there_the_best_first(everything):
+    figures, _ = everything
+    assert set(figures["order"]) == set(figures["methods"]) == set(METHODS)
+    errors = [figures["methods"][name]["occluded"]["position_rms_m"] for name in figures["order"]]
+    assert errors == sorted(errors) and all(0 < error < 0.6 for error in errors)
+    assert figures["order"].index("graph") < figures["order"].index("linear-drift")
+    for name, found in figures["methods"].items():
+        assert found["failure"] == "" and found["points"], name
+        assert (found["occluded"]["nees"] is None) == (
+            name in ("linear-drift", "camera-only", "pchip", "hold")
+        ), name
+
+
+def test_latency_and_lag(everything):
+    figures, _ = everything
+    camera = figures["camera"]
+    # the preset has no latency; found to three of its own sigmas and to 5 ms
+    assert abs(camera["latency_s"]) < max(3 * camera["clock_offset_sigma_s"], 0.005)
+    assert all(abs(lag) < 0.005 for lag in camera["lag_before_s"].values())
+    assert abs(figures["methods"]["graph"]["lag_s"]) < 0.005
+    assert "lag_occluded_s" in figures["methods"]["hold"]
+
+
+def test_the_page_has_every_method_over_the_others(everything):
+    _, page = everything
+    assert page.count('class="plotly-graph-div"') == 1  # one gap
+    assert "Lag left behind the truth" in page and "Joints in the gaps" in page
+    for name in (*METHODS, "truth"):
+        assert f'"name":"{name}"' in page
+
+
+def test_the_graphs_row_is_what_validate_says(everything, session: Path, tmp_path: Path):
+    figures, _ = everything
+    out = tmp_path / "out.mcap"
+    done(
+        *("smooth", session / "rec.mcap", "-o", out, "--calibration", session / "cal.toml"),
+        *("--processes", 1),
+    )
+    done("validate", out, "--truth", session / "rec.mcap", "--json", tmp_path / "v.json")
+    validated = json.loads((tmp_path / "v.json").read_text())
+    for part in ("occluded", "visible"):
+        mine, its = figures["methods"]["graph"][part], validated[part]
+        assert mine["samples"] == its["samples"]
+        # times and poses went through a file's nanoseconds and floats
+        assert mine["position_rms_m"] == pytest.approx(its["position_rms_m"], abs=2e-6)
+        assert mine["orientation_rms_deg"] == pytest.approx(its["orientation_rms_deg"], abs=1e-3)
+
+
+def test_a_truth_of_markers(everything, session: Path, tmp_path: Path, capsys):
+    figures, _ = everything
+    done(
+        *("compare", session / "rec.mcap", "--truth", session / "rec.c3d", "--methods", "hold,graph"),
+        *("--markers", session / "rec_markers.toml", "--calibration", session / "cal.toml"),
+        *("--processes", 1, "--json", tmp_path / "c.json"),
+    )
+    said = capsys.readouterr().out
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["alignment"] == "calibration" and found["order"] == ["graph", "hold"]
+    assert "frame from the calibration" in " ".join(said.split())
+    assert "aligned by the graph's answer, once for all methods" in said
+    # the clock is aligned by the answer, which costs some tenths of a millimetre
+    assert found["methods"]["graph"]["occluded"]["position_rms_m"] == pytest.approx(
+        figures["methods"]["graph"]["occluded"]["position_rms_m"], abs=1e-3
+    )
+
+
+def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: Path, capsys):
+    recording, json_file = session / "rec.mcap", tmp_path / "c.json"
+    bare = tmp_path / "bare.mcap"
+    folder = tmp_path / "plain"
+    folder.mkdir()
+    rows = [f"{0.01 * k:.2f},0,9.81,0,0,0,0" for k in range(300)]
+    (folder / "imu.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n" + "\n".join(rows) + "\n")
+    seen = [
+        f"{k / 30:.4f},{joint},0,0,{z},tracked"
+        for k in range(90)
+        for joint, z in (("elbow", 2), ("wrist", 2.2))
+    ]
+    (folder / "skeleton.csv").write_text("t_s,joint,x,y,z,state\n" + "\n".join(seen) + "\n")
+    (folder / "recording.toml").write_text(
+        '[camera]\nframe = "kinect"\nskeleton = "skeleton.csv"\nposition_unit = "m"\n'
+        '[imu.forearm_right]\nfile = "imu.csv"\naccelerometer_unit = "m/s^2"\ngyroscope_unit = "rad/s"\n'
+    )
+    done("import", "csv", folder, "-o", bare)
+    (tmp_path / "late.csv").write_text(
+        "t_s,x,y,z\n" + "".join(f"{900 + 0.02 * k},0,0,2\n" for k in range(99))
+    )
+    cases = [
+        (1, [bare], "holds no truth: name one with --truth"),
+        (1, [recording, "--truth", tmp_path / "none.c3d"], "there is no such file"),
+        (1, [recording, "--truth", tmp_path / "late.csv", "--methods", "graph"], "do not overlap in time"),
+        (2, [recording, "--methods", "graph,magic"], "there is no method 'magic'"),
+        (2, [recording, "--markers", tmp_path / "m.toml"], "are for a truth named with --truth"),
+        (1, [recording, "--report", session / "rec.mcap", "--force"], "is read by this command"),
+    ]
+    for code, arguments, sentence in cases:
+        capsys.readouterr()
+        assert run([str(each) for each in ("compare", *arguments, "--json", json_file)]) == code, sentence
+        said = capsys.readouterr().err
+        assert sentence in said and said.count("\n") == 1, said
+        assert not json_file.exists()
+
+
+def test_gaps_draws_error_against_length(session: Path, tmp_path: Path):
+    page, json_file = tmp_path / "g.html", tmp_path / "g.json"
+    done(
+        *("gaps", session / "rec.mcap", "--methods", "graph,rts,hold", "--lengths", "0.5,0.25"),
+        *("--gaps-per-run", 2, "--processes", 1, "--calibration", session / "cal.toml"),
+        *("--report", page, "--json", json_file),
+    )
+    figures = json.loads(json_file.read_text())
+    assert [entry["length_s"] for entry in figures["spread"]] == [0.25, 0.5]
+    for entry in figures["spread"]:
+        for name, spread in entry["methods"].items():
+            mine = [
+                row["rms_m"]
+                for row in figures["rows"]
+                if (row["length_s"], row["method"]) == (entry["length_s"], name)
+            ]
+            assert spread["gaps"] == len(mine) and spread["worst_m"] == max(mine)
+            assert min(mine) <= spread["low_m"] <= spread["median_m"] <= spread["high_m"] <= max(mine)
+    text = page.read_text()
+    assert "the graph recovers three of four gaps" in text
+    assert all(f'"name":"{name}"' in text for name in ("graph", "rts", "hold"))

@@ -1,0 +1,173 @@
+"""Methods against one truth: order, failures, the lag that is left, the spread over gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smoother.errors import RecordingError, SolveError
+from smoother.evaluation.compare import compare
+from smoother.evaluation.gap_spread import spread_by_length, spread_of
+from smoother.evaluation.gaps import GapRow
+from smoother.evaluation.lag_left import lag_left_s
+from smoother.evaluation.metrics import summarise
+from smoother.evaluation.placement import HiddenGap
+from smoother.recording import Recording, Truth
+from smoother.result import Recovery
+
+GAPS = ((4.0, 5.5), (9.0, 11.0), (15.0, 16.0))
+LATE_S = 0.030
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Three gaps; the camera is 30 ms late (its clock shows more than the IMU's)."""
+    made = make_recording(20.0, offset_s=-LATE_S, noise_m=0.004)
+    t = made.arm.t_s
+    hidden = np.any([(t > start) & (t < end) for start, end in GAPS], axis=0)
+    return replace(made, arm=made.arm.hide(hidden), truth=None)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    t = np.arange(0.0, 20.0, 0.01)
+    joints = {name: path(t) + turn(t).apply(lever) for name, lever in LEVERS.items()}
+    return replace(make_truth(t), joints=joints)
+
+
+def delayed(recovery: Recovery, late_s: float, only_in_gaps: bool = False) -> Recovery:
+    """The recovery, late by so much."""
+    t = recovery.t_s - late_s
+    moved = path(t) + (recovery.position - path(recovery.t_s))
+    if only_in_gaps:
+        moved = np.where(recovery.occluded[:, None], moved, recovery.position)
+    return replace(recovery, position=moved)
+
+
+class TestCompare:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def found(recording, truth):
+        def failing(_: Recording) -> Recovery:
+            raise SolveError("it had no wish to")
+
+        graph = make_recovery(recording, error_m=0.005, offset_s=-LATE_S)
+        methods = {
+            "broken": failing,
+            "coarse": lambda r: make_recovery(r, error_m=0.05, offset_s=-LATE_S),
+            "graph": lambda r: graph,
+            "late": lambda r: delayed(graph, 0.040),
+            "late in gaps": lambda r: delayed(graph, 0.025, only_in_gaps=True),
+        }
+        return compare(recording, graph, truth, methods)
+
+    def test_the_best_stands_first_and_a_failure_last(self, found):
+        order = [row.method for row in found.rows]
+        errors = [found.figures(row, "occluded").position_rms_m for row in found.rows[:-1]]
+        assert order[0] == "graph" and order[-1] == "broken"
+        assert errors == sorted(errors)
+        assert found.rows[-1].failure == "it had no wish to"
+        assert any("broken could not recover it" in note for note in found.notes)
+        # white noise of 5 mm an axis is 8.7 mm of distance; some 360 samples in the gaps
+        assert errors[0] == pytest.approx(0.005 * np.sqrt(3), rel=0.1)
+
+    def test_a_delay_is_found_to_a_few_milliseconds(self, found):
+        lag = {row.method: (row.lag_s, row.lag_occluded_s) for row in found.rows}
+        assert lag["graph"] == pytest.approx((0.0, 0.0), abs=0.002)
+        assert lag["late"] == pytest.approx((0.040, 0.040), abs=0.002)
+        assert lag["late in gaps"][1] == pytest.approx(0.025, abs=0.002)
+        assert abs(lag["late in gaps"][0]) < 0.01
+
+    def test_the_cameras_own_delay(self, found):
+        assert set(found.camera_lag_s) == set(LEVERS)
+        for lag in found.camera_lag_s.values():
+            assert lag == pytest.approx(LATE_S, abs=0.002)
+        plain = found.to_dict()["camera"]
+        assert plain["latency_s"] == LATE_S and plain["clock_offset_sigma_s"] == 0.002
+        assert "+30.0 +- 2.0 ms late" in found.camera_words
+
+    def test_everything_by_name(self, found):
+        plain = found.to_dict()
+        assert plain["point"] == "sensor" and plain["alignment"] == "none"
+        assert plain["order"][-1] == "broken" and plain["methods"]["broken"] == {
+            "failure": "it had no wish to"
+        }
+        graph = plain["methods"]["graph"]
+        assert {"all", "occluded", "visible", "points", "gaps", "lag_s", "lag_occluded_s"} <= set(graph)
+        assert set(graph["points"]) == set(LEVERS) and len(graph["gaps"]) == 3
+        assert graph["occluded"]["samples"] + graph["visible"]["samples"] == graph["all"]["samples"]
+
+    def test_without_the_sensors_place_the_wrist_is_compared(self, recording, truth):
+        of_joints = replace(truth, position=np.full_like(truth.position, np.nan))
+        graph = make_recovery(recording, error_m=0.005, offset_s=-LATE_S)
+        found = compare(recording, graph, of_joints, {"graph": lambda r: graph})
+        assert found.point == "wrist"
+        assert found.figures(found.rows[0], "all").position_rms_m == pytest.approx(0.0087, rel=0.1)
+        assert found.rows[0].lag_s == pytest.approx(0.0, abs=0.002)
+
+    def test_a_truth_that_shares_nothing_is_refused(self, recording, truth):
+        graph = make_recovery(recording, offset_s=-LATE_S)
+        shoulder = {"shoulder": np.tile([0.0, 0.3, 2.1], (len(truth.t_s), 1))}
+        blank = replace(truth, position=np.full_like(truth.position, np.nan), joints=shoulder)
+        with pytest.raises(RecordingError, match="no position that the methods answer"):
+            compare(recording, graph, blank, {"graph": lambda r: graph})
+
+
+class TestLagLeft:
+    t = np.arange(0.0, 20.0, 0.0125)
+
+    @settings(max_examples=25, deadline=None)
+    @given(late=st.floats(-0.3, 0.3))
+    def test_between_samples(self, late):
+        # straight lines between samples are off by 25 microns at most; the vertex of 2 ms steps by 0.1 ms
+        found = lag_left_s(self.t[200:-200], path(self.t[200:-200] - late), self.t, path(self.t))
+        assert found == pytest.approx(late, abs=3e-4)
+
+    @settings(max_examples=25, deadline=None)
+    @given(late=st.floats(-0.1, 0.1), start=st.floats(2.0, 14.0))
+    def test_one_short_gap_is_enough(self, late, start):
+        inside = (self.t > start) & (self.t < start + 2.5)
+        samples = np.where(inside[:, None], path(self.t - late), np.nan)
+        assert lag_left_s(self.t, samples, self.t, path(self.t)) == pytest.approx(late, abs=1e-3)
+
+    def test_shrunk_noisy_and_shifted_samples_keep_their_lag(self):
+        rng = np.random.default_rng(3)
+        samples = 0.7 * path(self.t - 0.05) + 0.1 + rng.normal(scale=0.02, size=(len(self.t), 3))
+        assert lag_left_s(self.t, samples, self.t, path(self.t)) == pytest.approx(0.05, abs=0.005)
+
+    def test_nothing_where_nothing_can_be_told(self):
+        known = path(self.t)
+        assert lag_left_s(self.t, np.full_like(known, np.nan), self.t, known) is None
+        assert lag_left_s(self.t, np.zeros_like(known), self.t, known) is None
+        assert lag_left_s(self.t[:10], known[:10], self.t, known) is None
+        assert lag_left_s(self.t, path(self.t - 1.2), self.t, known) is None  # beyond half a second
+
+
+class TestSpread:
+    def test_quartiles_over_gaps(self):
+        errors = [0.01, 0.05, None, 0.02, 0.04, float("nan"), 0.03]
+        spread = spread_of(errors)
+        assert (spread.gaps, spread.failed) == (7, 2)
+        assert [spread.low_m, spread.median_m, spread.high_m] == pytest.approx([0.02, 0.03, 0.04])
+        assert spread.rms_m == pytest.approx(np.sqrt(np.mean(np.square([0.01, 0.05, 0.02, 0.04, 0.03]))))
+        assert spread.worst_m == 0.05
+
+    def test_nothing_answered(self):
+        spread = spread_of([None, None])
+        assert (spread.median_m, spread.rms_m, spread.gaps, spread.failed) == (None, None, 2, 2)
+
+    def test_by_length_and_method(self):
+        def row(length: float, method: str, error: float, failure: str = "") -> GapRow:
+            figures = summarise(np.array([error]), np.zeros(1), np.zeros(1))
+            return GapRow(length, method, 0, HiddenGap(1.0, 1.0 + length), "truth", figures, failure=failure)
+
+        rows = [row(2.0, "b", 0.2), row(0.5, "b", 0.1), row(0.5, "a", 0.3), row(0.5, "b", 0.9, "no answer")]
+        found = spread_by_length(rows)
+        assert list(found) == [0.5, 2.0] and list(found[0.5]) == ["b", "a"]
+        assert found[0.5]["b"].median_m == pytest.approx(0.1) and found[0.5]["b"].failed == 1
+        assert found[2.0]["b"].worst_m == pytest.approx(0.2)
