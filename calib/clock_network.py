@@ -58,13 +58,16 @@ def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -
     )
     a, b, group, tau0 = start_values(rows.event, node, rows.t, ends, links, len(nodes))
     system = _System(rows, node, ends, links, group, tau0)
-    weight = np.ones(len(rows.t))
+    # the start is robust: its residuals say first what to trust
+    left, weight = system.apart(a, b, np.ones(len(rows.t))), np.zeros(len(rows.t))
+    scale = system.noise(left, np.ones(len(left)), robust=True)
+    again = 1.0 / (1.0 + (left / (rows.sigma * scale)) ** 2)
     for _ in range(ROUNDS):  # weights of Cauchy's loss, until they settle
+        weight = again
         a, b, left, _ = system.solve(a, b, weight)
-        scale = np.maximum(system.noise(left, weight, robust=True), 1.0)
+        scale = np.minimum(system.noise(left, weight, robust=True), scale)
         again = 1.0 / (1.0 + (left / (rows.sigma * scale)) ** 2)
-        settled, weight = np.abs(again - weight).max(initial=0.0) < 1e-6, again
-        if settled:
+        if np.abs(again - weight).max(initial=0.0) < 1e-6:
             break
     used = system.heard_together(np.abs(left) < OUTLIER * scale * rows.sigma)
     used |= system.cut_off(used)
@@ -72,6 +75,8 @@ def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -
         weight = used.astype(float) / scale**2
         a, b, left, covariance = system.solve(a, b, weight)
         scale = system.noise(left, used.astype(float), robust=False)
+    left = system.apart(a, b, np.maximum(weight, 1e-6))  # of the rows set aside too
+    covariance = covariance + system.outvoted(left, used)
     spans = system.spans(a, b)
     covariance = covariance + system.shared_rounding(left, used) + _no_crystal(b, np.ptp(spans, axis=1))
     return ClockNetwork(
@@ -158,14 +163,13 @@ class _System:
         dt = self.on_reference(self.node, rows.t, a, b)
         information = weight / rows.sigma**2
         middle = self._mean(dt, information)
+        off = self.apart(a, b, weight)
         design = np.zeros((len(rows.t), 2 * n))
         at = np.arange(len(rows.t))
         design[at, self.node], design[at, n + self.node] = 1.0, middle
         design -= np.stack([self._mean(column, information) for column in design.T], axis=1).reshape(
             design.shape
         )
-        off = (dt - middle) * (1 + b[self.node])
-        off = off - self._mean(off, information)
         design_l, off_l, information_l = self._link_rows(a, b)
         design = np.concatenate([design, design_l, np.eye(2 * n)[n:]])
         off = np.concatenate([off, off_l, -b])
@@ -181,6 +185,13 @@ class _System:
         covariance[np.ix_(columns, columns)] = inverse
         left = (off - design @ step)[: len(rows.t)]
         return a + step[:n], b + step[n:], left, covariance
+
+    def apart(self, a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+        """(M,) how far each time is from its event's, on the node's own clock, s."""
+        dt = self.on_reference(self.node, self.rows.t, a, b)
+        information = weight / self.rows.sigma**2
+        off = (dt - self._mean(dt, information)) * (1 + b[self.node])
+        return off - self._mean(off, information)
 
     def _mean(self, values: FloatArray, weight: FloatArray) -> FloatArray:
         """Weighted mean of each event, at its rows (M,)."""
@@ -243,6 +254,16 @@ class _System:
                 total = float(size.sum())
             scale[rows.source == k] = np.sqrt(max((PRIOR_SAMPLES + total) / (PRIOR_SAMPLES + freedom), 1.0))
         return scale
+
+    def outvoted(self, left: FloatArray, used: BoolArray) -> FloatArray:
+        """Covariance to add to nodes of which no more times agree than were set aside."""
+        extra = np.zeros(2 * self.count)
+        for node in self.free.tolist():
+            mine = self.node == node
+            aside = np.abs(left[mine & ~used])
+            if len(aside) and int((mine & used).sum()) <= len(aside):
+                extra[node] = float(np.median(aside)) ** 2
+        return np.diag(extra)
 
     def shared_rounding(self, left: FloatArray, used: BoolArray) -> FloatArray:
         """Covariance to add where all rounds of a source agree too well: they share one rounding error."""

@@ -121,11 +121,11 @@ def test_rounds_that_share_one_rounding_are_not_averaged():
 
 
 def test_rounds_that_contradict_each_other_cost_sigma():
-    """Two rounds, one of them 60 ms late: no telling which; both stay, and sigma says so."""
+    """Two rounds, one of them 60 ms late: no telling which, and sigma says so."""
     t = np.array([0.0, 20.0, 1.0, 21.06])
     heard = Receptions(np.array([0, 1, 0, 1]), ["a", "a", "b", "b"], t, np.full(4, 1e-4), "broadcast")
     link = solve_clocks([heard]).between("a", "b")
-    assert link.sigma_s > 5e-3 and 0.99 < link.offset_s < 1.07
+    assert link.sigma_s > 5e-3 and abs(link.offset_s - 1.0) < 3 * link.sigma_s
 
 
 @given(st.integers(0, 10_000), st.integers(2, 6), st.floats(0.0, 0.5))
