@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MIDDLE = ("io", "simulation", "evaluation", "peers", "report")
+MIDDLE = ("io", "simulation", "evaluation", "peers", "study", "report")
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
 MAY = {
     "core": set(),
@@ -20,6 +20,7 @@ MAY = {
     "simulation": {"calib"},
     "peers": {"calib"},
     "evaluation": {"calib", "io", "peers"},
+    "study": {"calib", "io", "evaluation"},
     "report": {"calib", "io", "evaluation"},
     "cli": {"calib", *MIDDLE},
 }

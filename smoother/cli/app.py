@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from . import (
+    batch,
     calibrate,
     calibrate_clock,
     calibrate_forearm,
@@ -95,6 +96,11 @@ app.command(
 app.command("export", epilog="Example: unocclude export recovered.mcap --format trc -o recovered.trc")(
     export.export
 )
+app.command(
+    "batch",
+    cls=batch.BatchCommand,
+    epilog="Example: unocclude batch sessions -o recovered --calibration arm.toml --report",
+)(batch.batch)
 app.command("config", epilog="Example: unocclude config > settings.toml")(config.config)
 app.command("doctor", epilog="Example: unocclude doctor")(doctor.doctor)
 

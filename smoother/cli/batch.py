@@ -1,0 +1,181 @@
+"""`unocclude batch`: many recordings, on this machine or a Dask cluster."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from .options import Body, Calibration, ConfigFile, Imu, Json, Processes, Side, Skeleton, one_side
+from .output import centimetres, check_outputs, print_table, say, say_written, write_json
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from ..study.run import Tally
+
+#: Rows of the tables that are printed at the end.
+MOST_WORST, MOST_FAILURES = 10, 25
+_REPORT = "--report"
+
+
+class BatchCommand(TyperCommand):
+    """Lets `--report` stand alone: the page then lies in the study's folder."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Give a `--report` that no page's name follows an empty one."""
+        told: list[str] = []
+        for place, arg in enumerate(args):
+            told.append(arg)
+            follows = args[place + 1] if place + 1 < len(args) else ""
+            if arg == _REPORT and not follows.lower().endswith((".html", ".htm")):
+                told.append("")
+        return list(super().parse_args(ctx, told))
+
+
+def batch(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="FOLDER|PATTERN|LIST",
+            help="All .mcap files of a folder, of a pattern in quotation marks, or of a text file with one"
+            " recording a line (perhaps a tab and its own calibration).",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FOLDER", help="Where results go.", show_default=False),
+    ],
+    calibration_file: Calibration = None,
+    config_file: ConfigFile = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it."
+        ),
+    ] = None,
+    processes: Processes = None,
+    report: Annotated[
+        str | None,
+        typer.Option(
+            "--report", metavar="[OUT.html]", help="Also write a page over the study; in FOLDER if not named."
+        ),
+    ] = None,
+    json_file: Json = None,
+    imu: Imu = None,
+    skeleton: Skeleton = None,
+    side: Side = None,
+    body: Body = None,
+    passthrough_images: Annotated[
+        bool, typer.Option("--passthrough-images", help="Carry images and depth over (they show the person).")
+    ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try again what failed, not only what may have changed.")
+    ] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Take a folder with other files; compute everything anew."),
+    ] = False,
+) -> None:
+    """Recover many recordings; the same command continues where an interrupted one stopped.
+
+    Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
+    One failing recording does not stop the others; the exit code is 1 then.
+    """
+    from ..study.cluster import run_cluster
+    from ..study.fingerprint import Choice
+    from ..study.inputs import find_entries
+    from ..study.local import run_local
+    from ..study.run import StudySettings, run_study, study_folder
+    from .batch_progress import study_progress
+    from .config_file import read_config
+
+    if scheduler is not None and processes is not None:
+        raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
+    folder = study_folder(output)
+    page = None if report is None else Path(report) if report else folder.path / "report.html"
+    settings = StudySettings(
+        config=read_config(config_file),
+        choice=Choice(imu, skeleton, one_side(side), body, passthrough_images),
+        calibration="" if calibration_file is None else str(calibration_file.absolute()),
+        again=force,
+        retry_failed=retry_failed,
+    )
+    entries = find_entries(source, folder.path)
+    inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
+    # what an earlier run of the same study wrote is renewed
+    check_outputs(True, [None if inside else page, json_file], [calibration_file, config_file])
+    work = (
+        partial(run_local, processes=processes or 0)
+        if scheduler is None
+        else partial(run_cluster, scheduler=scheduler)
+    )
+    try:
+        with study_progress() as heard:
+            tally, rows = run_study(entries, folder, settings, work, heard, force)
+    except KeyboardInterrupt:
+        typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
+        raise typer.Exit(1) from None
+    if page is not None:
+        from ..report.study import write_study
+
+        write_study(rows, page, folder.path, force=True)
+    figures = study_figures(rows, tally)
+    write_json(json_file, figures | {"folder": folder.path, "rows": rows.to_pylist()}, True)
+    _print(rows, tally, figures)
+    say_written(folder.path, page, json_file)
+    if figures["failed"]:
+        raise typer.Exit(1)
+
+
+def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
+    """The figures of a study as plain values."""
+    import pyarrow.compute as pc
+
+    failed = rows.filter(pc.equal(rows["status"], "failed"))
+    return {
+        "recordings": tally.total,
+        "done": len(rows) - len(failed),
+        "failed": len(failed),
+        "computed": tally.computed,
+        "done_before": tally.before,
+        "seconds": tally.seconds,
+        "computed_s": tally.recorded_s,
+        "duration_s": pc.sum(rows["duration_s"]).as_py() or 0.0,
+        "occluded_s": pc.sum(rows["occluded_s"]).as_py() or 0.0,
+        "failures": failed.select(["recording", "error", "retry"]).to_pylist(),
+    }
+
+
+def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
+    """Print what came of a study, the worst recordings first."""
+    speed = f", {tally.recorded_s / tally.seconds:.1f} times real time" if tally.computed else ""
+    say(
+        f"{tally.total} recordings: {tally.computed} recovered now in {tally.seconds:.0f} s{speed};"
+        f" {tally.before} were dealt with before; {figures['failed']} failed in all"
+    )
+    columns = ("recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes")
+    done = [row for row in rows.select([*columns, "status"]).to_pylist() if row["status"] == "done"]
+    worst = sorted(done, key=lambda row: -(row["sigma_max_m"] or 0.0))[:MOST_WORST]
+    if worst:
+        print_table(
+            "The least certain recordings (sigma = one standard deviation)",
+            ("recording", "largest sigma, cm", "gaps", "longest gap, s", "occluded, s", "length, s", "notes"),
+            [
+                (row["recording"], centimetres(row["sigma_max_m"]), *(row[k] for k in columns[2:]))
+                for row in worst
+            ],
+        )
+    failures = figures["failures"]
+    if failures:
+        print_table(
+            "Failed",
+            ("recording", "why"),
+            [(row["recording"], row["error"]) for row in failures[:MOST_FAILURES]],
+        )
+        if len(failures) > MOST_FAILURES:
+            say(f".. and {len(failures) - MOST_FAILURES} failures more; --json and the results have them all")

@@ -1,0 +1,211 @@
+"""A study as one page: how its recordings are spread, the worst of them first."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ..recording import FloatArray
+from .look import OCCLUDED, VISIBLE, dress
+from .sheet import figure, listing, tabulated, write_sheet
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: Rows of the table of the worst recordings, and of failures; points of the scatter plot.
+MOST_WORST, MOST_POINTS = 200, 5000
+_BINS = 40
+
+
+def write_study(
+    rows: pa.Table, path: str | os.PathLike[str], folder: str | os.PathLike[str], *, force: bool = False
+) -> None:
+    """Write the page of a study.
+
+    Parameters
+    ----------
+    rows : one row a recording, columns as `study.columns` has them.
+    path : the page to write.
+    folder : the study's folder, which the outputs' names count from.
+    force : overwrite a page that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    import pyarrow.compute as pc
+
+    done = rows.filter(pc.equal(rows["status"], "done"))
+    failed = rows.filter(pc.equal(rows["status"], "failed"))
+    columns = {name: _numbers(done, name) for name in _PLOTTED}
+    sections = [_failures(failed)] if len(failed) else []
+    if len(done):
+        order = worst_first(columns["sigma_max_m"])
+        sections += [
+            figure(
+                "Distributions",
+                "One count a recording. Sigma is one standard deviation of the IMU's position on its worst"
+                " axis, the largest of all gaps.",
+                _distributions(columns),
+            ),
+            figure(
+                "Gaps and what they cost",
+                "A point a recording; the worst ones if there are very many.",
+                _scatter(done, columns, order),
+            ),
+            _worst(done, order[:MOST_WORST], Path(path), Path(folder)),
+            _notes(done),
+        ]
+    write_sheet(
+        path, "Study", f"{len(rows)} recordings", _verdict(rows, done, failed, columns), sections, force=force
+    )
+
+
+def worst_first(sigma_m: FloatArray) -> np.ndarray:
+    """(N,) places in the order to look at them: largest sigma first, those without a gap last."""
+    return np.argsort(-np.nan_to_num(sigma_m, nan=-1.0), kind="stable")
+
+
+_PLOTTED = (
+    *("duration_s", "occluded_s", "gap_longest_s", "sigma_max_m", "sigma_max_deg"),
+    *("clock_offset_s", "seconds", "notes"),
+)
+
+
+def _numbers(rows: pa.Table, name: str) -> FloatArray:
+    """A column as floats, nan where there is nothing."""
+    import pyarrow as pa
+
+    values: FloatArray = rows[name].cast(pa.float64()).to_numpy().astype(float)
+    return values
+
+
+def _verdict(
+    rows: pa.Table, done: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
+) -> Iterator[str]:
+    yield f"{len(done)} of {len(rows)} recordings were recovered, {len(failed)} failed"
+    if not len(done):
+        return
+    recorded, occluded, spent = (
+        float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
+    )
+    yield (
+        f"{recorded / 3600:.2f} h of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
+        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.0f} times real time"
+    )
+    sigma = 100 * columns["sigma_max_m"][np.isfinite(columns["sigma_max_m"])]
+    if len(sigma):
+        half, most = np.percentile(sigma, [50, 95])
+        yield (
+            f"the largest sigma of a recording is {half:.1f} cm in the median, {most:.1f} cm at the 95th"
+            f" percentile, {sigma.max():.1f} cm in the worst one"
+        )
+
+
+def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
+    share = 100 * columns["occluded_s"] / np.maximum(columns["duration_s"], 1e-9)
+    speed = columns["duration_s"] / np.maximum(columns["seconds"], 1e-9)
+    panels = [
+        ("largest sigma, cm", 100 * columns["sigma_max_m"]),
+        ("largest sigma, degrees", columns["sigma_max_deg"]),
+        ("longest gap, s", columns["gap_longest_s"]),
+        ("occluded, %", share),
+        ("clock offset, ms", 1000 * columns["clock_offset_s"]),
+        ("times real time", speed),
+    ]
+    drawn = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
+    for place, (title, values) in enumerate(panels):
+        row, column = 1 + place // 3, 1 + place % 3
+        kept = values[np.isfinite(values)]
+        if len(kept):
+            counts, edges = np.histogram(kept, bins=min(_BINS, max(5, int(np.sqrt(len(kept))))))
+            bars = go.Bar(
+                x=(edges[:-1] + edges[1:]) / 2, y=counts, width=np.diff(edges), marker={"color": VISIBLE}
+            )
+            drawn.add_trace(bars, row=row, col=column)
+        drawn.update_xaxes(title=title, row=row, col=column)
+    drawn.update_yaxes(title="recordings", col=1)
+    return dress(drawn, 620, head=20, showlegend=False, bargap=0.05)
+
+
+def _scatter(done: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
+    kept = order[:MOST_POINTS]
+    drawn = go.Figure(
+        go.Scattergl(
+            x=columns["gap_longest_s"][kept],
+            y=100 * columns["sigma_max_m"][kept],
+            text=done["recording"].take(kept).to_pylist(),
+            mode="markers",
+            marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
+        )
+    )
+    drawn.update_xaxes(title="longest gap, s")
+    drawn.update_yaxes(title="largest sigma, cm")
+    return dress(drawn, 420, head=20, showlegend=False)
+
+
+def _worst(done: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
+    """The worst recordings, each with a link to its output."""
+    heads = (
+        *("recording", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
+        *("occluded, s", "length, s", "notes"),
+    )
+    cells = []
+    for row in done.take(order).to_pylist():
+        figures = [
+            _scaled(row["sigma_max_m"], 100),
+            *(_scaled(row[name]) for name in ("sigma_max_deg", "gap_longest_s")),
+            row["gaps"],
+            *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
+            row["notes"],
+        ]
+        link = f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'
+        cells.append(f"<td>{link}</td>" + "".join(f"<td>{escape(str(each))}</td>" for each in figures))
+    more = f" The other {len(done) - len(cells)} are among the results." if len(done) > len(cells) else ""
+    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
+    body = "".join(f"<tr>{each}</tr>" for each in cells)
+    return (
+        '<h2>Worst recordings first</h2><p class="caption">By the largest sigma of their gaps; names lead to'
+        f" the outputs.{more}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _link(output: str, path: Path, folder: Path) -> str:
+    target = os.path.abspath(folder / output)
+    try:
+        return quote(Path(os.path.relpath(target, os.path.abspath(path.parent))).as_posix())
+    except ValueError:  # another drive
+        return Path(target).as_uri()
+
+
+def _scaled(value: float | None, factor: float = 1.0) -> str:
+    return "–" if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
+
+
+def _failures(failed: pa.Table) -> str:
+    rows: list[dict[str, Any]] = failed.slice(0, MOST_WORST).to_pylist()
+    return tabulated(
+        "Failed",
+        "The other recordings are not touched by these.",
+        ("recording", "why"),
+        ((row["recording"], row["error"]) for row in rows),
+    )
+
+
+def _notes(done: pa.Table) -> str:
+    """What results say of themselves most often."""
+    import pyarrow.compute as pc
+
+    texts = pc.list_flatten(done["note_texts"].combine_chunks())
+    counted = sorted(texts.value_counts().to_pylist(), key=lambda each: (-each["counts"], each["values"]))
+    said = [f"{each['counts']} x: {each['values']}" for each in counted[:20]]
+    return listing("What the results say of themselves", said, "Nothing.")

@@ -1,0 +1,103 @@
+"""The columns of a study's results: one row a recording and way of computing it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from ..recording import Recording
+    from ..result import Recovery
+
+Row = dict[str, Any]
+
+DONE, FAILED = "done", "failed"
+#: Name, Arrow type, unit and meaning of each column.
+COLUMNS: tuple[tuple[str, str, str, str], ...] = (
+    ("id", "string", "", "of recording name, input, configuration, calibration and version together"),
+    ("recording", "string", "", "name in the study"),
+    ("status", "string", "", "done or failed"),
+    ("error", "string", "", "why it failed, one sentence"),
+    ("retry", "bool", "", "it failed by its surroundings, and is tried again by the same command"),
+    ("input", "string", "", "path of the recording"),
+    ("input_hash", "string", "", "SHA-256 of the recording's bytes"),
+    ("input_bytes", "int64", "B", "size of the recording"),
+    ("input_mtime_ns", "int64", "ns", "when the recording was changed last, since 1970"),
+    ("config_hash", "string", "", "SHA-256 of configuration and choices, number of processes left out"),
+    ("calibration", "string", "", "path of the calibration file"),
+    ("calibration_hash", "string", "", "SHA-256 of the calibration file, empty without one"),
+    ("version", "string", "", "of the program"),
+    ("output", "string", "", "result, below the study's folder"),
+    ("output_hash", "string", "", "SHA-256 of the result's bytes"),
+    ("output_bytes", "int64", "B", "size of the result"),
+    ("output_mtime_ns", "int64", "ns", "when the result was written, since 1970"),
+    ("method", "string", "", "how it was recovered"),
+    ("side", "string", "", "the arm"),
+    ("duration_s", "double", "s", "length of the recording"),
+    ("rate_hz", "double", "Hz", "of the IMU"),
+    ("samples", "int64", "", "of the IMU"),
+    ("answered", "int64", "", "samples with an answer"),
+    ("gaps", "int64", "", "occluded stretches"),
+    ("gap_longest_s", "double", "s", "the longest of them"),
+    ("occluded_s", "double", "s", "all of them together"),
+    ("sigma_max_m", "double", "m", "largest standard deviation of the IMU's position in a gap, worst axis"),
+    ("sigma_median_m", "double", "m", "its median over the occluded samples"),
+    ("sigma_visible_m", "double", "m", "its median over the visible samples"),
+    ("sigma_max_deg", "double", "deg", "largest standard deviation of the orientation in a gap"),
+    ("clock_offset_s", "double", "s", "t_imu = t_camera + offset"),
+    ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
+    ("notes", "int64", "", "what the result says of itself: number of sentences"),
+    ("note_texts", "list", "", "the sentences"),
+    ("seconds", "double", "s", "time it took, reading and writing included"),
+    ("host", "string", "", "machine that did it"),
+    ("finished", "timestamp", "", "when it was done, UTC"),
+)
+
+
+def schema() -> pa.Schema:
+    """The columns as Arrow has them, unit and meaning in each one's metadata."""
+    import pyarrow as pa
+
+    kinds = {
+        "string": pa.string(),
+        "bool": pa.bool_(),
+        "int64": pa.int64(),
+        "double": pa.float64(),
+        "list": pa.list_(pa.string()),
+        "timestamp": pa.timestamp("us", tz="UTC"),
+    }
+    return pa.schema(
+        [
+            pa.field(name, kinds[kind], metadata={"unit": unit, "description": meaning})
+            for name, kind, unit, meaning in COLUMNS
+        ]
+    )
+
+
+def figures_of(recording: Recording, recovery: Recovery) -> Row:
+    """The columns that tell of a recovery."""
+    from ..evaluation.summary import recovery_figures
+
+    figures: dict[str, Any] = recovery_figures(recovery)
+    gaps, sigma = figures["gaps"], figures["sigma_m"]
+    notes = list(dict.fromkeys([*recording.notes, *recovery.notes]))
+    taken = ("method", "side", "duration_s", "rate_hz", "samples", "answered", "occluded_s")
+    return {name: figures[name] for name in taken} | {
+        "gaps": len(gaps),
+        "gap_longest_s": max((gap["length_s"] for gap in gaps), default=0.0),
+        "sigma_max_m": sigma["occluded"]["max"],
+        "sigma_median_m": sigma["occluded"]["median"],
+        "sigma_visible_m": sigma["visible"]["median"],
+        "sigma_max_deg": max((v for gap in gaps if (v := gap["sigma_max_deg"]) is not None), default=None),
+        "clock_offset_s": _number(recovery.clock_offset_s),
+        "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
+        "notes": len(notes),
+        "note_texts": notes,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

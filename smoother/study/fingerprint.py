@@ -1,0 +1,49 @@
+"""What a result depends on, as hashes: input, configuration, calibration, version."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..config import Config
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to take of a recording that has several of it, and what to carry over; see `smooth --help`."""
+
+    imu: str | None = None
+    skeleton: str | None = None
+    side: str | None = None
+    body: int | None = None
+    passthrough_images: bool = False
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal digits."""
+    found = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(_BLOCK):
+            found.update(block)
+    return found.hexdigest()
+
+
+def config_hash(config: Config, choice: Choice) -> str:
+    """SHA-256 of all settings that a result depends on; the number of processes is none of them."""
+    settings: dict[str, Any] = config.model_dump(mode="json", exclude={"windows": {"processes"}})
+    return text_hash(json.dumps([settings, asdict(choice)], sort_keys=True))
+
+
+def text_hash(*texts: str) -> str:
+    """SHA-256 of texts, told apart."""
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+
+
+def row_id(name: str, input_hash: str, config: str, calibration: str, version: str) -> str:
+    """What a result is known by: the same id, the same result."""
+    return text_hash(name, input_hash, config, calibration, version)[:32]

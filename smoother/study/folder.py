@@ -1,0 +1,115 @@
+"""A study's folder: results, outputs, and what workers leave on the way.
+
+::
+
+    DIR/results/*.parquet     rows, written once and never changed
+    DIR/day1/a.mcap           outputs, named as the recordings
+    DIR/.unocclude/study      a word by which a worker knows that it sees this very folder
+    DIR/.unocclude/stage/     outputs that are being written
+    DIR/.unocclude/rows/      rows of recordings that are done, until they are among the results
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import UnoccludeError
+from ..io.atomic import writing
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """Names in a study's folder; `path` is absolute."""
+
+    path: Path
+
+    @property
+    def results(self) -> Path:
+        """Where the rows lie."""
+        return self.path / "results"
+
+    @property
+    def stage(self) -> Path:
+        """Where outputs are written before they are moved to their place."""
+        return self.path / ".unocclude" / "stage"
+
+    @property
+    def rows(self) -> Path:
+        """Where a row waits until it is among the results."""
+        return self.path / ".unocclude" / "rows"
+
+    @property
+    def mark(self) -> Path:
+        """The file with the study's word."""
+        return self.path / ".unocclude" / "study"
+
+    def output(self, name: str) -> Path:
+        """Where the result of a recording lies."""
+        return self.path / name
+
+    def open(self, force: bool = False) -> str:
+        """Make the folder or take up one that holds a study.
+
+        Parameters
+        ----------
+        force : also use a folder that holds other files.
+
+        Returns
+        -------
+        The study's word.
+
+        Raises
+        ------
+        UnoccludeError
+            The folder holds files that no study wrote, or cannot be made.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
+        if not self.mark.exists():
+            if not force and self.path.is_dir() and any(self.path.iterdir()):
+                raise UnoccludeError(
+                    f"{self.path} holds files that are not of a study; name a new folder, or --force"
+                )
+            for folder in (self.results, self.stage, self.rows):
+                folder.mkdir(parents=True, exist_ok=True)
+            with writing(self.mark) as temporary:
+                temporary.write_text(secrets.token_hex(16), encoding="ascii")
+        self._sweep()
+        return self.mark.read_text(encoding="ascii")
+
+    def is_the_one(self, word: str) -> bool:
+        """Whether this machine sees the folder that has this word, not another of its name."""
+        try:
+            return self.mark.read_text(encoding="ascii") == word
+        except OSError:
+            return False
+
+    def staged(self, row: str) -> Path:
+        """A name that no other process uses, to write an output to."""
+        mine = self.stage / f"{socket.gethostname()}~{os.getpid()}"
+        mine.mkdir(parents=True, exist_ok=True)
+        return mine / f"{row}-{secrets.token_hex(4)}.mcap"
+
+    def _sweep(self) -> None:
+        """Remove what processes of this machine that are gone left half written."""
+        for folder in self.stage.iterdir():
+            host, _, process = folder.name.rpartition("~")
+            if host == socket.gethostname() and process.isdigit() and not _alive(int(process)):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _alive(process: int) -> bool:
+    if os.name == "nt":
+        return True  # signal 0 would end it there
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

@@ -1,0 +1,132 @@
+"""The recordings of a study: those of a folder, of a pattern, or of a list."""
+
+from __future__ import annotations
+
+import glob
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import UnoccludeError
+from .folder import StudyFolder
+
+ENDING = ".mcap"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording of a study.
+
+    Attributes
+    ----------
+    name : what it is called in the results: its path below the study's common folder, with slashes.
+    path : the recording, absolute.
+    calibration : a calibration of its own, absolute; "" where the study's is taken.
+    """
+
+    name: str
+    path: str
+    calibration: str = ""
+
+
+def find_entries(source: str, output: Path) -> list[Entry]:
+    """The recordings that a folder, a pattern or a list names, sorted by name.
+
+    Parameters
+    ----------
+    source : a folder (all `.mcap` below it), a pattern such as `day*/*.mcap` (`**` for any depth), an
+        `.mcap` file, or a text file with one recording a line, relative to the list's folder, which a tab
+        and a calibration may follow; empty lines and lines that begin with # are passed over.
+    output : the study's folder; what lies in it is not a recording of the study.
+
+    Raises
+    ------
+    UnoccludeError
+        Nothing is there, a line of the list cannot be used, or the outputs would replace the recordings.
+    """
+    path = Path(source)
+    if path.is_dir():
+        base, found = path, [(file, "") for file in _below(path)]
+    elif glob.has_magic(source) and not path.exists():
+        base = _fixed_part(source)
+        found = [(Path(file), "") for file in glob.iglob(source, recursive=True) if file.endswith(ENDING)]
+    elif path.suffix == ENDING:
+        base, found = path.parent, [(path, "")]
+    else:
+        base, found = _listed(path)
+    kept = [(file, calibration) for file, calibration in found if not _inside(file, output)]
+    if found and not kept:
+        raise UnoccludeError(f"{source} lies in {output}, where results go; give -o another folder")
+    if not kept:
+        raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here; name a folder that has some")
+    entries = {
+        entry.path: entry
+        for entry in (
+            Entry(_name(file, base), os.path.abspath(file), calibration) for file, calibration in kept
+        )
+    }
+    return sorted(entries.values(), key=lambda entry: entry.name)
+
+
+def _below(folder: Path) -> list[Path]:
+    """Recordings below a folder; not those of hidden folders, nor the outputs of other studies."""
+    found: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        here = Path(place)
+        folders[:] = [
+            each
+            for each in folders
+            if not each.startswith(".") and not StudyFolder(here / each).mark.exists()
+        ]
+        found += [here / each for each in names if each.endswith(ENDING) and not each.startswith(".")]
+    return found
+
+
+def _fixed_part(pattern: str) -> Path:
+    """The folders of a pattern before its first wildcard."""
+    fixed: list[str] = []
+    for part in Path(pattern).parts[:-1]:
+        if glob.has_magic(part):
+            break
+        fixed.append(part)
+    return Path(*fixed)
+
+
+def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
+    """Folder that the names count from, and the recordings of a list with their own calibrations."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise UnoccludeError(
+            f"{path}: {error.strerror or error}; name a folder, a pattern in quotation marks, or a list"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise UnoccludeError(f"{path} is no list: it is not text with one recording a line") from error
+    found: list[tuple[Path, str]] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        recording, *more = [part.strip() for part in line.split("\t")]
+        if not recording.endswith(ENDING) or len(more) > 1:
+            raise UnoccludeError(
+                f"{path}, line {number}: expected a recording ({ENDING}), perhaps a tab and a calibration"
+            )
+        calibration = os.path.abspath(path.parent / more[0]) if more and more[0] else ""
+        found.append((path.parent / recording, calibration))
+    inside = all(_inside(file, path.parent) for file, _ in found)
+    if inside or not found:
+        return path.parent, found
+    try:
+        return Path(os.path.commonpath([os.path.abspath(file.parent) for file, _ in found])), found
+    except ValueError as error:  # Windows: several drives
+        raise UnoccludeError(
+            f"{path}: the recordings lie on several drives; make a list for each of them"
+        ) from error
+
+
+def _inside(file: Path, folder: Path) -> bool:
+    return Path(os.path.abspath(file)).is_relative_to(os.path.abspath(folder))
+
+
+def _name(file: Path, base: Path) -> str:
+    return Path(os.path.abspath(file)).relative_to(os.path.abspath(base)).as_posix()

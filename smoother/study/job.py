@@ -1,0 +1,231 @@
+"""One recording of a study, file to file: what a worker does, here or on another machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from .. import __version__
+from ..config import Config
+from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError
+from .columns import DONE, FAILED, Row, figures_of
+from .fingerprint import Choice, file_hash, row_id, text_hash
+from .folder import StudyFolder
+
+#: The recording was done before, by its content; there is nothing to add to the results.
+SAME = "same"
+
+
+@dataclass(frozen=True)
+class Known:
+    """An earlier result of a recording under the same settings.
+
+    Attributes
+    ----------
+    row_id : its row.
+    output_hash : SHA-256 of the output; "" for a failure that would come again.
+    """
+
+    row_id: str
+    output_hash: str
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a worker needs to know; plain values, so that it travels between machines.
+
+    Attributes
+    ----------
+    name : of the recording in the study, with its ending; the output has the same.
+    source : path of the recording, absolute.
+    folder : the study's folder, absolute.
+    word : the study's word, by which the worker knows that it sees the same folder.
+    config, choice : settings.
+    config_hash : of both.
+    calibration : path of the calibration file, absolute, or "".
+    calibration_hash : SHA-256 of that file, or "".
+    version : of the program that started the study.
+    known : earlier results of this recording.
+    """
+
+    name: str
+    source: str
+    folder: str
+    word: str
+    config: Config
+    choice: Choice
+    config_hash: str
+    calibration: str = ""
+    calibration_hash: str = ""
+    version: str = __version__
+    known: tuple[Known, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """The same for the same work of the same study."""
+        known = [each.row_id for each in self.known]
+        settings = (self.config_hash, self.calibration_hash, self.version)
+        return text_hash(self.name, self.source, self.word, *settings, *known)[:32]
+
+    def row(self, status: str, input_hash: str = "", **more: object) -> Row:
+        """A row of the results about this recording."""
+        return {
+            "id": row_id(self.name, input_hash, self.config_hash, self.calibration_hash, self.version),
+            "recording": self.name,
+            "status": status,
+            "retry": False,
+            "input": self.source,
+            "input_hash": input_hash,
+            "config_hash": self.config_hash,
+            "calibration": self.calibration,
+            "calibration_hash": self.calibration_hash,
+            "version": self.version,
+            "host": socket.gethostname(),
+            "finished": datetime.now(UTC).isoformat(),
+            **more,
+        }
+
+    def lost(self, sentence: str) -> Row:
+        """The row of a recording whose worker died."""
+        return self.row(FAILED, error=sentence, retry=True)
+
+
+def run_job(job: Job) -> Row:
+    """Recover a recording and put result and row into the study's folder; never raises an error.
+
+    The row is written first, the output then moved to its place: a row whose output is in its place tells
+    that the recording is done, whatever dies in between.
+
+    Returns
+    -------
+    The row; its status is `SAME` where the content turned out to be done before.
+    """
+    began = time.perf_counter()
+    input_hash, before, folder = "", Row(), StudyFolder(Path(job.folder))
+    try:
+        _check_machine(job, folder)
+        about = os.stat(job.source)
+        before = {"input_bytes": about.st_size, "input_mtime_ns": about.st_mtime_ns}
+        input_hash = file_hash(job.source)
+        if same := _same(job, folder, input_hash):
+            return job.row(SAME, input_hash, id=same)
+        return _recover(job, folder, input_hash, before, began)
+    except Exception as error:
+        if os.environ.get("UNOCCLUDE_DEBUG", "0") not in ("", "0"):
+            raise
+        sentence, retry = explain(error)
+        row = job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)
+        if input_hash:
+            row |= before
+            with suppress(OSError, UnoccludeError):  # the client has it all the same
+                _leave(row, folder)
+        return row
+
+
+def _check_machine(job: Job, folder: StudyFolder) -> None:
+    """Refuse work that this machine could not do, or whose result nobody would find."""
+    host = socket.gethostname()
+    if job.version != __version__:
+        raise _Surroundings(
+            f"{host} has unocclude {__version__} and the study was started with {job.version};"
+            " install the same version on all machines"
+        )
+    if not folder.is_the_one(job.word):
+        raise _Surroundings(
+            f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
+        )
+    if not Path(job.source).is_file():
+        raise _Surroundings(
+            f"{host} does not see {job.source}; share the recordings with all workers under the same path"
+        )
+    if job.calibration and not Path(job.calibration).is_file():
+        raise _Surroundings(f"{host} does not see the calibration {job.calibration}; share it likewise")
+
+
+def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
+    """The id of an earlier row of this very content whose output is as it was written; "" without one."""
+    mine = str(job.row(DONE, input_hash)["id"])
+    output = folder.output(job.name)
+    for known in job.known:
+        if known.row_id != mine:
+            continue
+        if not known.output_hash or (output.is_file() and file_hash(output) == known.output_hash):
+            return mine
+    return ""
+
+
+def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
+    from calib.found import with_given
+
+    from ..io import write_recovery
+    from ..io.arm_reading import read_arm
+    from ..smoothing import smooth
+
+    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
+        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
+    choice = job.choice
+    recording, calibration = read_arm(
+        job.source,
+        job.calibration or None,
+        imu=choice.imu,
+        skeleton=choice.skeleton,
+        side=choice.side,
+        body=choice.body,
+    )
+    windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
+    config = job.config.model_copy(update={"windows": windows})
+    recovery = with_given(smooth(recording, calibration, config), calibration)
+    output = folder.output(job.name)
+    staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
+    try:
+        write_recovery([recovery], staged, source=job.source, passthrough_images=choice.passthrough_images)
+        about = os.stat(staged)
+        row = job.row(
+            DONE,
+            input_hash,
+            **before,
+            output=job.name,
+            output_hash=file_hash(staged),
+            output_bytes=about.st_size,
+            output_mtime_ns=about.st_mtime_ns,
+            **figures_of(recording, recovery),
+            seconds=time.perf_counter() - began,
+        )
+        _leave(row, folder)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged, output)
+    finally:
+        staged.unlink(missing_ok=True)
+    return row
+
+
+def _leave(row: Row, folder: StudyFolder) -> None:
+    """Write a row to where it waits."""
+    from ..io.atomic import writing
+
+    with writing(folder.rows / f"{row['id']}.json", force=True) as temporary:
+        temporary.write_text(json.dumps(row), encoding="utf-8")
+
+
+class _Surroundings(UnoccludeError):
+    """The machine or its folders are at fault, not the recording."""
+
+
+def explain(error: Exception) -> tuple[str, bool]:
+    """One sentence for a failure, and whether its surroundings are at fault, so that it may pass."""
+    if isinstance(error, UnoccludeError):
+        text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
+    elif isinstance(error, MemoryError):
+        text, retry = "the memory does not suffice for this recording; use fewer processes a machine", True
+    elif isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename is not None else ""
+        text, retry = f"{where}{error.strerror or error}", True
+    else:
+        text, retry = f"an unexpected error, {type(error).__name__}: {error}", False
+    return " ".join(text.split()), retry

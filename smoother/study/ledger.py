@@ -1,0 +1,213 @@
+"""A study's results: Parquet files that are written once, so that others can read them at any time."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import UnoccludeError
+from ..io.atomic import writing
+from .columns import COLUMNS, DONE, Row, schema
+from .fingerprint import file_hash
+from .folder import StudyFolder
+from .job import Known
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: A file of results holds no more rows than this.
+MOST_ROWS = 1000
+#: Rows wait at most this share of the time that the run has taken, and at most so long, s.
+_SHARE, _SOONEST_S, _LATEST_S = 0.05, 0.5, 30.0
+_LOOKED_UP = (
+    *("id", "recording", "status", "retry", "input", "input_bytes", "input_mtime_ns"),
+    *("config_hash", "calibration_hash", "version", "output_hash", "output_bytes", "output_mtime_ns"),
+    "finished",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Past:
+    """What is kept in memory of a row."""
+
+    row_id: str
+    settings: tuple[str, str, str]
+    done: bool
+    retry: bool
+    input: str
+    input_bytes: int | None
+    input_mtime_ns: int | None
+    output_hash: str
+    output_bytes: int | None
+    output_mtime_ns: int | None
+
+
+class Ledger:
+    """The rows of a study, those of earlier runs included.
+
+    Parameters
+    ----------
+    folder : the study's folder, open.
+    """
+
+    def __init__(self, folder: StudyFolder) -> None:
+        self._folder = folder
+        self._waiting: list[Row] = []
+        self._began = self._flushed = time.monotonic()
+        self._past: dict[str, list[_Past]] = {}
+        finished: dict[str, datetime] = {}
+        for row in self._read(_LOOKED_UP).sort_by("finished").to_pylist():
+            finished[row["id"]] = row["finished"]
+            self._remember(row)
+        self._adopt(finished)
+
+    def find(
+        self, name: str, source: str, settings: tuple[str, str, str], retry_failed: bool = False
+    ) -> tuple[str, tuple[Known, ...]]:
+        """What is known of a recording under these settings.
+
+        Parameters
+        ----------
+        name, source : its name in the study, and its path.
+        settings : hashes of configuration and calibration, and the version.
+        retry_failed : pass over failures that would come again.
+
+        Returns
+        -------
+        The id of its row if it is done and neither recording nor output were touched since, otherwise "";
+        and its earlier results, by which a worker finds out whether the content is the same all the same.
+        """
+        past = [
+            each
+            for each in self._past.get(name, ())
+            if each.settings == settings and (each.done or not (each.retry or retry_failed))
+        ]
+        known = tuple(Known(each.row_id, each.output_hash) for each in past)
+        try:
+            about = os.stat(source)
+        except OSError:
+            return "", known
+        for each in reversed(past):
+            here = each.input == source
+            if here and (each.input_bytes, each.input_mtime_ns) == (about.st_size, about.st_mtime_ns):
+                if not each.done or self._untouched(name, each):
+                    return each.row_id, known
+                break
+        return "", known
+
+    def _untouched(self, name: str, past: _Past) -> bool:
+        try:
+            about = os.stat(self._folder.output(name))
+        except OSError:
+            return False
+        return (about.st_size, about.st_mtime_ns) == (past.output_bytes, past.output_mtime_ns)
+
+    def add(self, row: Row) -> None:
+        """Take a row; it is among the results at a `tick` soon after, or at `flush`."""
+        self._waiting.append(row)
+        self.tick()
+
+    def tick(self) -> None:
+        """Write the rows that wait if they have waited long enough."""
+        now = time.monotonic()
+        wait = min(max(_SHARE * (now - self._began), _SOONEST_S), _LATEST_S)
+        if len(self._waiting) >= MOST_ROWS or now - self._flushed >= wait:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that wait as one more file of results."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        if not self._waiting:
+            return
+        columns = [name for name, *_ in COLUMNS]
+        rows = [{name: _value(name, row.get(name)) for name in columns} for row in self._waiting]
+        table = pa.Table.from_pylist(rows, schema=schema())
+        path = self._folder.results / f"rows-{time.time_ns()}-{secrets.token_hex(4)}.parquet"
+        with writing(path) as temporary:
+            parquet.write_table(table, temporary, compression="zstd")
+        for row in self._waiting:
+            (self._folder.rows / f"{row['id']}.json").unlink(missing_ok=True)
+            self._remember(row)
+        self._waiting, self._flushed = [], time.monotonic()
+
+    def rows(self, ids: Iterable[str]) -> pa.Table:
+        """The latest row of each of these ids, in order of the recordings' names."""
+        table = self._read().sort_by("finished")
+        latest = {row: place for place, row in enumerate(table["id"].to_pylist())}
+        chosen = [latest[row] for row in dict.fromkeys(ids) if row in latest]
+        return table.take(np.array(chosen, np.int64)).sort_by("recording")
+
+    def _read(self, columns: Iterable[str] | None = None) -> pa.Table:
+        import pyarrow as pa
+        from pyarrow import dataset
+
+        files = sorted(str(path) for path in self._folder.results.glob("*.parquet"))
+        if not files:
+            return schema().empty_table()
+        try:
+            found = dataset.dataset(files, schema=schema(), format="parquet")
+            return found.to_table(columns=None if columns is None else list(columns))
+        except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+            raise UnoccludeError(
+                f"{self._folder.results}: a file of results cannot be read ({str(error).splitlines()[0]});"
+                " move it away, and its recordings are computed again"
+            ) from error
+
+    def _remember(self, row: Row) -> None:
+        past = _Past(
+            row_id=row["id"],
+            settings=(row["config_hash"], row["calibration_hash"], row["version"]),
+            done=row["status"] == DONE,
+            retry=bool(row.get("retry")),
+            input=row["input"],
+            input_bytes=row.get("input_bytes"),
+            input_mtime_ns=row.get("input_mtime_ns"),
+            output_hash=row.get("output_hash") or "",
+            output_bytes=row.get("output_bytes"),
+            output_mtime_ns=row.get("output_mtime_ns"),
+        )
+        same = self._past.setdefault(row["recording"], [])
+        same[:] = [each for each in same if each.row_id != past.row_id] + [past]
+
+    def _adopt(self, finished: dict[str, datetime]) -> None:
+        """Take the rows that workers left when a run was cut off before it wrote them."""
+        for path in sorted(self._folder.rows.glob("*.json")):
+            row = _left(path)
+            if row is None:
+                continue
+            known = finished.get(row["id"])
+            if known is not None and known >= datetime.fromisoformat(row["finished"]):
+                path.unlink(missing_ok=True)
+            elif row["status"] != DONE or self._is_output(row):
+                self._waiting.append(row)
+        self.flush()
+
+    def _is_output(self, row: Row) -> bool:
+        """Whether the output of a row is in its place; a worker may have died before it moved it there."""
+        output = self._folder.output(row["recording"])
+        if not output.is_file() or output.stat().st_size != row["output_bytes"]:
+            return False
+        return file_hash(output) == row["output_hash"]
+
+
+def _left(path: Path) -> dict[str, Any] | None:
+    try:
+        row = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None  # taken by another run, or not ours
+    return row if isinstance(row, dict) and {"id", "status", "finished", "recording"} <= row.keys() else None
+
+
+def _value(name: str, value: Any) -> Any:
+    return datetime.fromisoformat(value) if name == "finished" and value is not None else value

@@ -1,0 +1,204 @@
+"""A study from its recordings to its results; what was done before is not done again."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .. import __version__
+from ..config import Config
+from ..errors import UnoccludeError
+from .columns import DONE, FAILED, Row
+from .fingerprint import Choice, config_hash, file_hash
+from .folder import StudyFolder
+from .inputs import Entry
+from .job import SAME, Job
+from .ledger import Ledger
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Work = Callable[[Iterator[Job]], Generator[Row | None, None, None]]
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """How the recordings of a study are recovered.
+
+    Attributes
+    ----------
+    config : settings; its number of processes does not matter.
+    choice : what to take of recordings that have several of it.
+    calibration : file for all recordings that have none of their own; "" without one.
+    again : compute everything anew.
+    retry_failed : try again what failed before by the recording itself.
+    """
+
+    config: Config = field(default_factory=Config)
+    choice: Choice = field(default_factory=Choice)
+    calibration: str = ""
+    again: bool = False
+    retry_failed: bool = False
+
+
+@dataclass
+class Tally:
+    """How far a study is.
+
+    Attributes
+    ----------
+    total : recordings of the study.
+    before : those that an earlier run has done, or tried.
+    computed, failed : those that this run has done, and those that failed in it.
+    recorded_s : length of the recordings that this run has done, s.
+    began : `time.monotonic` at the start of the run.
+    """
+
+    total: int
+    before: int = 0
+    computed: int = 0
+    failed: int = 0
+    recorded_s: float = 0.0
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def ended(self) -> int:
+        """Recordings that need no more work."""
+        return self.before + self.computed + self.failed
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start of the run, s."""
+        return time.monotonic() - self.began
+
+
+def run_study(
+    entries: Sequence[Entry],
+    folder: StudyFolder,
+    settings: StudySettings,
+    work: Work,
+    heard: Callable[[Tally, Row | None], None],
+    force: bool = False,
+) -> tuple[Tally, pa.Table]:
+    """Recover the recordings that are not done yet.
+
+    Parameters
+    ----------
+    entries : the recordings.
+    folder : where results go.
+    work : does jobs, `run_local` or `run_cluster` with its settings.
+    heard : called with the tally, and the row of a recording that has just ended or None.
+    force : take a folder that holds other files.
+
+    Returns
+    -------
+    The tally, and the rows of all recordings of the study, in order of their names.
+
+    Raises
+    ------
+    UnoccludeError
+        The study could not begin, or not go on; what was done is kept.
+    """
+    plan = _Plan(entries, folder, settings, force)
+    tally = Tally(len(entries))
+
+    def todo() -> Iterator[Job]:
+        for job in plan.jobs():
+            if job is None:
+                tally.before += 1
+                continue
+            yield job
+
+    rows = work(todo())
+    try:
+        for row in rows:
+            if row is None:
+                plan.ledger.tick()
+            else:
+                plan.ids[row["recording"]] = row["id"]
+                _count(tally, row)
+                if row["status"] != SAME:
+                    plan.ledger.add(row)
+            heard(tally, row)
+    finally:
+        plan.ledger.flush()
+        rows.close()
+    return tally, plan.ledger.rows(plan.ids.values())
+
+
+def _count(tally: Tally, row: Row) -> None:
+    if row["status"] == DONE:
+        tally.computed += 1
+        tally.recorded_s += row["duration_s"]
+    elif row["status"] == FAILED:
+        tally.failed += 1
+    else:
+        tally.before += 1
+
+
+class _Plan:
+    """What is to be done of a study.
+
+    Attributes
+    ----------
+    ledger : the rows so far.
+    ids : row of each recording that is done, by its name.
+    """
+
+    def __init__(
+        self, entries: Sequence[Entry], folder: StudyFolder, settings: StudySettings, force: bool
+    ) -> None:
+        self._entries, self._folder, self._settings = entries, folder, settings
+        self._calibrations = {
+            path: _checked(path)
+            for path in {entry.calibration or settings.calibration for entry in entries} - {""}
+        }
+        self._word = folder.open(force)
+        self._config_hash = config_hash(settings.config, settings.choice)
+        self.ledger = Ledger(folder)
+        self.ids: dict[str, str] = {}
+
+    def jobs(self) -> Iterator[Job | None]:
+        """A job for every recording, None for one that is done."""
+        settings = self._settings
+        for entry in self._entries:
+            calibration = entry.calibration or settings.calibration
+            told = self._calibrations.get(calibration, "")
+            hashes = (self._config_hash, told, __version__)
+            done, known = self.ledger.find(entry.name, entry.path, hashes, settings.retry_failed)
+            if done and not settings.again:
+                self.ids[entry.name] = done
+                yield None
+                continue
+            yield Job(
+                name=entry.name,
+                source=entry.path,
+                folder=str(self._folder.path),
+                word=self._word,
+                config=settings.config,
+                choice=settings.choice,
+                config_hash=self._config_hash,
+                calibration=calibration,
+                calibration_hash=told,
+                known=() if settings.again else known,
+            )
+
+
+def _checked(path: str) -> str:
+    """The hash of a calibration that can be read."""
+    from calib.file import read_calibration
+
+    read_calibration(path)
+    try:
+        return file_hash(path)
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+
+
+def study_folder(path: Path) -> StudyFolder:
+    """The folder of a study, by its absolute name."""
+    return StudyFolder(Path(os.path.abspath(path)))
