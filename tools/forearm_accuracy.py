@@ -66,7 +66,7 @@ def strap(seeds: int) -> None:
             elbow = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), rng.uniform(1.5, 2.5)])
             length = rng.uniform(0.23, 0.28)
             wrist = elbow + length * along / np.linalg.norm(along)
-            marker = rng.choice([None, 0.03, -0.03])
+            marker = (None, 0.03, -0.03)[int(rng.integers(3))]
             arm = Arm(elbow, wrist, rng.uniform(0.03, 0.04), length - rng.uniform(0.03, 0.07), marker=marker)
             body = (0.5 * (elbow + wrist) - [0.0, 0.0, 0.3], np.array([0.22, 0.4, 0.12]))
             hidden = Arm(elbow, wrist, arm.radius, arm.strap, trunk=body)
