@@ -15,7 +15,7 @@ from .definition import Intrinsics
 #: Brightness over the surroundings from which a spot counts, as fractions of the brightest; tried in turn.
 LEVELS = (0.5, 0.25, 0.12, 0.06)
 #: A spot is at least so many times as bright as its surroundings.
-CONTRAST = 2.0
+CONTRAST = 1.35
 #: Not more spots than this are looked at, the strongest ones.
 MOST = 12
 #: A spot is no longer than so many times its width, and no larger than this share of the image.

@@ -12,6 +12,8 @@ from .definition import Panel
 
 #: Fewer points than this make no group for a principal component.
 FEWEST = 20
+#: Principal components are taken of not more points than this: more say nothing new and cost seconds.
+MOST = 20_000
 #: Statistical removal of outliers: neighbours looked at, and sigmas allowed.
 NEIGHBOURS, SIGMAS = 20, 2.5
 
@@ -88,6 +90,7 @@ def principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     from smoother.open3d_loader import load_open3d
 
     open3d = load_open3d()
+    points = points[:: -(-len(points) // MOST)]
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.ascontiguousarray(points)))
     if len(points) > 2 * NEIGHBOURS:
         cloud, _ = cloud.remove_statistical_outlier(NEIGHBOURS, SIGMAS)

@@ -53,7 +53,8 @@ def read_view(depth_png: str | os.PathLike[str], infrared_png: str | os.PathLike
 def view(depth_mm: NDArray, infrared: NDArray, name: str) -> View:
     """A view of images as cameras give them: depth in mm, 0 where there is none."""
     depth = np.asarray(depth_mm, dtype=np.float64)
-    return View(np.where(depth > 0, 1e-3 * depth, np.nan), np.asarray(infrared, dtype=np.float64), name)
+    known = (depth > 0) & (depth < 65535)  # both ends of the range mean "none"
+    return View(np.where(known, 1e-3 * depth, np.nan), np.asarray(infrared, dtype=np.float64), name)
 
 
 def check_size(seen: View, lens: Intrinsics) -> None:
