@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tools.figures import jobs, measure
+from tools.figures.tables import tables
 from tools.figures.without import WITHOUT
 
 SHORT_S = 12.0
@@ -89,6 +90,9 @@ def test_summed_up_and_drawn(tmp_path: Path):
     # the graph stands beside its ingredients in the gaps that they share alone
     (beside,) = found["ingredients"]["lengths"]
     assert beside["methods"]["graph"]["gaps"] == 1 and beside["methods"]["no wrist"]["median_m"] == 0.05
+    lines = list(tables(found))
+    assert "| graph | 0.50 / 0.50 (0.50 .. 0.50) | 2.00 / 2.00 (2.00 .. 2.00) |" in lines
+    assert lines.index("| gap | 0.5 s | 2 s |") + 2 == lines.index(next(x for x in lines if "| graph" in x))
     draw(found, tmp_path / "curves.svg")
     drawn = (tmp_path / "curves.svg").read_text()
     assert "graph (unocclude)" in drawn and "without an answer" not in drawn and "no wrist" in drawn

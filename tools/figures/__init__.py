@@ -1,1 +1,1 @@
-"""The README's figures: `python -m tools.figures picture|curves`."""
+"""The README's figures: `python -m tools.figures picture|curves|tables`."""

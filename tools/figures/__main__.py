@@ -30,11 +30,17 @@ def main() -> None:
     two.add_argument("--seeds", type=int, default=3, help="simulated recordings")
     two.add_argument("--processes", type=int, default=2)
     two.add_argument("--minutes", type=float, default=float("inf"), help="begin no job after so long")
+    three = commands.add_parser("tables", help="the figures of docs/curves.json as tables in Markdown")
+    three.add_argument("file", type=Path, nargs="?", default=HERE / "docs" / "curves.json")
     options = parser.parse_args()
     if options.command == "picture":
         from .picture import draw
 
         draw(options.output, options.gap)
+    elif options.command == "tables":
+        from .tables import tables
+
+        print("\n".join(tables(json.loads(options.file.read_text(encoding="utf-8")))))
     else:
         curves(options)
 

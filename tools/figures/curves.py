@@ -11,7 +11,7 @@ from smoother.report.methods_look import PLAIN, STYLES
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _MARKERS = dict(zip(STYLES, "osD^vPX<>.", strict=True))
-_INGREDIENTS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#B8860B")
+_INGREDIENTS = ("#D55E00", "#444444", "#777777", "#A3A3A3", "#CCCCCC")
 #: Panels in this order; the last is of the graph's own ingredients.
 _PANELS = ("realistic", "broad", "utd", "clean", "ingredients")
 
@@ -52,7 +52,7 @@ def _curves(axis: Any, panel: dict[str, Any]) -> None:
             continue
         colour, dash = STYLES.get(name, PLAIN)
         bold = name == "graph"
-        at = x if bold else x * 1.015 ** (place - len(methods) / 2)  # bars beside each other
+        at = x if bold else x * 1.012 ** (place - len(methods) / 2)  # bars beside each other
         look: dict[str, Any] = {"color": colour, "ls": _DASHES[dash], "marker": _MARKERS.get(name, "o")}
         look |= {"lw": 3.0 if bold else 1.2, "ms": 6 if bold else 3.5, "zorder": 10 if bold else 3}
         axis.plot(at, median, label=name, **look)
@@ -111,11 +111,16 @@ def _dress(axis: Any, panel: dict[str, Any], logarithmic: bool) -> None:
     axis.set_xticks(lengths, [f"{length:g}" for length in lengths])
     axis.minorticks_off()
     low, high = axis.get_ylim()
-    ticks = [tick for tick in (0.001, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= tick <= high]
+    ticks = [
+        tick
+        for tick in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+        if low <= tick <= high
+    ]
     axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_xlabel("gap, s")
     axis.set_ylabel("error in a gap, rms, cm")
-    axis.set_title(f"{panel['title']}\n({min(counts)} to {max(counts)} gaps a length)", fontsize=10)
+    gaps = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{max(counts)}"
+    axis.set_title(f"{panel['title']}\n({gaps} gaps a length)", fontsize=10)
     axis.grid(alpha=0.3)
 
 
