@@ -213,9 +213,11 @@ def gathered(sight: Sight, cauchy: float) -> tuple[IntArray, FloatArray, FloatAr
         return sight.node, at_node, sight.sigma_m
     rank = np.arange(len(sight.node)) - np.repeat(first, count)
     group = np.repeat(np.arange(len(node)), count)
-    table = np.full((len(node), int(count.max()), 3), np.nan)
+    table = np.full((len(node), int(count.max()), 3), np.inf)  # what is missing sorts last
     table[group, rank] = at_node
-    off = np.linalg.norm(at_node - np.nanmedian(table, axis=1)[group], axis=1) / sight.sigma_m
+    table.sort(axis=1)
+    median = table[np.arange(len(node)), (count - 1) // 2]
+    off = np.linalg.norm(at_node - median[group], axis=1) / sight.sigma_m
     off[np.repeat(count, count) < 3] = 0.0  # two cannot outvote each other
     weight = 1.0 / (1.0 + (off / cauchy) ** 2) / sight.sigma_m**2
     total = np.bincount(group, weight)

@@ -11,7 +11,7 @@ block of some seconds).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,29 +105,30 @@ class Magnetometer:
 
 
 def with_magnetometer(
-    imu: ImuStream, first: list[list[Window]], answers: list[list[Solution]], second: list[list[Window]]
-) -> tuple[list[list[Window]], Magnetometer]:
+    imu: ImuStream, first: list[list[Window]], answers: list[list[Solution]], second: Iterable[Window]
+) -> tuple[Iterable[Window], Magnetometer]:
     """The second pass's windows with a calibrated magnetometer in them, where it agrees with the first pass.
 
     Parameters
     ----------
     first, answers : windows of the first pass and their solutions with covariance, by stretch.
-    second : the same windows for the second pass; their nodes are among those of the first, or new.
+    second : the same windows for the second pass, one after the other; their nodes are among those of the
+        first, or new.
     """
     if imu.mag is None or not imu.mag_calibrated:
         return second, _without("")
     have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
     if len(have) < 2:
         return second, _without("it has no samples")
-    before, after = [w for each in first for w in each], [w for each in second for w in each]
+    before, after = [w for each in first for w in each], list(second)
     solutions = [answer for each in answers for answer in each]
     fields = [_in_camera(have, window, answer) for window, answer in zip(before, solutions, strict=True)]
     strengths = np.concatenate([np.linalg.norm(field, axis=1) for field in fields])
     if not np.isfinite(strengths).any():
-        return second, _without("it has no samples while the arm was solved")
+        return after, _without("it has no samples while the arm was solved")
     strength = float(np.nanmedian(strengths))
     if not abs(strength - 1.0) < STRENGTH_ELSEWHERE:
-        return second, _without(
+        return after, _without(
             f"the field is {strength:.2f} times as strong as where it was calibrated; a magnet is near, or"
             " the calibration is not of this sensor"
         )
@@ -138,25 +139,22 @@ def with_magnetometer(
     ]
     calm = [block for block in blocks if block.share >= SHARE_NEEDED]
     if len(blocks) < BLOCKS_NEEDED:
-        return second, _without("the recording is too short to learn the field's direction from it")
+        return after, _without("the recording is too short to learn the field's direction from it")
     if len(calm) < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
-        return second, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
+        return after, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
     direction, covariance, sigma, good = _agree(blocks, calm)
     if good.sum() < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
-        return second, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
+        return after, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
     common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
     kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
-    told = iter([_told(k, window, kept, direction, sigma, common) for k, window in enumerate(after)])
+    told = [_told(k, window, kept, direction, sigma, common) for k, window in enumerate(after)]
     believed = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
     note = f"the magnetometer takes part, the field's direction believed to {believed:.1f} degrees"
     if len(kept) < len(blocks):
         note += (
             f"; it was left out in {len(blocks) - len(kept)} of {len(blocks)} places, as it disagrees there"
         )
-    return (
-        [[next(told) for _ in each] for each in second],
-        Magnetometer(direction, sigma, len(blocks), len(kept), note),
-    )
+    return told, Magnetometer(direction, sigma, len(blocks), len(kept), note)
 
 
 def _without(reason: str) -> Magnetometer:

@@ -10,6 +10,10 @@ from .graph import gathered
 from .recording import FloatArray
 from .window import States, Window
 
+#: Part of its bound that the information usually is; stands in where the elimination takes a weak direction
+#: for a free one.
+USUAL_PART = 0.3
+
 
 def offset_information(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
@@ -23,6 +27,7 @@ def offset_information(
     linear = graph.linearize(values)
     velocities, scatter = _velocities(window, states)
     velocity = iter(velocities)
+    bound = 0.0
     whole = gtsam.GaussianFactorGraph()
     unit = gtsam.noiseModel.Unit.Create(3)
     for i in range(graph.size()):
@@ -32,13 +37,19 @@ def offset_information(
             keys, A = jacobian.keys(), jacobian.getA()
             weight = np.linalg.norm(A[:, 3:6]) / np.sqrt(3.0)  # whitened: a rotation times this
             column = weight * next(velocity)[:, None]
+            bound += float(np.sum(column**2))
             pose, b = (keys[0], A[:, :6]), jacobian.getb()
             if len(keys) > 1:
                 factor = gtsam.JacobianFactor(*pose, keys[1], A[:, 6:], D(0), column, b, unit)
             else:
                 factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
         whole.push_back(factor)
-    marginal = whole.marginal([D(0)])
+    try:
+        marginal = whole.marginal([D(0)])
+    except RuntimeError as error:
+        if "ndetermin" not in str(error):
+            raise
+        return scatter + USUAL_PART * bound
     return scatter + float(sum(marginal.at(i).information()[0, 0] for i in range(marginal.size())))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -88,14 +89,13 @@ def cut(
     margin_s: float,
     gravity_magnitude: float,
     sharing: int,
-) -> list[Window]:
-    """The windows between the borders, each with its margins.
+) -> Iterator[Window]:
+    """The windows between the borders, each with its margins, one after the other.
 
     Parameters
     ----------
     sharing : how many windows share the attitude prior, of all stretches.
     """
-    windows = []
     for index, (a, b) in enumerate(pairwise(borders)):
         lo = int(np.searchsorted(stretch.t, a - margin_s, side="left"))
         hi = int(np.searchsorted(stretch.t, b + margin_s, side="right"))
@@ -104,27 +104,24 @@ def cut(
         t = stretch.t[rows]
         start = States(stretch.start.R[rows], stretch.start.p[rows], stretch.start.v[rows])
         attitude_node = _best_node(stretch.attitude_covariance[rows])
-        windows.append(
-            Window(
-                index=index,
-                t=t,
-                core_start_s=a,
-                core_end_s=b,
-                inertia=_inertia(stretch.signal, t, prior.shared.mean[prior.layout.bias]),
-                sights=_sights(stretch, lo, hi, prior, gravity_magnitude),
-                shoulder=_shoulder(stretch, lo, hi),
-                start=start,
-                velocity_change=_velocity_change(stretch, lo, hi),
-                attitude_node=attitude_node,
-                attitude=stretch.attitude[lo + attitude_node],
-                # one prior for all windows together: they have its error in common
-                attitude_covariance=_weakened(stretch.attitude_covariance[lo + attitude_node], sharing),
-                priors=prior,
-                noise=noise,
-                gravity_magnitude=gravity_magnitude,
-            )
+        yield Window(
+            index=index,
+            t=t,
+            core_start_s=a,
+            core_end_s=b,
+            inertia=_inertia(stretch.signal, t, prior.shared.mean[prior.layout.bias]),
+            sights=_sights(stretch, lo, hi, prior, gravity_magnitude),
+            shoulder=_shoulder(stretch, lo, hi),
+            start=start,
+            velocity_change=_velocity_change(stretch, lo, hi),
+            attitude_node=attitude_node,
+            attitude=stretch.attitude[lo + attitude_node],
+            # one prior for all windows together: they have its error in common
+            attitude_covariance=_weakened(stretch.attitude_covariance[lo + attitude_node], sharing),
+            priors=prior,
+            noise=noise,
+            gravity_magnitude=gravity_magnitude,
         )
-    return windows
 
 
 def _best_node(covariance: FloatArray) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -68,12 +68,15 @@ class Pool:
 
     def solve(
         self,
-        windows: Sequence[Window],
+        windows: Iterable[Window],
         with_covariance: bool,
-        done: Callable[[float], None],
+        done: Callable[[int], None],
         with_offset: bool = False,
     ) -> list[Solution]:
-        """Solve every window (see `solve.solve`); `done` hears the share that is finished."""
+        """Solve every window (see `solve.solve`); `done` hears how many are finished.
+
+        Windows that are made one by one are solved while the next ones are made.
+        """
         job = partial(solve, with_covariance=with_covariance, with_offset=with_offset)
         results: Iterator[Solution] = map(job, windows)
         if self._executor is not None:
@@ -82,5 +85,5 @@ class Pool:
         solutions = []
         for solution in results:
             solutions.append(solution)
-            done(len(solutions) / len(windows))
+            done(len(solutions))
         return solutions

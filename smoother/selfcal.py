@@ -119,15 +119,15 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         prior = first_priors(
             stretches, [each[1] for _, each in ready], [piece for piece, _ in ready], calibration, config
         )
-        windows, owner = [], []
+        windows: list[Window] = []
+        owner: list[int] = []
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
         sharing = sum(len(border) - 1 for border in borders)
         for (piece, _), stretch, border in zip(ready, stretches, borders, strict=True):
-            cuts = cut(
+            windows += cut(
                 stretch, prior, noise_of(config, flex_m), border, config.windows.margin_s, GRAVITY, sharing
             )
-            windows += cuts
-            owner += [piece.recording] * len(cuts)
+            owner += [piece.recording] * (len(border) - 1)
         answers = pool.solve(windows, False, lambda share: None, with_offset=True)
         motions = _motions(stretches, borders, windows, answers)
         found = calibration_from(

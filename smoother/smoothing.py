@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+
+import numpy as np
 
 from .assemble import assemble, frame_residuals
 from .calibration import ArmCalibration
@@ -80,10 +82,13 @@ def smooth(
         prior = first_priors(stretches, alignments, [piece for piece, _ in ready], known.start, config)
         noise = noise_of(config, known.flex_m)
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
-        first = _cut(stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config, noise)
-        answers = _solve(
+        cuts: Iterable[Window] = _cut(
+            stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config, noise
+        )
+        first, answers = _solve(
             pool,
-            first,
+            cuts,
+            borders,
             recording.imu.mag_calibrated,  # it is judged by what the first pass knows of the attitude
             lambda share: say(0.2 + 0.35 * share, "first pass"),
         )
@@ -96,10 +101,12 @@ def smooth(
             believed, stretch = _believe(piece, stretch, motion, known, found, clock)
             pieces = [believed if each is piece else each for each in pieces]
             better.append(stretch)
-        second = _cut(better, borders, told, config, noise)
+        cuts = _cut(better, borders, told, config, noise)
         # a calibrated magnetometer, where it agrees with the first pass
-        second, magnetometer = with_magnetometer(recording.imu, first, answers, second)
-        answers = _solve(pool, second, True, lambda share: say(0.55 + 0.4 * share, "recovering"))
+        cuts, magnetometer = with_magnetometer(recording.imu, first, answers, cuts)
+        second, answers = _solve(
+            pool, cuts, borders, True, lambda share: say(0.55 + 0.4 * share, "recovering")
+        )
     # join
     motions = [
         join(stretch.t, windows, solutions)
@@ -134,26 +141,31 @@ def _cut(
     priors: list[Priors],
     config: Config,
     noise: Noise,
-) -> list[list[Window]]:
-    """The windows of every stretch; `priors` in the order of all windows."""
+) -> Iterator[Window]:
+    """The windows of all stretches one after the other; `priors` in the same order."""
     told = iter(priors)
-    return [
-        cut(
-            stretch,
-            [next(told) for _ in border[1:]],
-            noise,
-            border,
-            config.windows.margin_s,
-            GRAVITY,
-            len(priors),
-        )
-        for stretch, border in zip(stretches, borders, strict=True)
-    ]
+    for stretch, border in zip(stretches, borders, strict=True):
+        mine = [next(told) for _ in border[1:]]
+        yield from cut(stretch, mine, noise, border, config.windows.margin_s, GRAVITY, len(priors))
 
 
 def _solve(
-    pool: Pool, windows: list[list[Window]], with_covariance: bool, done: Callable[[float], None]
-) -> list[list[Solution]]:
-    """Solve the windows of all stretches together and give them back by stretch."""
-    flat = iter(pool.solve([window for each in windows for window in each], with_covariance, done))
-    return [[next(flat) for _ in each] for each in windows]
+    pool: Pool,
+    windows: Iterable[Window],
+    borders: list[list[float]],
+    with_covariance: bool,
+    say: Callable[[float], None],
+) -> tuple[list[list[Window]], list[list[Solution]]]:
+    """Solve the windows of all stretches together; windows and solutions by stretch."""
+    made: list[Window] = []
+
+    def kept() -> Iterator[Window]:
+        for window in windows:
+            made.append(window)
+            yield window
+
+    total = sum(len(border) - 1 for border in borders)
+    solved = pool.solve(kept(), with_covariance, lambda count: say(count / total))
+    ends = np.cumsum([len(border) - 1 for border in borders])
+    parts = [slice(end - len(border) + 1, end) for end, border in zip(ends, borders, strict=True)]
+    return [made[part] for part in parts], [solved[part] for part in parts]

@@ -13,7 +13,7 @@ from .errors import SolveError
 from .graph import bias_of_intervals, build, shared_jacobian, shared_keys
 from .marginals import Marginals, marginals_of
 from .offset import offset_information
-from .recording import JOINTS, FloatArray, IntArray
+from .recording import JOINTS, BoolArray, FloatArray, IntArray
 from .shared import Gaussian
 from .window import Message, Solution, States, Window
 
@@ -25,7 +25,7 @@ MAX_ITERATIONS = 12
 #: direction for free once its square-root information is 4096 times weaker than its neighbour's.
 TIGHTEN = (1.0, 0.3, 0.1, 0.03)
 #: Spacing of the covariances that are computed rather than interpolated, s.
-COVARIANCE_S = 0.3
+COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
 NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.5
@@ -66,7 +66,7 @@ def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> S
     states = _states(values, len(window.t))
     pose_covariance = velocity_covariance = None
     if with_covariance:
-        pose_covariance, velocity_covariance = _covariances(marginals, window.t, states.R)
+        pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
         pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
     shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
     return Solution(
@@ -110,13 +110,14 @@ def _states(values: gtsam.Values, count: int) -> States:
     )
 
 
-def _covariances(marginals: Marginals, t: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
 
     Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
     often near a gap and in it, and interpolated between.
     """
-    some = _some(t, COVARIANCE_S)
+    t = window.t
+    some = _some(t, np.isfinite(window.velocity_change), COVARIANCE_S)
     body = np.array([marginals.marginalCovariance(X(i)) for i in some])
     velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
     order = np.array([3, 4, 5, 0, 1, 2])
@@ -127,24 +128,27 @@ def _covariances(marginals: Marginals, t: FloatArray, R: FloatArray) -> tuple[Fl
     return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
 
 
-def _some(t: FloatArray, apart_s: float) -> IntArray:
-    """Nodes about so far apart, and all near a longer interval (a gap), where covariances change."""
-    cell = np.floor((t - t[0]) / apart_s + 1e-6)
-    chosen = np.diff(cell, prepend=-1.0) > 0
+def _some(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
+    """Nodes about so far apart, and finer in and near gaps, where covariances change.
+
+    Parameters
+    ----------
+    in_gap : (n - 1,) intervals in which the camera saw too little.
+    """
+
+    def every(step_s: float) -> BoolArray:
+        chosen: BoolArray = np.diff(np.floor((t - t[0]) / step_s + 1e-6), prepend=-1.0) > 0
+        return chosen
+
+    chosen = every(apart_s)
     chosen[-1] = True
-    wide = np.flatnonzero(np.diff(t) > 2.0 * np.median(np.diff(t)))
-    beside = np.concatenate([t[wide], t[wide + 1]])
-    if len(beside):
-        beside.sort()
-        after = np.clip(np.searchsorted(beside, t), 1, max(len(beside) - 1, 1)) if len(beside) > 1 else None
-        near = (
-            np.abs(t - beside[0])
-            if after is None
-            else np.minimum(np.abs(t - beside[after - 1]), np.abs(t - beside[after]))
-        )
-        fine = np.diff(np.floor((t - t[0]) / COVARIANCE_NEAR_S + 1e-6), prepend=-1.0) > 0
-        chosen |= (near < NEAR_S) & fine
-        chosen[wide] = chosen[wide + 1] = True
+    edge = np.flatnonzero(np.diff(in_gap, prepend=False, append=False))  # nodes where gaps begin and end
+    if len(edge):
+        chosen[edge] = True
+        after = np.clip(np.searchsorted(t[edge], t), 0, len(edge) - 1)
+        near = np.minimum(np.abs(t[edge][after] - t), np.abs(t - t[edge][np.maximum(after - 1, 0)]))
+        inside = np.append(in_gap, False) | np.append(False, in_gap)
+        chosen |= ((near < NEAR_S) | inside) & every(COVARIANCE_NEAR_S)
     return np.flatnonzero(chosen)
 
 
@@ -157,7 +161,7 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if not with_covariance:
         return position, None
-    some = _some(t, SHOULDER_COVARIANCE_S)
+    some = _some(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
     return position, interpolate(t[some], np.array([marginals.marginalCovariance(S(k)) for k in some]), t)
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..recording import FloatArray
-from .container import Container, Message, Topic
+from .container import Container
+from .messages import Message, Topic
 from .schemas import message_class
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.

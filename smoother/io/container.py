@@ -9,10 +9,9 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -21,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from ..errors import RecordingError
-from ..recording import IntArray
+from .messages import Message, Run, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -31,72 +30,6 @@ _CHUNK = struct.Struct("<QQQI")
 _GATHER = 1 << 20
 #: Chunks said to be larger than this are not believed.
 _CHUNK_LIMIT = 1 << 31
-
-
-@dataclass
-class Topic:
-    """A channel of the file and what it carried.
-
-    Attributes
-    ----------
-    name : the topic.
-    schema : name of its schema; "" where there is none.
-    schema_encoding, schema_data : as the file has them.
-    encoding : of the messages (`cdr`, `protobuf`).
-    count : number of messages.
-    first_ns, last_ns : smallest and largest log time, ns.
-    """
-
-    name: str
-    schema: str
-    schema_encoding: str
-    schema_data: bytes
-    encoding: str
-    metadata: dict[str, str] = field(default_factory=dict)
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-
-    def note(self, log_ns: int) -> None:
-        """Count a message."""
-        self.first_ns = min(self.first_ns, log_ns) if self.count else log_ns
-        self.last_ns = max(self.last_ns, log_ns)
-        self.count += 1
-
-
-class Message(NamedTuple):
-    """A message as it lies in the file."""
-
-    topic: Topic
-    sequence: int
-    log_ns: int
-    publish_ns: int
-    data: memoryview
-
-
-class Run(NamedTuple):
-    """Messages of one chunk as columns, (n,) each, in the file's order.
-
-    `topic` numbers the list `topics`; `data` are copies.
-    """
-
-    topics: list[Topic]
-    topic: IntArray
-    sequence: IntArray
-    log_ns: IntArray
-    publish_ns: IntArray
-    data: list[bytes]
-
-    def part(self, rows: slice) -> Run:
-        """Some of the messages."""
-        return Run(
-            self.topics,
-            self.topic[rows],
-            self.sequence[rows],
-            self.log_ns[rows],
-            self.publish_ns[rows],
-            self.data[rows],
-        )
 
 
 class Container:

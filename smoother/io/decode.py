@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..recording import FloatArray, IntArray
 from . import cdr, proto
-from .container import Message, Topic
 from .layout import Block, Grouper, Layout
+from .messages import Message, Topic
 from .schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from .container import Container, Topic
+from .container import Container
+from .messages import Topic
 from .schemas import message_class
 
 IMAGES = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..recording import IntArray
 from .chunks import ChunkedFile
-from .container import Run, Topic
+from .messages import Run, Topic
 from .schemas import schema_data
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.

@@ -13,8 +13,9 @@ from calib.panel.images import View, view
 
 from ..errors import RecordingError
 from ..recording import FloatArray
-from .container import Container, Topic
+from .container import Container
 from .layout import Grouper
+from .messages import Topic
 from .panel_session import read_pairs
 from .schemas import message_class
 

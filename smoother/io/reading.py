@@ -12,8 +12,9 @@ from ..errors import RecordingError
 from ..recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
 from .choose import choose
 from .clean import clean_arm, clean_imu, clean_poses
-from .container import Container, Topic
+from .container import Container
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
+from .messages import Topic
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 

@@ -9,8 +9,9 @@ from importlib.metadata import PackageNotFoundError, version
 
 from ..result import Recovery
 from .atomic import check_output, writing
-from .container import Container, Run, Topic
+from .container import Container
 from .merge import Outgoing, Output
+from .messages import Run, Topic
 from .reading import METADATA, RESULT_PREFIX, open_recording
 from .recording_writing import CAMERA
 from .recovery_streams import RecoveryStreams

@@ -14,9 +14,10 @@ from ..errors import RecordingError
 from ..recording import JOINTS, FloatArray, IntArray, JointTracks
 from ..result import FrameResiduals, Recovery
 from . import proto
-from .container import Container, Message, Topic
+from .container import Container
 from .decode import proto_grouper
 from .layout import Block, Grouper, Layout
+from .messages import Message, Topic
 from .reading import RESULT_PREFIX, seconds
 from .result import RESULT
 from .skeletons import SkeletonDecoder, joint_code

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from . import cdr, proto
-from .container import Message, Topic
 from .decode import proto_grouper
 from .layout import Block, Grouper, Layout
+from .messages import Message, Topic
 from .streams import ArmFrames
 
 _BILLION = 1_000_000_000

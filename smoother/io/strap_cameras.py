@@ -15,8 +15,9 @@ from calib.strap_lens import Lens
 
 from ..errors import RecordingError
 from ..recording import FloatArray
-from .container import Container, Topic
+from .container import Container
 from .images import ImageMessage, LensMessage, read_images
+from .messages import Topic
 from .schemas import message_class
 
 _INFRARED = ("infrared", "/ir", "_ir", "amplitude")

@@ -19,9 +19,10 @@ from calib.strap_mount import Mounted
 from ..errors import RecordingError
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from .atomic import writing
-from .container import Container, Run, Topic
+from .container import Container
 from .images import ImageMessage
 from .merge import Output
+from .messages import Run, Topic
 from .reading import METADATA, open_recording
 from .result import _IMAGES
 from .strap_cameras import Cameras, StrapFound
