@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import fftconvolve, get_window
 
 from smoother.errors import CalibrationError
@@ -213,16 +213,21 @@ def _fit_end(
 
     low = [end_s - 0.03, np.log(LONGEST_RING_S), 0.0, 0.2 * size, 0.0, np.log(1e-4)]
     high = [end_s + 0.03, np.log(1.0), 1.0, 5 * size, size, np.log(LONGEST_RING_S)]
-    best = None
-    for decay, tail in ((0.01, 0.05), (0.02, 0.9), (0.04, 0.3)):
-        for shift in (-0.012, -0.004, 0.002):
-            guess = [end_s + shift, np.log(decay), tail, size, 0.02 * size, np.log(1e-3)]
-            scale = [1e-3, 0.5, 0.2, size, 0.05 * size, 0.5]
-            tried = least_squares(
-                lambda x: (model(x) - envelope) / size, guess, bounds=(low, high), x_scale=scale, max_nfev=60
-            )
-            best = tried if best is None or tried.cost < best.cost else best
-    assert best is not None
+    scale = [1e-3, 0.5, 0.2, size, 0.05 * size, 0.5]
+
+    def fit(guess: FloatArray, steps: int) -> OptimizeResult:
+        return least_squares(
+            lambda x: (model(x) - envelope) / size, guess, bounds=(low, high), x_scale=scale, max_nfev=steps
+        )
+
+    starts = [
+        np.array([end_s + shift, np.log(decay), tail, size, 0.02 * size, np.log(1e-3)])
+        for decay, tail in ((0.01, 0.05), (0.02, 0.9), (0.04, 0.3))
+        for shift in (-0.012, -0.004, 0.002)
+    ]
+    # a few steps from everywhere, the rest of the way from the two best places
+    tried = sorted((fit(start, 6) for start in starts), key=lambda each: float(each.cost))
+    best = min((fit(each.x, 50) for each in tried[:2]), key=lambda each: float(each.cost))
     # neighbouring values of the envelope share the kernel: so many of them are worth one
     worth = max(1.5 * len(kernel) / 2, 1.0)
     variance = 2 * best.cost * worth / max(len(envelope) - 6 * worth, 1.0)
