@@ -27,7 +27,7 @@ def panel(
     output: CalibrationOutput,
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="[REC.mcap]", help="Images, lens and mocap markers, instead of files."),
+        typer.Argument(metavar="REC.mcap", help="Images, lens and mocap markers, instead of files."),
     ] = None,
     depth: Annotated[
         Images, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
@@ -52,14 +52,14 @@ def panel(
         ),
     ] = None,
     panel_file: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--panel",
             metavar="PANEL.toml",
             help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
             show_default=False,
         ),
-    ] = Path("panel.toml"),
+    ] = None,
     mocap_sigma_mm: Annotated[
         float,
         typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, an axis."),
@@ -79,6 +79,8 @@ def panel(
     from calib.panel.table import NAME, calibration_table
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
+    if panel_file is None:
+        raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
     check_outputs(True, [output], inputs)
     check_outputs(force, [json_file, report], [*inputs, output])
