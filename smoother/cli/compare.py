@@ -190,14 +190,14 @@ def print_comparison(found: Comparison) -> None:
         "visible rms, cm",
         "deg",
     )
-    title = f"Error of the {what} in gaps, the best method first"
+    title = f"Error of the {what} {found.where}, the best method first"
     print_table(found.title(title), columns, [_row(found, row) for row in found.rows])
     _print_joints(found)
     _print_lag(found)
 
 
 def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, seen = found.figures(row, "occluded"), found.figures(row, "visible")
+    hidden, seen = found.figures(row, found.part), found.figures(row, "visible")
     if hidden is None or seen is None:
         return (row.method, *["-"] * 8)
     return (
@@ -221,11 +221,11 @@ def _print_joints(found: Comparison) -> None:
     rows = []
     for row in answered:
         assert row.validation is not None
-        cells = [row.validation.points.get(joint, {}).get("occluded") for joint in joints]
+        cells = [row.validation.points.get(joint, {}).get(found.part) for joint in joints]
         rows.append(
             (row.method, *[centimetres(None if each is None else each.position_rms_m) for each in cells])
         )
-    print_table(found.title("Joints in gaps, rms, cm"), ("method", *joints), rows)
+    print_table(found.title(f"Joints {found.where}, rms, cm"), ("method", *joints), rows)
 
 
 def _print_lag(found: Comparison) -> None:

@@ -84,6 +84,16 @@ class Comparison:
         position = at.position if self.point == SENSOR else at.joints[self.point]
         return np.where(at.score[:, None], position, np.nan)
 
+    @property
+    def part(self) -> str:
+        """What the methods are ranked by: "occluded", or "all" in a recording without gaps."""
+        return "occluded" if self.gaps else "all"
+
+    @property
+    def where(self) -> str:
+        """The same in words."""
+        return "in gaps" if self.gaps else "over the whole recording, which has no gap"
+
     def figures(self, row: MethodResult, part: str) -> Figures | None:
         """Figures of the compared point over a part ("all", "occluded" or "visible")."""
         return None if row.validation is None else figures_of(row.validation, self.point, part)

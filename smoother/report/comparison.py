@@ -44,17 +44,15 @@ def write_comparison(
 
 def verdict(found: Comparison) -> list[str]:
     """What the comparison says, in sentences."""
-    part = "occluded" if found.gaps else "all"
     errors = {
         row.method: figures.position_rms_m
         for row in found.rows
-        if (figures := found.figures(row, part)) is not None and figures.position_rms_m is not None
+        if (figures := found.figures(row, found.part)) is not None and figures.position_rms_m is not None
     }
     if not errors:
         return ["No method has an answer that the truth could be held against."]
-    where = "in the gaps" if found.gaps else "over the recording"
     ranked = [f"{name} {100 * error:.1f}" for name, error in errors.items()]
-    said = [f"Error of the {_point(found)} {where}, rms, cm: {', '.join(ranked)}."]
+    said = [f"Error of the {_point(found)} {found.where}, rms, cm: {', '.join(ranked)}."]
     best = next(iter(errors))
     if "graph" in errors and len(errors) > 1:
         others = {name: error for name, error in errors.items() if name != "graph"}
@@ -81,7 +79,7 @@ def _sections(found: Comparison, recording: Recording) -> Iterator[str]:
         *("NEES", "inside 95 %", "seen: rms, cm", "seen: degrees"),
     )
     yield tabulated(
-        found.title("Errors in the gaps, the best method first"),
+        found.title(f"Errors {found.where}, the best method first"),
         _ERRORS,
         columns,
         [_row(found, r) for r in found.rows],
@@ -109,7 +107,7 @@ def _sections(found: Comparison, recording: Recording) -> Iterator[str]:
 
 
 def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, seen = found.figures(row, "occluded"), found.figures(row, "visible")
+    hidden, seen = found.figures(row, found.part), found.figures(row, "visible")
     if hidden is None or seen is None:
         return (row.method, *[None] * 8)
     return (
@@ -129,9 +127,9 @@ def _joints(found: Comparison) -> Iterator[str]:
     rows = []
     for row in found.rows:
         each = {} if row.validation is None else row.validation.points
-        cells = [each.get(joint, {}).get("occluded") for joint in joints]
+        cells = [each.get(joint, {}).get(found.part) for joint in joints]
         rows.append((row.method, *[None if cell is None else _cm(cell.position_rms_m) for cell in cells]))
-    yield tabulated(found.title("Joints in the gaps, rms, cm"), _JOINTS, ("method", *joints), rows)
+    yield tabulated(found.title(f"Joints {found.where}, rms, cm"), _JOINTS, ("method", *joints), rows)
 
 
 def chosen_gaps(found: Comparison) -> list[Gap]:

@@ -63,7 +63,7 @@ def test_latency_and_lag(everything):
 def test_the_page_has_every_method_over_the_others(everything):
     _, page = everything
     assert page.count('class="plotly-graph-div"') == 1  # one gap
-    assert "Lag left behind the truth" in page and "Joints in the gaps" in page
+    assert "Lag left behind the truth" in page and "Joints in gaps" in page
     for name in (*METHODS, "truth"):
         assert f'"name":"{name}"' in page
 
@@ -101,6 +101,23 @@ def test_a_truth_of_markers(everything, session: Path, tmp_path: Path, capsys):
     assert found["methods"]["graph"]["occluded"]["position_rms_m"] == pytest.approx(
         figures["methods"]["graph"]["occluded"]["position_rms_m"], abs=1e-3
     )
+
+
+def test_a_recording_without_gaps_is_compared_as_a_whole(tmp_path: Path, capsys):
+    from smoother.io import write_recording
+    from smoother.simulation import PointSimulation, simulate_point
+
+    made = simulate_point(PointSimulation.preset("white", duration_s=8.0, occlusion_lengths_s=()), seed=2)
+    write_recording(made.recording, tmp_path / "p.mcap")
+    done(
+        *("compare", tmp_path / "p.mcap", "--methods", "hold,graph", "--processes", 1),
+        *("--json", tmp_path / "c.json", "--report", tmp_path / "c.html"),
+    )
+    figures = json.loads((tmp_path / "c.json").read_text())
+    assert figures["order"] == ["graph", "hold"] and set(figures["camera"]["lag_before_s"]) == {"strap"}
+    assert figures["methods"]["graph"]["occluded"]["samples"] == 0
+    assert "over the whole recording, which has no gap" in " ".join(capsys.readouterr().out.split())
+    assert "over the whole recording, which has no gap" in (tmp_path / "c.html").read_text()
 
 
 def test_what_cannot_be_compared_is_said_in_a_sentence(session: Path, tmp_path: Path, capsys):
