@@ -23,7 +23,9 @@ def main() -> None:
     one.add_argument("--gap", type=int, default=0, help="which gap, from 0")
     two = commands.add_parser("curves", help="error against gap length")
     two.add_argument("-o", "--output", type=Path, default=HERE / "docs" / "curves.svg")
-    two.add_argument("--rows", type=Path, default=Path("curves.jsonl"), help="every gap, kept as it is done")
+    two.add_argument(
+        "--rows", type=Path, default=HERE / "out" / "curves.jsonl", help="every gap, kept as it is done"
+    )
     two.add_argument(
         "--data", nargs="*", default=["realistic", "broad", "utd", "clean", "ingredients"], help="data sets"
     )
@@ -51,6 +53,7 @@ def curves(options: argparse.Namespace) -> None:
     from .jobs import jobs
     from .measure import measure, read_rows, summed_up
 
+    options.rows.parent.mkdir(parents=True, exist_ok=True)
     measure(jobs(options.data, options.seeds), options.rows, options.processes, 60 * options.minutes)
     found = summed_up(read_rows(options.rows))
     figures = options.output.with_suffix(".json")
