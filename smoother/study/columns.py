@@ -67,7 +67,7 @@ def schema() -> pa.Schema:
         "int64": pa.int64(),
         "double": pa.float64(),
         "list": pa.list_(pa.string()),
-        "timestamp": pa.timestamp("us", tz="UTC"),
+        "timestamp": pa.timestamp("us"),
     }
     return pa.schema(
         [

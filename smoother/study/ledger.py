@@ -8,7 +8,7 @@ import secrets
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,7 +187,7 @@ class Ledger:
             if row is None:
                 continue
             known = finished.get(row["id"])
-            if known is not None and known >= datetime.fromisoformat(row["finished"]):
+            if known is not None and known >= _value("finished", row["finished"]):
                 path.unlink(missing_ok=True)
             elif row["status"] != DONE or self._is_output(row):
                 self._waiting.append(row)
@@ -210,4 +210,7 @@ def _left(path: Path) -> dict[str, Any] | None:
 
 
 def _value(name: str, value: Any) -> Any:
-    return datetime.fromisoformat(value) if name == "finished" and value is not None else value
+    """A value as the results have it: times are UTC and say so in the column's meaning, not in its type."""
+    if name != "finished":
+        return value
+    return datetime.fromisoformat(value).astimezone(UTC).replace(tzinfo=None)

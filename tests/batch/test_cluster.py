@@ -1,0 +1,81 @@
+"""A study on a Dask scheduler and its workers, on loopback."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+from studies import BROKEN, NAMES, batch, query, start_batch, state, until
+
+from smoother.errors import UnoccludeError
+from smoother.study import cluster
+from smoother.study.inputs import find_entries
+from smoother.study.job import run_job
+from smoother.study.run import StudySettings, run_study, study_folder
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[object]:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", protocol="tcp://", silence_logs=50
+    ) as started:
+        yield started
+
+
+def test_the_same_bytes_as_here_with_a_worker_killed(scheduler, recordings, tmp_path):
+    entries = find_entries(str(recordings), tmp_path / "out")
+    killed = []
+
+    def heard(tally, row):
+        if not killed and os.name == "posix":  # while it works on a recording
+            killed.append(next(iter(scheduler.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    def work(jobs):
+        return cluster.run_cluster(jobs, scheduler.scheduler_address)
+
+    folder = study_folder(tmp_path / "out")
+    tally, rows = run_study(entries, folder, StudySettings(), work, heard)
+    assert killed and (tally.computed, tally.failed) == (4, 1)
+    assert rows["recording"].to_pylist() == sorted([*NAMES, BROKEN])
+    here = study_folder(tmp_path / "here")
+    run_study(entries, here, StudySettings(), lambda jobs: (run_job(job) for job in jobs), lambda *_: None)
+    ours, theirs = state(here.path), state(folder.path)
+    assert set(ours) == set(theirs) == set(NAMES)
+    assert all(ours[name][1] == theirs[name][1] for name in NAMES)
+    # what the cluster did is not done again here
+    assert batch(recordings, "-o", folder.path, "--processes", 1) == 1
+    assert state(folder.path) == theirs
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_a_killed_client(scheduler, recordings, tmp_path):
+    out = tmp_path / "out"
+    again = [recordings, "-o", out, "--scheduler", scheduler.scheduler_address]
+    client = start_batch(*again)
+    try:
+        until(lambda: query(out) or list((out / ".unocclude" / "rows").glob("*.json")))
+    finally:
+        client.send_signal(signal.SIGKILL)
+        client.communicate()
+    before = state(out)
+    assert batch(*again) == 1
+    after = query(out)
+    assert sorted(row[0] for row in after) == sorted([*NAMES, BROKEN]), "no recording twice"
+    outputs = state(out)
+    assert before.items() <= outputs.items() and set(outputs) == set(NAMES)
+
+
+def test_no_worker(monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(cluster, "FIRST_WORKER_S", 0.3)
+    with (
+        LocalCluster(n_workers=0, dashboard_address=":0", protocol="tcp://", silence_logs=50) as empty,
+        pytest.raises(UnoccludeError, match="has no worker; start some"),
+    ):
+        list(cluster.run_cluster(iter(()), empty.scheduler_address))
