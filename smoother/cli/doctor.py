@@ -6,7 +6,6 @@ import os
 import platform
 import sys
 from collections.abc import Callable
-from importlib import metadata
 
 import typer
 
@@ -51,6 +50,8 @@ def doctor(json_file: Json = None, force: Force = False) -> None:
 
 def check_version(package: str) -> tuple[str, bool, str]:
     """A package's version, and whether it is there."""
+    from importlib import metadata  # slow to load, and every command loads this file
+
     try:
         return package, True, metadata.version(package)
     except metadata.PackageNotFoundError:
