@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
+#: Rows that `--json` holds at most; all of them are among the results.
+MOST_JSON = 10_000
 _REPORT = "--report"
 
 
@@ -125,7 +127,9 @@ def batch(
 
         write_study(rows, page, folder.path, force=True)
     figures = study_figures(rows, tally)
-    write_json(json_file, figures | {"folder": folder.path, "rows": rows.to_pylist()}, True)
+    write_json(
+        json_file, figures | {"folder": folder.path, "rows": rows.slice(0, MOST_JSON).to_pylist()}, True
+    )
     _print(rows, tally, figures)
     say_written(folder.path, page, json_file)
     if figures["failed"]:
@@ -147,7 +151,7 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
         "computed_s": tally.recorded_s,
         "duration_s": pc.sum(rows["duration_s"]).as_py() or 0.0,
         "occluded_s": pc.sum(rows["occluded_s"]).as_py() or 0.0,
-        "failures": failed.select(["recording", "error", "retry"]).to_pylist(),
+        "failures": failed.select(["recording", "error", "retry"]).slice(0, MOST_JSON).to_pylist(),
     }
 
 
@@ -158,15 +162,17 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
         f"{tally.total} recordings: {tally.computed} recovered now in {tally.seconds:.0f} s{speed};"
         f" {tally.before} were dealt with before; {figures['failed']} failed in all"
     )
-    columns = ("recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes")
-    done = [row for row in rows.select([*columns, "status"]).to_pylist() if row["status"] == "done"]
-    worst = sorted(done, key=lambda row: -(row["sigma_max_m"] or 0.0))[:MOST_WORST]
+    import pyarrow.compute as pc
+
+    columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
+    done = rows.filter(pc.equal(rows["status"], "done")).select(columns)
+    worst = done.sort_by([("sigma_max_m", "descending")]).slice(0, MOST_WORST).to_pylist()
     if worst:
         print_table(
             "The least certain recordings (sigma = one standard deviation)",
             ("recording", "largest sigma, cm", "gaps", "longest gap, s", "occluded, s", "length, s", "notes"),
             [
-                (row["recording"], centimetres(row["sigma_max_m"]), *(row[k] for k in columns[2:]))
+                (row["recording"], centimetres(row["sigma_max_m"]), *(row[name] for name in columns[2:]))
                 for row in worst
             ],
         )
@@ -178,4 +184,4 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
             [(row["recording"], row["error"]) for row in failures[:MOST_FAILURES]],
         )
         if len(failures) > MOST_FAILURES:
-            say(f".. and {len(failures) - MOST_FAILURES} failures more; --json and the results have them all")
+            say(f".. and {figures['failed'] - MOST_FAILURES} failures more; the results have them all")

@@ -63,11 +63,15 @@ class Ledger:
         self._folder = folder
         self._waiting: list[Row] = []
         self._began = self._flushed = time.monotonic()
-        self._past: dict[str, list[_Past]] = {}
+        self._past: dict[str, tuple[_Past, ...]] = {}
+        self._settings: dict[tuple[str, str, str], tuple[str, str, str]] = {}
         finished: dict[str, datetime] = {}
-        for row in self._read(_LOOKED_UP).sort_by("finished").to_pylist():
-            finished[row["id"]] = row["finished"]
-            self._remember(row)
+        waiting = {path.stem for path in folder.rows.glob("*.json")}
+        for batch in self._read(_LOOKED_UP).sort_by("finished").to_batches(max_chunksize=10_000):
+            for row in batch.to_pylist():
+                self._remember(row)
+                if row["id"] in waiting:
+                    finished[row["id"]] = row["finished"]
         self._adopt(finished)
 
     def find(
@@ -165,9 +169,10 @@ class Ledger:
             ) from error
 
     def _remember(self, row: Row) -> None:
+        settings = (row["config_hash"], row["calibration_hash"], row["version"])
         past = _Past(
             row_id=row["id"],
-            settings=(row["config_hash"], row["calibration_hash"], row["version"]),
+            settings=self._settings.setdefault(settings, settings),  # one for all: there may be a million
             done=row["status"] == DONE,
             retry=bool(row.get("retry")),
             input=row["input"],
@@ -177,8 +182,9 @@ class Ledger:
             output_bytes=row.get("output_bytes"),
             output_mtime_ns=row.get("output_mtime_ns"),
         )
-        same = self._past.setdefault(row["recording"], [])
-        same[:] = [each for each in same if each.row_id != past.row_id] + [past]
+        name = row["recording"]
+        others = [each for each in self._past.get(name, ()) if each.row_id != past.row_id]
+        self._past[name] = (*others, past)
 
     def _adopt(self, finished: dict[str, datetime]) -> None:
         """Take the rows that workers left when a run was cut off before it wrote them."""
