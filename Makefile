@@ -20,8 +20,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY) ## the main job on the recording in data/: smooth, validate, report
 	$(BIN)/unocclude demo
 
-test: $(READY) ## run the tests
-	$(BIN)/python -m pytest
+test: $(READY) ## run the tests, two at a time
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(READY) ## style and types
 	$(BIN)/ruff check .
