@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import queue
 import time
 from collections.abc import Generator, Iterator
@@ -51,7 +52,7 @@ def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, No
 def _connect(scheduler: str) -> Client:
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said in our words
+    _be_quiet()
     try:
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -67,6 +68,15 @@ def _connect(scheduler: str) -> Client:
             f"the scheduler at {scheduler} has no worker; start some with `dask worker {scheduler}`"
         ) from error
     return client
+
+
+def _be_quiet() -> None:
+    """Keep Dask's messages and tracebacks from the user: what matters is said in our words."""
+    if os.environ.get("UNOCCLUDE_DEBUG", "0") not in ("", "0"):
+        return
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _run(client: Client, jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:

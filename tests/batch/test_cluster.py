@@ -9,10 +9,12 @@ from collections.abc import Iterator
 import pytest
 from studies import BROKEN, NAMES, batch, query, start_batch, state, until
 
+from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.study import cluster
+from smoother.study.fingerprint import Choice
 from smoother.study.inputs import find_entries
-from smoother.study.job import run_job
+from smoother.study.job import Job, run_job
 from smoother.study.run import StudySettings, run_study, study_folder
 
 
@@ -79,3 +81,23 @@ def test_no_worker(monkeypatch):
         pytest.raises(UnoccludeError, match="has no worker; start some"),
     ):
         list(cluster.run_cluster(iter(()), empty.scheduler_address))
+
+
+def test_a_scheduler_that_goes_away(monkeypatch, tmp_path, capfd):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0", protocol="tcp://"
+    ) as leaving:
+        address = leaving.scheduler_address
+
+        def jobs():
+            for number in range(100):
+                if number == 5:
+                    leaving.close()
+                yield Job(f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), Choice(), "")
+
+        with pytest.raises(UnoccludeError, match="went away; the same command continues"):
+            list(cluster.run_cluster(jobs(), address))
+    assert "Traceback" not in capfd.readouterr().err
