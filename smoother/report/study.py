@@ -54,7 +54,7 @@ def write_study(
             figure(
                 "Distributions",
                 "One count a recording. Sigma is one standard deviation of the IMU's position on its worst"
-                " axis, the largest of all gaps.",
+                " axis, the largest of all gaps. The outermost bars also count what lies beyond them.",
                 _distributions(columns),
             ),
             figure(
@@ -127,7 +127,10 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
         row, column = 1 + place // 3, 1 + place % 3
         kept = values[np.isfinite(values)]
         if len(kept):
-            counts, edges = np.histogram(kept, bins=min(_BINS, max(5, int(np.sqrt(len(kept))))))
+            # a few extreme values would leave one bar of all others; they count in the outermost bars
+            low, high = np.percentile(kept, [0.5, 99.5])
+            bins = min(_BINS, max(5, int(np.sqrt(len(kept)))))
+            counts, edges = np.histogram(kept.clip(low, high), bins=bins)
             bars = go.Bar(
                 x=(edges[:-1] + edges[1:]) / 2, y=counts, width=np.diff(edges), marker={"color": VISIBLE}
             )
