@@ -17,7 +17,7 @@
     sigma_m = [0.005, 0.005, 0.005]
 
 Every key of an arm may be absent. Other top-level tables belong to other steps of the calibration and are
-kept as they are.
+kept as they are. A file written by hand may leave out format and version: it is taken to be of version 1.
 """
 
 from __future__ import annotations
@@ -43,6 +43,8 @@ from smoother.recording import FloatArray
 FORMAT = "unocclude calibration"
 VERSION = 1
 SIDES = ("right", "left", "any")
+#: Tables by which a file written by hand shows to be a calibration though it lacks the two lines above them.
+KNOWN_TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock")
 
 #: What to say instead of pydantic's own words, by its name of the error.
 _SAID = {
@@ -205,6 +207,8 @@ def _load(path: Path) -> dict[str, Any]:
         raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
+    if "format" not in document and any(isinstance(document.get(name), dict) for name in KNOWN_TABLES):
+        document = {"format": FORMAT, "version": VERSION, **document}
     if document.get("format") != FORMAT:
         raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
     version = document.get("version")

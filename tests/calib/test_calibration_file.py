@@ -239,6 +239,21 @@ def test_a_failed_write_leaves_the_file_alone(tmp_path: Path):
     assert os.listdir(tmp_path) == ["cal.toml"]
 
 
+def test_a_file_written_by_hand_may_lack_format_and_version(tmp_path: Path):
+    path = tmp_path / "rig.toml"
+    path.write_text("[camera_from_mocap]\nrotation = [1, 0, 0, 0]\ntranslation = [0.5, 0, 2]\n")
+    assert read_calibration(path).tables["camera_from_mocap"]["translation"] == [0.5, 0, 2]
+    write_calibration(path, CalibrationFile().with_arm(ArmCalibration("left", upper_arm=Length(0.3, 0.01))))
+    text = path.read_text()
+    assert text.startswith(HEAD.strip()) and "[camera_from_mocap]" in text and "[arm.left]" in text
+    path.write_text("[markers]\nwrist = ['RAD']\n")  # a map is none, nor is a table of another program
+    with pytest.raises(CalibrationError, match="is not a calibration"):
+        read_calibration(path)
+    path.write_text("version = 2\n[arm.right]\n")
+    with pytest.raises(CalibrationError, match="has version 2"):
+        read_calibration(path)
+
+
 def test_never_writes_over_what_is_not_a_calibration(tmp_path: Path):
     path = tmp_path / "thesis.toml"
     path.write_text("mine = true\n")
