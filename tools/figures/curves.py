@@ -87,7 +87,8 @@ def _ingredients(axis: Any, panel: dict[str, Any]) -> None:
     axis.set_xticks(range(len(panel["lengths"])), [f"{entry['length_s']:g} s" for entry in panel["lengths"]])
     axis.set_ylabel("error in a gap, rms, cm")
     axis.set_title("What each ingredient brings\n(simulated arm, realistic errors)", fontsize=10)
-    axis.legend(fontsize=8, frameon=False, loc="upper left")
+    axis.set_ylim(0, 1.4 * axis.get_ylim()[1])  # room for the names
+    axis.legend(fontsize=8, frameon=False, loc="upper left", ncols=2)
     axis.grid(axis="y", alpha=0.3)
 
 

@@ -32,7 +32,7 @@ def _order(lengths: list[dict[str, Any]], name: str) -> float:
 def _cell(each: dict[str, Any] | None) -> str:
     if each is None or each["median_m"] is None:
         return "-"
-    digits = 1 if each["median_m"] >= 0.1 else 2
+    digits = 1 if each["median_m"] >= 0.1 else 2 if each["median_m"] >= 0.001 else 3
     rms, median, low, high = (
         f"{100 * each[key]:.{digits}f}" for key in ("samples_rms_m", "median_m", "low_m", "high_m")
     )
