@@ -9,7 +9,8 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..recording import FloatArray
-from .markers import MARKER_FORMATS, Markers, read_markers, told_apart
+from .marker_files import MARKER_FORMATS, read_markers
+from .markers import Markers, told_apart
 from .table import read_table
 
 #: A marker that strays farther than this from its mean was not still, m (rms).

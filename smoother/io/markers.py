@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +10,6 @@ import numpy as np
 from ..errors import RecordingError
 from ..recording import FloatArray
 
-#: Files of marker trajectories that can be read.
-MARKER_FORMATS = (".c3d", ".trc")
 #: Metres in a unit, by the names that files use.
 METRES = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
@@ -56,28 +53,6 @@ class Markers:
     def seen(self) -> FloatArray:
         """(M,) share of the frames in which each marker was seen."""
         return np.asarray(np.isfinite(self.position).all(axis=2).mean(axis=0))
-
-
-def read_markers(path: str | os.PathLike[str]) -> Markers:
-    """Read a `.c3d` or `.trc` file.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, of another kind, damaged, or holds no marker.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in MARKER_FORMATS:
-        raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
-    if not path.is_file():
-        raise RecordingError(f"{path}: there is no such file")
-    if path.suffix.lower() == ".trc":
-        from .trc_reading import read_trc
-
-        return read_trc(path)
-    from .c3d_reading import read_c3d
-
-    return read_c3d(path)
 
 
 def metres_in(unit: str, path: Path) -> float:
