@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
+from .alone import alone
 from .columns import DONE, FAILED, Row
 from .fingerprint import Choice, config_hash, file_hash
 from .folder import StudyFolder
@@ -103,15 +104,28 @@ def run_study(
     UnoccludeError
         The study could not begin, or not go on; what was done is kept.
     """
-    plan = _Plan(entries, folder, settings, force)
+    calibrations = {
+        path: _checked(path)
+        for path in {entry.calibration or settings.calibration for entry in entries} - {""}
+    }
+    word = folder.open(force)
+    with alone(folder):
+        plan = _Plan(folder, word, settings, calibrations)
+        return _work_off(entries, plan, work, heard)
+
+
+def _work_off(
+    entries: Sequence[Entry], plan: _Plan, work: Work, heard: Callable[[Tally, Row | None], None]
+) -> tuple[Tally, pa.Table]:
     tally = Tally(len(entries))
 
     def todo() -> Iterator[Job]:
-        for job in plan.jobs():
+        for entry in entries:
+            job = plan.job(entry)
             if job is None:
                 tally.before += 1
-                continue
-            yield job
+            else:
+                yield job
 
     rows = work(todo())
     try:
@@ -150,42 +164,36 @@ class _Plan:
     """
 
     def __init__(
-        self, entries: Sequence[Entry], folder: StudyFolder, settings: StudySettings, force: bool
+        self, folder: StudyFolder, word: str, settings: StudySettings, calibrations: dict[str, str]
     ) -> None:
-        self._entries, self._folder, self._settings = entries, folder, settings
-        self._calibrations = {
-            path: _checked(path)
-            for path in {entry.calibration or settings.calibration for entry in entries} - {""}
-        }
-        self._word = folder.open(force)
+        self._folder, self._word, self._settings = folder, word, settings
+        self._calibrations = calibrations
         self._config_hash = config_hash(settings.config, settings.choice)
         self.ledger = Ledger(folder)
         self.ids: dict[str, str] = {}
 
-    def jobs(self) -> Iterator[Job | None]:
-        """A job for every recording, None for one that is done."""
+    def job(self, entry: Entry) -> Job | None:
+        """The job for a recording, None if it is done."""
         settings = self._settings
-        for entry in self._entries:
-            calibration = entry.calibration or settings.calibration
-            told = self._calibrations.get(calibration, "")
-            hashes = (self._config_hash, told, __version__)
-            done, known = self.ledger.find(entry.name, entry.path, hashes, settings.retry_failed)
-            if done and not settings.again:
-                self.ids[entry.name] = done
-                yield None
-                continue
-            yield Job(
-                name=entry.name,
-                source=entry.path,
-                folder=str(self._folder.path),
-                word=self._word,
-                config=settings.config,
-                choice=settings.choice,
-                config_hash=self._config_hash,
-                calibration=calibration,
-                calibration_hash=told,
-                known=() if settings.again else known,
-            )
+        calibration = entry.calibration or settings.calibration
+        told = self._calibrations.get(calibration, "")
+        hashes = (self._config_hash, told, __version__)
+        done, known = self.ledger.find(entry.name, entry.path, hashes, settings.retry_failed)
+        if done and not settings.again:
+            self.ids[entry.name] = done
+            return None
+        return Job(
+            name=entry.name,
+            source=entry.path,
+            folder=str(self._folder.path),
+            word=self._word,
+            config=settings.config,
+            choice=settings.choice,
+            config_hash=self._config_hash,
+            calibration=calibration,
+            calibration_hash=told,
+            known=() if settings.again else known,
+        )
 
 
 def _checked(path: str) -> str:

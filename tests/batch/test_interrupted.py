@@ -13,6 +13,7 @@ import pytest
 from studies import BROKEN, NAMES, batch, is_alive, query, start_batch, state, until
 
 from smoother.config import Config
+from smoother.study.alone import alone
 from smoother.study.columns import DONE, FAILED
 from smoother.study.fingerprint import Choice, config_hash
 from smoother.study.job import Job, Known, run_job
@@ -151,3 +152,13 @@ def test_a_full_disk_is_tried_again(job, monkeypatch):
     monkeypatch.undo()
     assert run_job(job)["status"] == DONE
     assert Ledger(folder).find(job.name, job.source, settings)[0] == row["id"]
+
+
+def test_one_command_at_a_time(job, made, capsys):
+    folder = study_folder(Path(job.folder))
+    with alone(folder):
+        assert batch(made, "-o", folder.path, "--processes", 1) == 1
+        assert "another command works on" in capsys.readouterr().err
+        assert not query(folder.path)
+    with alone(folder):
+        pass
