@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter1d
+from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from smoother.recording import BoolArray, FloatArray, ImuStream
 
@@ -22,6 +22,8 @@ STILL_ACC, STILL_GYRO = 0.04, 0.015
 MOVING_ACC, MOVING_GYRO = 1.0, 0.15
 #: A slow turn: the means of a look's two halves differ by more than their noise and this.
 CREEP_ACC, CREEP_GYRO = 0.03, 0.01
+#: A rest that a knock interrupts goes on if the acceleration is the same after it, m/s^2.
+KNOCKED_ACC = 0.2
 #: A rest that goes on in the same direction is the same pose, rad.
 SAME_POSE_RAD = np.radians(8.0)
 
@@ -77,13 +79,15 @@ def find_rests(imu: ImuStream) -> Rests:
         return _none()
     still = _still(imu.acc, width, STILL_ACC, MOVING_ACC, CREEP_ACC)
     still &= _still(imu.gyro, width, STILL_GYRO, MOVING_GYRO, CREEP_GYRO)
-    still = binary_dilation(still, iterations=width // 2)
-    still = binary_erosion(still, iterations=max(width // 6, 1), border_value=1)
+    # less than half a look, so that two rests with nothing but a jump between them stay two
+    let_go = max(width // 6, 1)
+    still = binary_dilation(still, iterations=width // 2 - let_go)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    edges = _joined(edges.reshape(-1, 2), imu.acc, width // 2)
     gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
     spans = [
         (a, b)
-        for first, last in edges.reshape(-1, 2).tolist()
+        for first, last in edges.tolist()
         for a, b in _between(first, last, gaps)
         if imu.t_s[b - 1] - imu.t_s[a] >= SHORTEST_S
     ]
@@ -118,6 +122,17 @@ def _still(values: FloatArray, width: int, floor: float, moving: float, creep: f
     drift = np.linalg.norm(ahead - behind, axis=1)
     noise = min(quietest, moving) * np.sqrt(6.0 / half)
     return np.asarray((deviation <= limit) & (drift <= creep + 3.0 * noise))
+
+
+def _joined(spans: np.ndarray, acc: FloatArray, half: int) -> np.ndarray:
+    """Spans (n, 2) of which neighbours are one where a knock parts them and the pose is the same after it."""
+    if len(spans) < 2:
+        return spans
+    apart = []
+    for last, first in zip(spans[:-1, 1].tolist(), spans[1:, 0].tolist(), strict=True):
+        before, after = (np.median(acc[a:b], axis=0) for a, b in ((last - half, last), (first, first + half)))
+        apart.append(first - last > half or float(np.linalg.norm(after - before)) > KNOCKED_ACC)
+    return np.column_stack([spans[np.r_[True, apart], 0], spans[np.r_[apart, True], 1]])
 
 
 def _between(first: int, last: int, cuts: np.ndarray) -> list[tuple[int, int]]:
