@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: Rows of the table of the worst recordings, and of failures; points of the scatter plot.
 MOST_WORST, MOST_POINTS = 200, 5000
 _BINS = 40
+#: Decimals that are drawn: an axis never spans rounding errors.
+_DIGITS = 3
 
 
 def write_study(
@@ -100,7 +102,7 @@ def _verdict(
     )
     yield (
         f"{recorded / 3600:.2f} h of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
-        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.0f} times real time"
+        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.3g} times real time"
     )
     sigma = 100 * columns["sigma_max_m"][np.isfinite(columns["sigma_max_m"])]
     if len(sigma):
@@ -125,7 +127,7 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
     drawn = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
     for place, (title, values) in enumerate(panels):
         row, column = 1 + place // 3, 1 + place % 3
-        kept = values[np.isfinite(values)]
+        kept = np.round(values[np.isfinite(values)], _DIGITS)
         if len(kept):
             # a few extreme values would leave one bar of all others; they count in the outermost bars
             low, high = np.percentile(kept, [0.5, 99.5])
@@ -144,8 +146,8 @@ def _scatter(done: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) 
     kept = order[:MOST_POINTS]
     drawn = go.Figure(
         go.Scattergl(
-            x=columns["gap_longest_s"][kept],
-            y=100 * columns["sigma_max_m"][kept],
+            x=np.round(columns["gap_longest_s"][kept], _DIGITS),
+            y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
             text=done["recording"].take(kept).to_pylist(),
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
