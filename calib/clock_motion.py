@@ -23,8 +23,11 @@ from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.screen import by_camera
 from smoother.selfcal import Knowledge, self_calibrate
 
+from .clock_coarse import coarse_offset
 from .clock_links import SKEW_SIGMA, ClockLink
 
+#: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
+COARSE_S = 0.75 * LARGEST_OFFSET_S
 #: Length of a stretch, s, and at most so many of them.
 STRETCH_S = 20.0
 MOST = 24
@@ -74,10 +77,14 @@ def clock_from_motion(
     Raises
     ------
     CalibrationError
-        The IMU and a visible forearm never come together, or too shortly.
+        The IMU and a visible forearm never come together, or too shortly; or the clocks are far apart and
+        the motion fits several offsets.
     """
     config = config or Config()
     known = known or ArmCalibration(side=recording.side)
+    coarse = coarse_offset(recording, COARSE_S)
+    if coarse:
+        recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
     pieces = [by_camera(piece) for piece in take_apart(recording, LARGEST_OFFSET_S)]
     stretches = _stretches(pieces)
     if not stretches:
@@ -94,7 +101,7 @@ def clock_from_motion(
             f"{recording.name}: in no stretch could the clock be found; move more and faster"
         )
     t = np.array([t for t, _ in rows])
-    offset = np.array([each[0] for _, each in rows])
+    offset = coarse + np.array([each[0] for _, each in rows])
     sigma = np.array([each[1] for _, each in rows])
     link, used = _line(t, offset, sigma, names, f"motion {recording.name}")
     return MotionClock(link, t, offset, sigma, used, arm)
