@@ -26,8 +26,8 @@ STEP_S = 0.2
 GRID_HZ = 50.0
 #: The two must share this much motion, s, or a third of the shorter one.
 LEAST_OVERLAP_S = 3.0
-#: Below this correlation the two do not show the same motion.
-LEAST_CORRELATION = 0.5
+#: Of less than this nothing is told in any case, s.
+SHORTEST_S = 1.0
 #: What clocks may disagree by, one standard deviation (parts).
 SKEW_SIGMA = 3e-4
 #: Another offset that correlates nearly as well makes the answer doubtful (share of the best score).
@@ -86,11 +86,11 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
             f"{motion.source}: its clock could not be aligned: the {signals.by} is known for less than"
             f" {span:.1f} s together; check that it is of the same recording, and the marker map"
         )
-    if not correlation >= LEAST_CORRELATION:
+    if not correlation >= signals.least_correlation:
         raise RecordingError(
             f"{motion.source}: its clock could not be aligned: the {signals.by} of truth and answer agree"
-            f" nowhere (best correlation {correlation:.2f}, {LEAST_CORRELATION} is needed); check that it is"
-            " of the same recording, and the marker map"
+            f" nowhere (best correlation {correlation:.2f}, {signals.least_correlation} is needed); check"
+            " that it is of the same recording, and the marker map"
         )
     clock = _refine(signals, recovery.t_s, motion.t_s, lag, correlation)
     if rivals:
@@ -104,6 +104,8 @@ class _Turns:
     """Rotation vectors over a step, in the body's own axes: of the answer, and of the plate."""
 
     by = "angular velocity of IMU and plate"
+    #: Below this correlation the two do not show the same motion; another trial of a protocol reaches 0.7.
+    least_correlation = 0.8
 
     def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
         self._answer = (recovery.t_s, recovery.quaternion)
@@ -126,6 +128,8 @@ class _Ways:
     """Lengths of the ways of joint centres over a step, while the camera sees the arm."""
 
     by = "speed of the joint centres"
+    #: The answer of a poor camera is noisy.
+    least_correlation = 0.7
     mount: FloatArray | None = None
     solves_mount = False
 
@@ -181,7 +185,7 @@ def _overlap_span(a: FloatArray, b: FloatArray) -> float:
         raise RecordingError(
             "the answer or the truth holds fewer than two samples, so no clock can be aligned"
         )
-    return min(LEAST_OVERLAP_S, float(min(np.ptp(a), np.ptp(b))) / 3.0)
+    return max(min(LEAST_OVERLAP_S, float(min(np.ptp(a), np.ptp(b))) / 3.0), SHORTEST_S)
 
 
 def _coarse(

@@ -198,6 +198,22 @@ def imu_in_mocap(motion: MocapMotion) -> FloatArray | None:
     return np.asarray(motion.p_E_P - np.einsum("nij,j->ni", motion.R_E_P, motion.R_A_P.T @ motion.p_A_P))
 
 
+def far_off_m(recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap) -> float:
+    """Median distance, m, of the truth's joint centres from the visible answer's; nan without any."""
+    rows = np.flatnonzero(~recovery.occluded)
+    t = clock.to_mocap(recovery.t_s[rows])
+    pairs = [
+        (recovery.joints[name][rows], position_at(motion.t_s, frame.place(position), t))
+        for name, position in motion.joints.items()
+        if name in recovery.joints
+    ]
+    if motion.p_E_P is not None:
+        pairs.append((recovery.position[rows], position_at(motion.t_s, frame.place(motion.p_E_P), t)))
+    away = np.concatenate([np.linalg.norm(mine - other, axis=1) for mine, other in pairs] or [np.empty(0)])
+    away = away[np.isfinite(away)]
+    return float(np.median(away)) if len(away) else float("nan")
+
+
 def solve_plate_place(
     recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap
 ) -> FloatArray:

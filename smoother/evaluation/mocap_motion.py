@@ -23,6 +23,10 @@ ON_FOREARM = ("elbow", "wrist", "hand")
 SMOOTH_S = (0.06, 0.08, 0.12, 0.16, 0.2, 0.24, 0.32, 0.4)
 #: A map whose plate differs from the one that was seen by more than this is of another plate, m (rms).
 OTHER_PLATE_M = 0.005
+#: Joints next to each other are apart by this, m; a file whose unit is wrong shows by it.
+BONE_M = (0.08, 0.8)
+#: Markers that fit one body in fewer of the frames that show three of them are not on one.
+LEAST_RIGID = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,9 +77,10 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
         return markers.position[:, index]
 
     plate = MocapMotion(markers.t_s, source=markers.source, notes=markers.notes)
+    seen = {joint: places(names) for joint, names in marker_map.joints.items()}
+    _check_unit(seen, markers)
     if marker_map.plate:
         plate = _with_plate(plate, places(marker_map.plate), marker_map)
-    seen = {joint: places(names) for joint, names in marker_map.joints.items()}
     filled = {
         joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in seen.items()
     }
@@ -98,6 +103,20 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
                 " never seen together; mend the map"
             )
     return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_holes(joints)))
+
+
+def _check_unit(seen: dict[str, FloatArray], markers: Markers) -> None:
+    """Refuse bones of impossible length, from markers (N, M, 3) by joint."""
+    for one, other in (("elbow", "wrist"), ("shoulder", "elbow")):
+        if one not in seen or other not in seen:
+            continue
+        length = np.linalg.norm(seen[one].mean(axis=1) - seen[other].mean(axis=1), axis=1)
+        length = length[np.isfinite(length)]
+        if len(length) and not BONE_M[0] < float(np.median(length)) < BONE_M[1]:
+            raise RecordingError(
+                f"{markers.source}: {one} and {other} are {float(np.median(length)):.3g} m apart; check that"
+                f" the file's coordinates are in its unit, {markers.unit}, and the marker map"
+            )
 
 
 def _filled(plate: MocapMotion, seen: FloatArray) -> tuple[FloatArray, int]:
@@ -138,12 +157,13 @@ def _with_plate(motion: MocapMotion, seen: FloatArray, marker_map: MarkerMap) ->
         )
     shape, R_A_P, p_A_P = _in_stated_axes(shape, marker_map, motion.source)
     found = follow(shape, seen)
-    if not np.isfinite(found.residual_m).any():
+    answered = np.isfinite(found.residual_m)
+    tried = np.isfinite(seen).all(axis=2).sum(axis=1) >= 3
+    if not answered.sum() >= LEAST_RIGID * tried.sum():
         raise RecordingError(
             f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) do not move as one body;"
             " mend the map"
         )
-    answered = np.isfinite(found.residual_m)
     notes = [
         f"IMU plate: {len(shape)} markers, a pose in {100 * answered.mean():.1f} % of the mocap's frames,"
         f" {1000 * np.sqrt(np.nanmean(found.residual_m**2)):.2f} mm rms from a rigid body."

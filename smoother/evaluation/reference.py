@@ -14,12 +14,24 @@ from ..recording import CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
 from .marker_map import map_by_names, read_marker_map
 from .mocap_clock import MocapClock, align_clock
-from .mocap_frame import CameraFromMocap, imu_in_mocap, solve_frame, solve_plate_place, stated_frame
+from .mocap_frame import (
+    CameraFromMocap,
+    far_off_m,
+    imu_in_mocap,
+    solve_frame,
+    solve_plate_place,
+    stated_frame,
+)
 from .mocap_motion import MocapMotion, motion_of_markers, motion_of_truth
 from .truth_file import read_truth
 
 #: Mocap kept beyond the ends of the result, s.
 MARGIN_S = 1.0
+#: A calibration that puts the arm farther than this from where the camera saw it is doubted, m.
+FAR_OFF_M = 0.15
+#: A plate whose mean lies closer than this to where the answer has the IMU is centred on it: the answer's own
+#: constant errors are as large, m.
+CENTRED_M = 0.003
 
 
 @dataclass(frozen=True)
@@ -146,14 +158,33 @@ def bring(motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
         notes.append(_frame_words(frame))
     else:
         notes.append(f"The camera-to-mocap transform is {frame.by}.")
+        away = far_off_m(recovery, motion, clock, frame)
+        if away > FAR_OFF_M:
+            notes.append(
+                f"By that transform the arm was {away:.2f} m (median) from where the camera saw it: check"
+                " that it belongs to this camera and this capture, or leave it out to have the truth aligned."
+            )
     if motion.p_E_P is not None and motion.p_A_P is None and motion.R_A_P is not None:
-        motion = replace(motion, p_A_P=solve_plate_place(recovery, motion, clock, frame))
-        notes.append(
-            "The IMU's place on the plate was solved from the answer while the camera saw the arm: a constant"
-            " error of the answer's place in the IMU's axes is not seen. State it in the map, [imu_plate]."
-        )
+        p_A_P = solve_plate_place(recovery, motion, clock, frame)
+        centred = float(np.linalg.norm(p_A_P)) < CENTRED_M
+        motion = replace(motion, p_A_P=np.zeros(3) if centred else p_A_P)
+        notes.append(_place_words(float(np.linalg.norm(p_A_P)), centred))
     return _truth(motion, clock, frame, recovery), Alignment(
         kind, clock, frame, _landmarks(motion, clock, frame, recovery), tuple(notes)
+    )
+
+
+def _place_words(away_m: float, centred: bool) -> str:
+    if centred:
+        return (
+            "The mean of the plate's markers is taken for the IMU's place: the visible answer has it"
+            f" {1000 * away_m:.1f} mm from there, which is within its own error. State it in the map,"
+            " [imu_plate]."
+        )
+    return (
+        "The IMU's place on the plate was solved from the answer while the camera saw the arm"
+        f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's axes"
+        " is not seen. State it in the map, [imu_plate]."
     )
 
 

@@ -34,7 +34,8 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise RecordingError(
-            f"{path}: a truth is read from {' or '.join(FORMATS)}, not from '{path.suffix or path.name}'"
+            f"{path}: a truth is read from .c3d or .trc (markers), {' or '.join(FORMATS)} (poses), not from"
+            f" '{path.suffix or path.name}'"
         )
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")

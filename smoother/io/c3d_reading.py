@@ -29,6 +29,7 @@ def read_c3d(path: Path) -> Markers:
         raise RecordingError(f"{path}: not a C3D file (its second byte is not 0x50); export it again")
     data, parameters = _load(path)
     point = parameters.get("POINT", {})
+    _whole(path, point)
     position = np.moveaxis(np.asarray(data["points"], dtype=np.float64)[:3], (0, 1, 2), (2, 1, 0))
     if not position.shape[0] or not position.shape[1]:
         what = "no frame" if position.shape[1] else "no point"
@@ -72,6 +73,28 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise RecordingError(f"{path}: a damaged C3D file ({reason}); export it again") from error
     return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
+
+
+def _whole(path: Path, point: dict[str, Any]) -> None:
+    """Refuse a file that ends before the last frame that its header counts; the library makes frames up.
+
+    Words of the header (c3d.org): 2 points, 3 analog samples a frame, 4 and 5 first and last frame, 9 the
+    first block of 512 bytes that holds data. A scale below zero says that numbers have four bytes, else two.
+    """
+    with open(path, "rb") as file:
+        header = file.read(512)
+        file.seek(512 * (header[0] - 1) + 3)
+        big_endian = file.read(1) == b"\x56"
+    words = np.frombuffer(header[:24], dtype=">u2" if big_endian else "<u2")
+    points, analogs, first, last, start = (int(words[k]) for k in (1, 2, 3, 4, 8))
+    size = 4 if float(_first(point, "SCALE", -1.0)) < 0 else 2
+    needed = (last - first + 1) * (4 * points + analogs) * size
+    held = path.stat().st_size - 512 * (start - 1)
+    if last >= first and held < needed:
+        raise RecordingError(
+            f"{path}: the C3D file is cut off: it holds {100 * max(held, 0) / needed:.0f} % of the frames"
+            " that its header counts; copy or export it again"
+        )
 
 
 def _first(group: dict[str, Any], name: str, default: Any) -> Any:

@@ -54,6 +54,10 @@ def read_trc(path: Path) -> Markers:
     ]
     if not rows:
         raise RecordingError(f"{path}: the file names {len(names)} markers and holds no frame")
+    counted = header.get("numframes", "")
+    cut_off = counted.isdigit() and int(counted) > len(rows) > 1
+    if cut_off and len(_cells(rows[-1][1], mark)) < len(_cells(rows[-2][1], mark)):
+        rows.pop()  # its last number may have lost digits
     table = _numbers(path, rows, mark, 2 + 3 * len(names))
     unit = header.get("units", "")
     if not unit:
@@ -67,6 +71,11 @@ def read_trc(path: Path) -> Markers:
     stated = header.get("nummarkers", "")
     if stated.isdigit() and int(stated) != len(names):
         notes.append(f"{path.name}: the header states {stated} markers and names {len(names)}.")
+    if cut_off:
+        notes.append(
+            f"{path.name}: the header counts {counted} frames and the file holds {len(table)}; it may be"
+            " cut off."
+        )
     return Markers(names, t_s, position, rate, unit, source=str(path), notes=tuple(notes))
 
 
