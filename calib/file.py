@@ -17,7 +17,7 @@
     sigma_m = [0.005, 0.005, 0.005]
 
 Every key of an arm may be absent. Other top-level tables belong to other steps of the calibration and are
-kept as they are. A file written by hand may leave out format and version: it is taken to be of version 1.
+kept as they are. Format and version may be left out.
 """
 
 from __future__ import annotations
@@ -40,11 +40,10 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-FORMAT = "unocclude calibration"
-VERSION = 1
+FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
-#: Tables by which a file written by hand shows to be a calibration though it lacks the two lines above them.
-KNOWN_TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock")
+#: Tables that tell a calibration without format and version, as people write it.
+TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock")
 
 #: What to say instead of pydantic's own words, by its name of the error.
 _SAID = {
@@ -150,8 +149,7 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
     Raises
     ------
     CalibrationError
-        If it cannot be read, is not a calibration, was written by a newer program, or a value is wrong; the
-        message names the file and the key.
+        It cannot be read, is no calibration or a newer one, or a value is wrong; the text names the key.
     """
     path = Path(path)
     document = _load(path)
@@ -207,11 +205,9 @@ def _load(path: Path) -> dict[str, Any]:
         raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
-    if "format" not in document and any(isinstance(document.get(name), dict) for name in KNOWN_TABLES):
-        document = {"format": FORMAT, "version": VERSION, **document}
-    if document.get("format") != FORMAT:
+    if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
         raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')
-    version = document.get("version")
+    version = document.get("version", None if "format" in document else VERSION)
     if type(version) is not int or version < 1:
         raise CalibrationError(f"Calibration {path}: version must be a whole number such as {VERSION}.")
     if version > VERSION:

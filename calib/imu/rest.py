@@ -87,7 +87,7 @@ def find_rests(imu: ImuStream) -> Rests:
     gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
     spans = [
         (a, b)
-        for first, last in edges.tolist()
+        for first, last in edges.reshape(-1, 2).tolist()
         for a, b in _between(first, last, gaps)
         if imu.t_s[b - 1] - imu.t_s[a] >= SHORTEST_S
     ]

@@ -32,7 +32,7 @@ class _Section(BaseModel):
 
 class _Camera(_Section):
     frame: CameraFrame
-    skeleton: str
+    skeleton: str | None = None
     gravity: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
     position_unit: Literal["m", "mm"] = "m"
 
@@ -95,7 +95,7 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
                 f"{folder / 'recording.toml'}: [camera] gravity is zero; give the direction of down."
             )
         file.gravity_hint = gravity / np.linalg.norm(gravity)
-    if camera is not None:  # without one the recording serves to calibrate its IMUs
+    if camera is not None and camera.skeleton is not None:  # without one the IMUs can still be calibrated
         _skeleton(file, folder / camera.skeleton, 0.001 if camera.position_unit == "mm" else 1.0)
     for name, section in description.imu.items():
         file.imus.append(_imu(folder / section.file, name, section))

@@ -167,3 +167,11 @@ def test_any_table(
     assert [None if np.isnan(z) else z for z in numbers["z"].tolist()] == [row[2] for row in rows]
     assert texts["word"] == [row[3] for row in rows]
     assert "absent" not in numbers
+
+
+def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:
+    folder = plain_folder(recording=plain_texts()["recording"].replace('skeleton = "skeleton.csv"\n', ""))
+    found = open_csv(folder)
+    assert not found.arms and [imu.topic for imu in found.imus] == ["/imu/forearm_right"]
+    with pytest.raises(RecordingError, match="has no skeleton"):
+        import_csv(folder)
