@@ -32,6 +32,8 @@ FAR_OFF_M = 0.15
 #: A plate whose mean lies closer than this to where the answer has the IMU is centred on it: the answer's own
 #: constant errors are as large, m.
 CENTRED_M = 0.003
+#: No plate reaches farther from its IMU; what does is an error of the frame or of the answer, m.
+LARGEST_PLATE_M = 0.15
 
 
 @dataclass(frozen=True)
@@ -166,25 +168,26 @@ def bring(motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
             )
     if motion.p_E_P is not None and motion.p_A_P is None and motion.R_A_P is not None:
         p_A_P = solve_plate_place(recovery, motion, clock, frame)
-        centred = float(np.linalg.norm(p_A_P)) < CENTRED_M
-        motion = replace(motion, p_A_P=np.zeros(3) if centred else p_A_P)
-        notes.append(_place_words(float(np.linalg.norm(p_A_P)), centred))
+        away_m = float(np.linalg.norm(p_A_P))
+        solved = CENTRED_M <= away_m <= LARGEST_PLATE_M
+        motion = replace(motion, p_A_P=p_A_P if solved else np.zeros(3))
+        notes.append(_place_words(away_m, solved))
     return _truth(motion, clock, frame, recovery), Alignment(
         kind, clock, frame, _landmarks(motion, clock, frame, recovery), tuple(notes)
     )
 
 
-def _place_words(away_m: float, centred: bool) -> str:
-    if centred:
+def _place_words(away_m: float, solved: bool) -> str:
+    if solved:
         return (
-            "The mean of the plate's markers is taken for the IMU's place: the visible answer has it"
-            f" {1000 * away_m:.1f} mm from there, which is within its own error. State it in the map,"
-            " [imu_plate]."
+            "The IMU's place on the plate was solved from the answer while the camera saw the arm"
+            f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's axes"
+            " is not seen. State it in the map, [imu_plate]."
         )
+    why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
     return (
-        "The IMU's place on the plate was solved from the answer while the camera saw the arm"
-        f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's axes"
-        " is not seen. State it in the map, [imu_plate]."
+        "The mean of the plate's markers is taken for the IMU's place: the visible answer has the IMU"
+        f" {1000 * away_m:.1f} mm from there, {why}. State it in the map, [imu_plate]."
     )
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_mocap import MAP, NAMES, captured
 
 from smoother.errors import RecordingError
-from smoother.evaluation import read_reference
+from smoother.evaluation import read_reference, validate
 from smoother.evaluation.truth_file import read_truth
 from smoother.io.c3d_writing import C3dContent, write_c3d
 from smoother.io.marker_files import read_markers
@@ -66,8 +66,11 @@ def test_a_calibration_of_another_place_is_said(tmp_path, recovery):
         "[camera_from_mocap]\nrotation = [1, 0, 0, 0]\ntranslation = [0, 0, 0]\n"
     )
     frame = {"calibration": tmp_path / "cal.toml", "camera_frame": CameraFrame.KINECT}
-    _, alignment = read_reference(recovery=recovery, **files, **frame)
+    truth, alignment = read_reference(recovery=recovery, **files, **frame)
     assert any("m (median) from where the camera saw it" in note for note in alignment.notes)
+    # the error is not taken for the sensor's place on the plate
+    assert any("farther than a plate reaches" in note for note in alignment.notes)
+    assert validate(recovery, truth, alignment).all.position_rms_m > 0.5
 
 
 @pytest.mark.parametrize(("place", "said"), [((0, 0, 0), "is taken for"), ((0.02, 0, 0.01), "was solved")])
