@@ -181,8 +181,8 @@ def _place_words(away_m: float, solved: bool) -> str:
     if solved:
         return (
             "The IMU's place on the plate was solved from the answer while the camera saw the arm"
-            f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's axes"
-            " is not seen. State it in the map, [imu_plate]."
+            f" ({1000 * away_m:.0f} mm from its mean): a constant error of the answer's place in the IMU's"
+            " axes is not seen. State it in the map, [imu_plate]."
         )
     why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
     return (
