@@ -2,7 +2,7 @@
 
 The IMU commands its buzzer to stop and notes the time; the camera's microphone hears the sound stop
 (Jatesiktat & Ang, II-G.1). A tone that is switched off does not vanish: the buzzer rings out and the room
-answers. So the tone's envelope is fitted with a step to a decaying tail, both seen through the same
+answers. So the tone's complex envelope is fitted with a step to a decaying tail, both seen through the same
 low-pass; the step is the end, however long the tail.
 """
 
@@ -11,12 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve, get_window
 
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
+
+from .beep_step import direct_end, fit_fall
 
 #: Frames of the first search, s.
 FRAME_S, HOP_S = 0.010, 0.0025
@@ -27,18 +28,21 @@ SHORTEST_S = 0.03
 LOUD_DB = 18.0
 FALL_DB = 8.0
 KNEE_DB = 3.0
+#: The quiet shows in so many frames in a row.
+QUIET_FRAMES = 12
 #: Two beeps nearer than this are one, s.
 PAUSE_S = 0.05
 #: Envelope: width of the low-pass, s, and how far before and after the end it is fitted, s.
 SMOOTH_S = 0.0012
 BEFORE_S, AFTER_S = 0.020, 0.060
-#: The buzzer itself rings out within this time constant, s; what is slower is the room.
-LONGEST_RING_S = 0.006
-#: What a step with an exponential tail leaves out: in any case, s, and as a part of the tail's length.
+#: The end lies so near to the largest step, s; with two as large, sigma is this part of their distance.
+SLACK_S, DOUBT_PART = 0.012, 0.5
+#: What a step with an exponential tail leaves out: in any case, s, and as a part of the tail's length, for a
+#: tail as loud as what stops.
 MODEL_SIGMA_S = 0.00015
-TAIL_PART = 0.02
+TAIL_PART = 0.03
 #: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
-LOUD_TAIL, LONG_TAIL_S, LOUD_TAIL_PART = 0.45, 0.015, 0.3
+LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
 #: Blocks of a long track, s.
 BLOCK_S = 60.0
 
@@ -134,7 +138,9 @@ def _clearest(
 ) -> tuple[FloatArray, int, float]:
     """Level (n,) dB of the clearest tone above its quiet, its place, and how far it stands out, dB."""
     power = power + 1e-12 * float(power.max())
-    quiet = np.percentile(power, 10, axis=0)
+    # of a track that is nearly all beep, the quiet is what little there is beside it
+    lasting = uniform_filter1d(power, QUIET_FRAMES, axis=0)
+    quiet = np.minimum(np.percentile(power, 10, axis=0), np.percentile(lasting, 1, axis=0))
     # a tone has its power in one place, a voice or a knock has it everywhere
     share = power / power.sum(axis=1, keepdims=True)
     level = 10 * np.log10(power / quiet)
@@ -188,64 +194,53 @@ def _tone(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, nea
 def _fit_end(
     samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float, above_db: float
 ) -> Beep:
-    """The end of one beep: a step to a decaying tail, fitted to the envelope of its tone."""
-    before = min(BEFORE_S, 0.6 * (end_s - start_s) + 0.5 * FRAME_S)
-    first = max(int((end_s - before - SMOOTH_S) * rate_hz), 0)
-    last = min(int((end_s + AFTER_S + SMOOTH_S) * rate_hz), len(samples))
+    """The end of one beep: a step to a decaying tail, fitted to the complex envelope of its tone."""
+    step = direct_end(samples, rate_hz, tone_hz, start_s, end_s)
+    near = step.t_s
+    before = min(BEFORE_S, 0.6 * (near - start_s) + 0.5 * FRAME_S)
+    first = max(int((near - before - SMOOTH_S) * rate_hz), 0)
+    last = min(int((near + AFTER_S + SMOOTH_S) * rate_hz), len(samples))
     t = np.arange(first, last) / rate_hz
+    tone_hz = _steady(samples, rate_hz, max(start_s + 0.01, near - 0.1), near - 0.003, tone_hz)
     periods = max(round(SMOOTH_S * tone_hz), 3)
     kernel = np.hanning(max(round(periods / tone_hz * rate_hz), 5) + 2)[1:-1]
     kernel /= kernel.sum()
     mixed = 2 * samples[first:last] * np.exp(-2j * np.pi * tone_hz * t)
     half = len(kernel) // 2
     inside = slice(half, len(t) - half)
-    envelope = np.abs(fftconvolve(mixed, kernel, mode="same"))[inside]
-    at = t[inside]
-    size = float(np.median(envelope[at < max(end_s - 0.005, at[0] + 0.003)]))
-
-    def model(x: FloatArray) -> FloatArray:
-        end, decay, tail, loud, noise, ring = x[0], np.exp(x[1]), x[2], x[3], x[4], np.exp(x[5])
-        late = np.maximum(t - end, 0.0)
-        after = np.clip((t - end) * rate_hz + 0.5, 0.0, 1.0)  # the part of a sample that lies behind the end
-        fall = tail * np.exp(-late / decay) + (1 - tail) * np.exp(-late / ring)
-        shape = (1 - after) + after * fall
-        return np.asarray(np.hypot(loud * fftconvolve(shape, kernel, mode="same")[inside], noise))
-
-    low = [end_s - 0.03, np.log(LONGEST_RING_S), 0.0, 0.2 * size, 0.0, np.log(1e-4)]
-    high = [end_s + 0.03, np.log(1.0), 1.0, 5 * size, size, np.log(LONGEST_RING_S)]
-    scale = [1e-3, 0.5, 0.2, size, 0.05 * size, 0.5]
-
-    def fit(guess: FloatArray, steps: int) -> OptimizeResult:
-        return least_squares(
-            lambda x: (model(x) - envelope) / size, guess, bounds=(low, high), x_scale=scale, max_nfev=steps
-        )
-
-    starts = [
-        np.array([end_s + shift, np.log(decay), tail, size, 0.02 * size, np.log(1e-3)])
-        for decay, tail in ((0.01, 0.05), (0.02, 0.9), (0.04, 0.3))
-        for shift in (-0.012, -0.004, 0.002)
-    ]
-    # a few steps from everywhere, the rest of the way from the two best places
-    tried = sorted((fit(start, 6) for start in starts), key=lambda each: float(each.cost))
-    best = min((fit(each.x, 50) for each in tried[:2]), key=lambda each: float(each.cost))
-    # neighbouring values of the envelope share the kernel: so many of them are worth one
-    worth = max(1.5 * len(kernel) / 2, 1.0)
-    variance = 2 * best.cost * worth / max(len(envelope) - 6 * worth, 1.0)
-    spread = np.linalg.pinv(best.jac.T @ best.jac) * variance
-    tail, decay = float(best.x[2]), float(np.exp(best.x[1]))
-    loud_room = tail > LOUD_TAIL and decay > LONG_TAIL_S
-    shape = TAIL_PART * decay * tail if not loud_room else LOUD_TAIL_PART * decay
-    # the buzzer stops somewhere in a period of its tone, and no tail is quite exponential
-    sigma = float(np.sqrt(spread[0, 0] + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2))
+    envelope = fftconvolve(mixed, kernel, mode="same")[inside]
+    fall = fit_fall(envelope, kernel, t, rate_hz, near, SLACK_S)
+    loud_room = fall.tail > LOUD_TAIL and fall.decay_s > LONG_TAIL_S
+    # the buzzer stops somewhere in a period of its tone, and no tail is quite exponential: the less stops
+    # at once, the more the tail's shape counts
+    shape = TAIL_PART * min(fall.decay_s, AFTER_S) * min(fall.tail, 1.0) / max(fall.drop, 0.05)
+    doubt = DOUBT_PART * step.doubt_s
+    sigma = float(
+        np.sqrt(fall.variance_s2 + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2)
+    )
     return Beep(
         start_s=start_s,
-        end_s=float(best.x[0]),
+        end_s=fall.end_s,
         sigma_s=sigma,
         frequency_hz=tone_hz,
         above_quiet_db=above_db,
-        decay_s=decay,
-        loud_room=loud_room,
-        t_s=at,
-        envelope=envelope,
-        fitted=model(best.x),
+        decay_s=fall.decay_s,
+        loud_room=loud_room or doubt > MODEL_SIGMA_S,
+        t_s=t[inside],
+        envelope=np.abs(envelope),
+        fitted=fall.fitted,
     )
+
+
+def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float) -> float:
+    """The tone shortly before its end, Hz: its phase must not turn in the envelope that is fitted."""
+    first, last = int(start_s * rate_hz), int(end_s * rate_hz)
+    count = max((last - first) // 4, 1)
+    if last - first < 0.02 * rate_hz:
+        return tone_hz
+    t = np.arange(first, first + 4 * count) / rate_hz
+    mixed = samples[first : first + 4 * count] * np.exp(-2j * np.pi * tone_hz * t)
+    blocks = mixed.reshape(4, count).sum(axis=1)
+    turn = float(np.angle(np.sum(blocks[1:] * np.conj(blocks[:-1]))))
+    found = turn * rate_hz / (2 * np.pi * count)
+    return tone_hz + (found if abs(turn) < 1.0 else 0.0)

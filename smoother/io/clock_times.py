@@ -13,12 +13,14 @@ from calib.clock_links import Receptions
 from ..errors import RecordingError
 
 COLUMNS = ("round", "node", "t_s")
+#: Times that say "not received", in lower case.
+MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
 
 
 def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Receptions:
     """Read who received which broadcast when.
 
-    A node that missed a round has no row for it, or an empty time.
+    A node that missed a round has no row for it, or a time that is empty or one of `MISSED`.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
             for row in rows:
                 line = rows.line_num
                 name, text = (row["node"] or "").strip(), (row["t_s"] or "").strip()
-                if not text and name:
+                if text.lower() in MISSED and name:
                     continue  # not received
                 try:
                     time = float(text)

@@ -116,6 +116,18 @@ def test_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "The clock in the motion" in (tmp_path / "m.html").read_text(encoding="utf-8")
 
 
+def test_missed_receptions_are_told_in_any_spelling(tmp_path):
+    plain, spelt = tmp_path / "plain.csv", tmp_path / "spelt.csv"
+    heard = "".join(f"{k},a,{k}.0\n{k},b,{k + 7}.0\n" for k in range(6))
+    plain.write_text("round,node,t_s\n" + heard)
+    missed = "".join(f"9{k},a,99\n9{k},b,{word}\n" for k, word in enumerate(("", "nan", "NA", "None")))
+    spelt.write_text("round,node,t_s\n" + heard + missed)
+    for path in (plain, spelt):
+        assert command("--broadcast", path, "--json", path.with_suffix(".json")) == 0
+    links = [json.loads(path.with_suffix(".json").read_text())["links"] for path in (plain, spelt)]
+    assert links[0] == links[1] and links[0][0]["offset_s"] == pytest.approx(7.0)
+
+
 def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     sound, times = folder / "beep.wav", folder / "times.csv"
     (tmp_path / "cut.wav").write_bytes(sound.read_bytes()[:30])
