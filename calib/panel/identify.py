@@ -22,6 +22,8 @@ SCALE = 0.04
 AS_GOOD, MORE_M = 3.0, 0.0015
 #: Steeper against the line of sight than this a panel is edge-on, degrees between normal and line of sight.
 EDGE_ON_DEG = 65.0
+#: Spots whose spread across is below this share of that along lie on one line.
+ON_ONE_LINE = 0.1
 SEE_DEPTH = "see that the camera measures depth there (dull surface, 0.5 to 4 m away, no sunlight)."
 TURN_IT = "turn it towards the camera, within 40 degrees of facing it."
 _PAIRS = np.array(list(combinations(range(4), 2)))
@@ -114,6 +116,8 @@ def identify_spots(
     sets = np.array(list(combinations(range(len(blobs)), 4)))
     thetas, known = _planes(blobs.pixels[sets], depth_m, rays)
     if not known.any():
+        if _on_one_line(blobs):
+            raise _edge_on_line(name)
         raise DepthMissing(f"{name}: depth is missing under the panel; {SEE_DEPTH}")
     sets, thetas = sets[known], thetas[known]
     ray = np.concatenate([blobs.rays[sets], np.ones((*sets.shape, 1))], axis=2)
@@ -239,6 +243,8 @@ def _planes(corners: FloatArray, depth_m: FloatArray, rays: FloatArray) -> tuple
 
 def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
     """What to say where no four spots fit the panel; `places` (S, 4, 3) of all sets of four."""
+    if _on_one_line(blobs):
+        return _edge_on_line(name)
     if len(blobs) > 4:
         return NotIdentified(
             f"{name}: of {len(blobs)} bright spots no four have the distances of the panel's definition; see"
@@ -253,4 +259,15 @@ def _none_fits(name: str, blobs: Blobs, places: FloatArray) -> NotSeen:
     return NotIdentified(
         f"{name}: the four bright spots do not have the distances of the panel's definition; see that all"
         " four are markers of this panel, and that the panel was measured in metres."
+    )
+
+
+def _on_one_line(blobs: Blobs) -> bool:
+    spread = np.linalg.svd(blobs.rays - blobs.rays.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < ON_ONE_LINE * spread[0])
+
+
+def _edge_on_line(name: str) -> EdgeOn:
+    return EdgeOn(
+        f"{name}: the bright spots lie on one line, as those of a panel that is seen edge-on; {TURN_IT}"
     )

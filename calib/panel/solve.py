@@ -27,8 +27,9 @@ ON_PLANE_SIGMA_M = 0.0002
 HUBER = 3.5
 #: The stated noise weighs like so many residuals against those found.
 PRIOR_RESIDUALS = 12.0
-#: A depth error of one pose alone is believed from so many sigmas on.
-CLEAR = 4.0
+#: A depth error of one pose alone is believed from so many sigmas on if with it the misfit is below this.
+#: One marker that is off looks like a wrong depth too, but leaves residuals.
+CLEAR, EXPLAINED = 4.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def solve(poses: list[PoseData]) -> Solution:
     """Solve for camera from mocap.
 
     With one pose the depth's constant error is taken for none, unless the markers' spacing contradicts the
-    depth by more than chance allows; with several it is a variable.
+    depth by more than chance allows and such an error explains all of it; with several it is a variable.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def solve(poses: list[PoseData]) -> Solution:
         The poses contradict each other so much that there is no answer.
     """
     free = _graph_solution(poses, solve_offset=True)
-    clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m
+    clear = abs(free.depth_offset_m) > CLEAR * free.depth_offset_sigma_m and free.misfit < EXPLAINED
     answer = free if len(poses) > 1 or clear else _graph_solution(poses, solve_offset=False)
     fields = {
         "offset_apart_m": free.depth_offset_m,

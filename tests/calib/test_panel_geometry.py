@@ -136,6 +136,16 @@ def test_what_cannot_be_told_is_refused_in_words():
         identify_spots(blobs_of(flat.points(1.3 * PANEL.markers_P)), flat.depth(), rays, PANEL, "view")
 
 
+@pytest.mark.parametrize("behind_m", [2.5, np.nan])
+@pytest.mark.parametrize("further", [[], [[0.3, 0.2]]])
+def test_a_panel_seen_so_flat_that_its_depth_is_lost_is_edge_on(behind_m: float, further: list[list[float]]):
+    flat = held(20, 88, 40)
+    depth = np.full_like(flat.depth(), behind_m)  # of a panel less than a pixel thick
+    spots = blobs_of(flat.points(np.concatenate([PANEL.markers_P, np.reshape(further, (-1, 2))])))
+    with pytest.raises(EdgeOn, match="on one line"):
+        identify_spots(spots, depth, LENS.ray_image(), PANEL, "view")
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.permutations(range(6)), st.integers(0, 999))
 def test_mocap_markers_are_told_from_others(order, seed):

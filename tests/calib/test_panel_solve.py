@@ -103,6 +103,20 @@ def test_one_pose_tells_a_large_depth_error_and_believes_a_small_one():
     assert found.depth_offset_m == pytest.approx(0.015, abs=4 * found.depth_offset_sigma_m)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_one_pose_takes_a_wrong_spot_for_no_depth_error(seed: int):
+    # two spots that touch: the end of the longer arm seems 4 mm farther out, which looks like a wrong depth
+    one = pose(seed, 0)
+    out = one.rays[2] - one.rays[0]
+    one.rays[2] += out * 0.004 / 0.5
+    found = solve([one])
+    assert not np.isfinite(found.depth_offset_sigma_m)
+    assert found.misfit > 4
+    middle = one.markers_E.mean(axis=0)
+    off = (found.camera_from_mocap.R - TRUTH.R) @ middle + found.camera_from_mocap.origin - TRUTH.origin
+    assert np.linalg.norm(off) < 0.0015  # with the depth's error believed: 6 to 10 mm
+
+
 def test_a_wrong_marker_hardly_moves_many_poses():
     poses = [pose(7, number) for number in range(6)]
     clean = solve(poses).camera_from_mocap
