@@ -71,6 +71,16 @@ def open_questions(
     for each in heard:
         lost = sorted(set(each.node) - set(network.nodes))
         said += [f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost]
+    parts = [
+        [name for name, own in zip(network.nodes, network.group, strict=True) if own == number]
+        for number in dict.fromkeys(network.group.tolist())
+    ]
+    if len(parts) > 1:
+        apart = "; ".join(", ".join(part) for part in parts)
+        said.append(
+            f"the clocks fall into {len(parts)} groups that nothing links ({apart}): a clock that two sources"
+            " share must have one name in both, see --sound-clocks and --motion-clocks"
+        )
     for left in network.leftovers:
         dropped = int((~left.used).sum())
         if dropped:

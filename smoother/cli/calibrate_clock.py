@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,12 +14,16 @@ from .options import Body, ConfigFile, Force, Imu, Json, Processes, Report, Side
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from calib.clock_links import ClockLink, ClockNetwork, Receptions
     from calib.clock_motion import MotionClock
     from calib.clock_sound import Beep
 
 #: Speed of sound in a room, m/s.
 SOUND_M_S = 343.0
+#: Clock of the sound, clock of the event time, where nobody names them.
+SOUND_CLOCKS = "camera,base"
 
 
 def clock(
@@ -52,9 +57,14 @@ def clock(
         str | None, typer.Option("--session", metavar="NAME", help="What to call the session in the file.")
     ] = None,
     sound_clocks: Annotated[
-        str,
-        typer.Option("--sound-clocks", metavar="A,B", help="Clock of the sound, clock of the event time."),
-    ] = "camera,base",
+        str | None,
+        typer.Option(
+            "--sound-clocks",
+            metavar="A,B",
+            help="Clock of the sound, clock of the event time [camera,base, or the one node with `base` in"
+            " its name].",
+        ),
+    ] = None,
     motion_clocks: Annotated[
         str | None,
         typer.Option(
@@ -109,7 +119,9 @@ def clock(
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")
     if (sound is None) != (not event_time):
         raise typer.BadParameter("--sound and --event-time belong together")
-    pair = _two("--sound-clocks", sound_clocks)
+    if not all(isfinite(each) for each in event_time or []):
+        raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
+    pair = _two("--sound-clocks", sound_clocks or SOUND_CLOCKS)
     inputs = [path for path in dict.fromkeys((sound, broadcast, motion, config_file)) if path is not None]
     check_outputs(True, [output], [*inputs])
     check_outputs(force, [json_file, report], [*inputs, known_file])
@@ -122,6 +134,13 @@ def clock(
     beeps: list[Beep] = []
     found: MotionClock | None = None
     notes: tuple[str, ...] = ()
+    told = None
+    if broadcast is not None:
+        from ..io.clock_times import read_broadcast
+
+        told = read_broadcast(broadcast, 1e-3 * resolution_ms)
+        if sound_clocks is None:
+            pair = pair[0], _base(told.node, pair[1])
     if sound is not None:
         own, beeps = _sound(
             sound,
@@ -135,10 +154,8 @@ def clock(
             resolution_ms,
         )
         heard.append(own)
-    if broadcast is not None:
-        from ..io.clock_times import read_broadcast
-
-        heard.append(read_broadcast(broadcast, 1e-3 * resolution_ms))
+    if told is not None:
+        heard.append(told)
     if motion is not None:
         from dataclasses import replace
 
@@ -181,6 +198,12 @@ def clock(
     print_notes(notes)
     if output is not None or json_file is not None or report is not None:
         say_written(output, json_file, report)
+
+
+def _base(nodes: Sequence[str], usual: str) -> str:
+    """The broadcast's one node that is called base something, whose buzzer the camera heard."""
+    named = [name for name in dict.fromkeys(nodes) if usual in name.lower()]
+    return named[0] if len(named) == 1 else usual
 
 
 def _two(option: str, text: str) -> tuple[str, str]:

@@ -54,14 +54,13 @@ def world(
         ),
     ] = None,
     panel_file: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--panel",
             metavar="PANEL.toml",
             help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
-            show_default=False,
         ),
-    ] = Path("panel.toml"),
+    ] = None,
     panel_topic: Annotated[
         str, typer.Option("--panel-topic", metavar="TOPIC", help="In a recording: the IMU on the panel.")
     ] = "panel",
@@ -87,6 +86,8 @@ def world(
     from .calibrate_panel import pictured
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
+    if panel_file is None:
+        raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*(path for each in images for path in each), panel_file, intrinsics_file, recording]
     check_outputs(True, [output], inputs)
     check_outputs(force, [json_file], [*inputs, output])

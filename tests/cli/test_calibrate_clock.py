@@ -128,6 +128,22 @@ def test_missed_receptions_are_told_in_any_spelling(tmp_path):
     assert links[0] == links[1] and links[0][0]["offset_s"] == pytest.approx(7.0)
 
 
+@pytest.mark.parametrize(("node", "groups"), [("Base IMU", 1), ("7", 2)])
+def test_sound_and_broadcast_chain_by_name_or_say_why_not(tmp_path, node: str, groups: int):
+    sound, end, _ = beep(3, 16000)
+    wavfile.write(tmp_path / "b.wav", 16000, (20000 * sound / np.abs(sound).max()).astype(np.int16))
+    rows = "".join(f"{k},{node},{k}.0\n{k},arm,{k + 7}.0\n" for k in range(8))
+    (tmp_path / "t.csv").write_text("round,node,t_s\n" + rows)
+    given = ("--sound", tmp_path / "b.wav", "--event-time", end + 5, "--broadcast", tmp_path / "t.csv")
+    assert command(*given, "--json", tmp_path / "c.json") == 0
+    found = json.loads((tmp_path / "c.json").read_text())
+    links = {(link["from"], link["to"]): link["offset_s"] for link in found["links"]}
+    assert any("that nothing links" in each for each in found["not_determined"]) == (groups == 2)
+    if groups == 1:
+        offset = links.get(("camera", "arm"), -links.get(("arm", "camera"), np.nan))
+        assert offset == pytest.approx(12.0, abs=2e-3)
+
+
 def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     sound, times = folder / "beep.wav", folder / "times.csv"
     (tmp_path / "cut.wav").write_bytes(sound.read_bytes()[:30])
@@ -147,6 +163,7 @@ def test_refusals(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         (("--sound", sound, "--event-time", 1, "--event-time", 2), 1, "event times given: 2"),
         (("--sound", tmp_path / "cut.wav", "--event-time", 1), 1, "cut.wav is not a WAV file"),
         (("--sound", tmp_path / "quiet.wav", "--event-time", 1), 1, "quiet.wav: the sound is silent"),
+        (("--sound", sound, "--event-time", "nan"), 2, "--event-time takes seconds"),
         (("--sound", sound, "--event-time", 1, "--sound-clocks", "a"), 2, "takes two names"),
         (("--broadcast", tmp_path / "none.csv"), 1, "none.csv does not exist"),
         (("--broadcast", tmp_path / "head.csv"), 1, "lacks the column round, node, t_s"),
