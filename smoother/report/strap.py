@@ -11,12 +11,16 @@ import plotly.graph_objects as go
 
 from calib.strap import SEARCH
 
+from ..recording import FloatArray
 from .look import JOINT_COLOURS, OCCLUDED, dress
 from .sheet import figure, listing, picture, tabulated, write_sheet
 from .strap_words import next_time, verdict
 
 if TYPE_CHECKING:
     from ..io.strap_cameras import StrapFound
+
+#: Profiles that so many steps lie apart have a hole between them.
+HOLE_STEPS = 2.5
 
 
 def write_strap_report(
@@ -60,7 +64,8 @@ def brightness(found: StrapFound) -> go.Figure:
     t = np.array([time for time, _ in found.profiles])
     table = np.stack([profile for _, profile in found.profiles], axis=1)
     part = 100 * np.linspace(*SEARCH, len(table))
-    drawn = go.Figure(go.Heatmap(x=t, y=part, z=np.rint(table), colorscale="gray", showscale=False))
+    t, table = _blank(t, np.rint(table))
+    drawn = go.Figure(go.Heatmap(x=t, y=part, z=table, colorscale="gray", showscale=False))
     good = [not reason for reason in found.reasons]
     mark = {"size": 3, "color": OCCLUDED}
     drawn.add_trace(
@@ -69,6 +74,15 @@ def brightness(found: StrapFound) -> go.Figure:
     drawn.update_xaxes(title_text="time, s")
     drawn.update_yaxes(title_text="% of elbow to wrist")
     return dress(drawn, 380)
+
+
+def _blank(t: FloatArray, table: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Profiles (k, n) at times (n,) with empty ones at both ends of every hole: else a column fills it."""
+    step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
+    before = np.flatnonzero(np.diff(t) > HOLE_STEPS * step) if step > 0 else np.empty(0, dtype=int)
+    times = np.concatenate([t[before] + step, t[before + 1] - step])
+    where = np.concatenate([before + 1, before + 1])
+    return np.insert(t, where, times), np.insert(table, where, np.nan, axis=1)
 
 
 def places(found: StrapFound) -> go.Figure:
