@@ -33,7 +33,7 @@ class ImuNoise(_Section):
     gyroscope_share: float = Field(default=0.002, ge=0, description="density a rad/s of turning, sqrt(s)")
     accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the first pass")
     gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the first pass")
-    accelerometer_bias_walk: float = Field(default=0.03, gt=0, description="m/s^2/sqrt(s) inside a window")
+    accelerometer_bias_walk: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(s) inside a window")
     gyroscope_bias_walk: float = Field(default=0.001, gt=0, description="rad/s/sqrt(s) inside a window")
 
 
@@ -49,8 +49,8 @@ class ArmPrior(_Section):
 class Windows(_Section):
     """How a recording is cut into pieces that are solved side by side."""
 
-    margin_s: float = Field(default=1.5, gt=0, description="visible time on both sides of a gap, s")
-    length_s: float = Field(default=8.0, gt=0, description="length aimed at where no gap decides, s")
+    margin_s: float = Field(default=2.5, gt=0, description="visible time on both sides of a gap, s")
+    length_s: float = Field(default=12.0, gt=0, description="length aimed at where no gap decides, s")
     processes: int = Field(default=0, ge=0, description="worker processes; 0 = one a core")
 
 

@@ -19,7 +19,7 @@ WORTH_NODES = 4000
 
 
 @contextmanager
-def _blank_main() -> Iterator[None]:
+def blank_main() -> Iterator[None]:
     """Keep new workers from running the caller's script again, whether or not it guards its main part.
 
     A spawned worker imports the parent's main module so that functions of it can be found; ours are in
@@ -53,7 +53,7 @@ class Pool:
             # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(count, mp_context=context)
-            with _blank_main():  # the workers load their libraries while the caller prepares
+            with blank_main():  # the workers load their libraries while the caller prepares
                 for _ in range(count):
                     self._executor.submit(_wake)
 
@@ -80,7 +80,7 @@ class Pool:
         job = partial(solve, with_covariance=with_covariance, with_offset=with_offset)
         results: Iterator[Solution] = map(job, windows)
         if self._executor is not None:
-            with _blank_main():
+            with blank_main():
                 results = self._executor.map(job, windows)
         solutions = []
         for solution in results:

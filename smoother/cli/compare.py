@@ -156,7 +156,7 @@ def truth_for(
     from calib.file import read_calibration
 
     from ..evaluation import Alignment, read_reference
-    from ..io.markers import MARKER_FORMATS
+    from ..io.marker_files import MARKER_FORMATS
 
     if truth_file is None:
         assert recording.truth is not None

@@ -14,7 +14,7 @@ from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from ..pool import _blank_main
+from ..pool import blank_main
 from .columns import Row
 from .job import Job, run_job
 
@@ -100,7 +100,7 @@ def _start() -> _Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs,), daemon=True)
-    with _blank_main():
+    with blank_main():
         process.start()
     theirs.close()
     return _Worker(process, ours)

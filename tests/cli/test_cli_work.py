@@ -96,7 +96,7 @@ def test_smooth(session):
     assert figures["answered"] > 0.9 * figures["samples"]
     assert figures["gaps"]
     assert {"start_s", "length_s", "sigma_max_m"} <= set(figures["gaps"][0])
-    assert figures["config"]["windows"]["processes"] == 1
+    assert "processes" not in figures["config"]["windows"]  # the answer is the same on any number
     page = (session / "out.html").read_text(encoding="utf-8")
     assert "Recovered arm motion" in page
 
