@@ -67,12 +67,13 @@ def gather(t: FloatArray, visible: BoolArray) -> IntArray:
     if half < 1:
         return owner
     breaks = np.flatnonzero((dt > 2.5 * step) | (visible[1:] != visible[:-1])) + 1
-    size, fine = 2 * half + 1, int(np.ceil(FINE_S / step))
+    size = 2 * half + 1
     for a, b in pairwise([0, *breaks.tolist(), len(t)]):
-        count = (b - a - 2 * fine) // size
+        first, last = a + np.searchsorted(t[a:b], [t[a] + FINE_S, t[b - 1] - FINE_S])
+        count = (last - first) // size
         if count > 0 and visible[a]:
-            rows = a + fine + np.arange(count * size)
-            owner[rows] = a + fine + half + size * np.repeat(np.arange(count), size)
+            rows = first + np.arange(count * size)
+            owner[rows] = first + half + size * np.repeat(np.arange(count), size)
     return np.where(np.abs(t - t[owner]) <= 1.5 * CARRIED_S, owner, np.arange(len(t)))
 
 

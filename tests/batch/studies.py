@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import duckdb
@@ -25,7 +27,11 @@ def batch(*arguments: object) -> int:
 def start_batch(*arguments: object) -> subprocess.Popen:
     """The command in a process of its own."""
     command = [sys.executable, "-c", "from smoother.cli import main; main()", "batch", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    # started in the background, a shell's children ignore Ctrl-C: the tests are about those that do not
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL) if os.name == "posix" else None
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, preexec_fn=heed
+    )
 
 
 def query(folder: Path, what: str = "recording, status, id, finished") -> list[tuple]:
