@@ -60,8 +60,8 @@ def test_bias_instability_of_flicker_noise():
 
 def test_a_long_rest_alone_gives_noise_and_bias():
     count = int(120 * RATE)
-    acc = white(count, 0.003, 6) + [0.1, 9.7, 0.3]
-    gyro = white(count, 2e-4, 7) + [0.01, -0.02, 0.005]
+    acc = white(count, 0.003, 6) + np.array([0.1, 9.7, 0.3])
+    gyro = white(count, 2e-4, 7) + np.array([0.01, -0.02, 0.005])
     found = calibrate_imu(ImuStream("/imu/base", np.arange(count) / RATE, acc, gyro))
     assert found.accelerometer is None
     assert found.gyroscope.offset == pytest.approx([0.01, -0.02, 0.005], abs=1e-4)

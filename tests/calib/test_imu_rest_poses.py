@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_a_slow_turn_is_no_rest():
 
 def test_eight_poses_are_refused_and_the_same_pose_counts_once():
     model = sensor(3)
-    with pytest.raises(CalibrationError, match="8 different rest poses.*9 poses at least"):
+    with pytest.raises(CalibrationError, match=r"8 different rest poses.*9 poses at least"):
         calibrate_imu(rest_poses(model, 8, seed=3)[0])
     again = np.tile(GRAVITY * REST_POSES[:6], (2, 1))
     rests = replace(rests_of(model.distort(again)), pose=np.tile(np.arange(6), 2))
@@ -122,7 +123,7 @@ def test_running_mean_is_the_recursion_of_the_paper():
     gyro = np.random.default_rng(4).normal(0.0, 0.03, (2000, 3))
     path, stable = running_bias(gyro)
     mean, count, slow = np.zeros(3), 0, []
-    for before, value in zip(gyro[:-1], gyro[1:], strict=True):
+    for before, value in pairwise(gyro):
         if (np.abs(value - before) < np.radians(3.0)).all():
             count = min(count + 1, 500)
             mean = mean + (value - mean) / count
@@ -134,9 +135,7 @@ def test_running_mean_is_the_recursion_of_the_paper():
 def test_a_sensor_that_never_lay_still_is_refused():
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 30.0, 0.01)
-    stream = ImuStream(
-        "shaken", t, rng.normal([0, 0, 9.8], 5, (len(t), 3)), rng.normal(0, 2, (len(t), 3))
-    )
+    stream = ImuStream("shaken", t, rng.normal([0, 0, 9.8], 5, (len(t), 3)), rng.normal(0, 2, (len(t), 3)))
     with pytest.raises(CalibrationError, match="never lay still"):
         calibrate_imu(stream)
 
