@@ -10,6 +10,8 @@ import numpy as np
 
 from smoother.recording import FloatArray
 
+from ..verdict import Verdict
+
 if TYPE_CHECKING:
     from .calibrate import PanelCalibration
 
@@ -45,24 +47,6 @@ class Accuracy:
     at_panel_m: FloatArray
     within_m: float
     covariance: FloatArray
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer in words.
-
-    Attributes
-    ----------
-    grade : "good", "usable" or "not good enough".
-    sentence : the value's sigma and what it is good for.
-    findings : what else is to be known.
-    next : what to record next.
-    """
-
-    grade: str
-    sentence: str
-    findings: tuple[str, ...]
-    next: tuple[str, ...]
 
 
 def accuracy(calibration: PanelCalibration) -> Accuracy:

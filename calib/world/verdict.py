@@ -8,6 +8,7 @@ import numpy as np
 
 from smoother.recording import FloatArray
 
+from ..verdict import Verdict
 from .calibrate import WorldCalibration, rotation_degrees, tilt_covariance
 
 #: Sigma of the camera's tilt that is good for `smooth`, or still of use, degrees.
@@ -39,24 +40,6 @@ class Accuracy:
     def heading_free(self) -> bool:
         """Nothing of use is known about the heading."""
         return self.heading_deg > FREE_DEG
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer in words.
-
-    Attributes
-    ----------
-    grade : "good", "usable" or "not good enough".
-    sentence : the value's sigma and what it is good for.
-    findings : what else is to be known.
-    next : what to record next.
-    """
-
-    grade: str
-    sentence: str
-    findings: tuple[str, ...]
-    next: tuple[str, ...]
 
 
 def accuracy(found: WorldCalibration) -> Accuracy:

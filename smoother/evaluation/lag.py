@@ -41,7 +41,13 @@ def lag_s(t_s: FloatArray, answer: FloatArray, reference: FloatArray) -> float |
     )
     most = max(2, round(LONGEST_S / period))
     shifts = np.arange(-most, most + 1)
+    lags: FloatArray = period * shifts
     r = np.array([_correlation(a, b, int(shift)) for shift in shifts])
+    return peak(lags, r)
+
+
+def peak(lags: FloatArray, r: FloatArray) -> float | None:
+    """The vertex of the parabola through the three highest; None at the ends."""
     if not np.isfinite(r).any():
         return None
     best = int(np.nanargmax(r))
@@ -50,7 +56,7 @@ def lag_s(t_s: FloatArray, answer: FloatArray, reference: FloatArray) -> float |
     before, at, after = r[best - 1 : best + 2]
     bend = before - 2 * at + after
     vertex = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float((shifts[best] + vertex) * period)
+    return float(lags[best] + vertex * (lags[1] - lags[0]))
 
 
 def _correlation(a: FloatArray, b: FloatArray, shift: int) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..recording import FloatArray
 from .align import linear_at
-from .lag import FEWEST, LONGEST_S
+from .lag import FEWEST, LONGEST_S, peak
 
 #: Lags are looked at in steps of this, then about the best one in finer steps, s.
 COARSE_S, FINE_S = 0.02, 0.002
@@ -46,11 +46,11 @@ def lag_left_s(
         return _correlation(a[both], b[both]) if both.sum() >= FEWEST else float("nan")
 
     coarse = np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
-    best = _peak(coarse, np.array([correlation(float(lag)) for lag in coarse]))
+    best = peak(coarse, np.array([correlation(float(lag)) for lag in coarse]))
     if best is None:
         return None
     fine = np.linspace(best - 10 * FINE_S, best + 10 * FINE_S, 21)
-    return _peak(fine, np.array([correlation(float(lag)) for lag in fine])) or best
+    return peak(fine, np.array([correlation(float(lag)) for lag in fine])) or best
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:
@@ -58,16 +58,3 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
     x, y = a - a.mean(axis=0), b - b.mean(axis=0)
     scale = float(np.sqrt((x * x).sum() * (y * y).sum()))
     return float((x * y).sum()) / scale if scale > 1e-9 * len(a) else float("nan")
-
-
-def _peak(lags: FloatArray, r: FloatArray) -> float | None:
-    """The vertex of the parabola through the three highest; None at the ends."""
-    if not np.isfinite(r).any():
-        return None
-    best = int(np.nanargmax(r))
-    if not 0 < best < len(r) - 1 or not np.isfinite(r[best - 1 : best + 2]).all():
-        return None
-    before, at, after = r[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    vertex = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(lags[best] + vertex * (lags[1] - lags[0]))
