@@ -41,7 +41,7 @@ def lag_s(t_s: FloatArray, answer: FloatArray, reference: FloatArray) -> float |
     )
     most = max(2, round(LONGEST_S / period))
     shifts = np.arange(-most, most + 1)
-    lags: FloatArray = period * shifts
+    lags: FloatArray = np.asarray(period * shifts, dtype=np.float64)
     r = np.array([_correlation(a, b, int(shift)) for shift in shifts])
     return peak(lags, r)
 
