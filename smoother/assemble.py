@@ -18,6 +18,7 @@ from .plan import Stretch
 from .prepare import lever_of
 from .recording import JOINTS, FloatArray, Recording
 from .result import FrameResiduals, Gap, Recovery
+from .screen import REASONS
 from .selfcal import Knowledge
 from .window import Message
 
@@ -45,7 +46,7 @@ def assemble(
     clock = known.clocks[0]
     frame_t = recording.arm.t_s + clock.at(recording.arm.t_s)
     used = np.zeros((len(recording.arm), len(JOINTS)), dtype=bool)
-    reason = np.full(used.shape, "", dtype="<U64")
+    reason = np.zeros(used.shape, np.uint8)
     for piece in pieces:
         used[piece.frames], reason[piece.frames] = piece.accepted, piece.reason
     imu_t, count = recording.imu.t_s, len(recording.imu)
@@ -96,7 +97,7 @@ def assemble(
         clock_offset_s=clock.mean_s,
         clock_offset_sigma_s=clock.sigma_s,
         arm=replace(recording.arm, t_s=frame_t),
-        residuals=FrameResiduals(frame_t, residual, used, reason),
+        residuals=FrameResiduals(frame_t, residual, used, reason, REASONS),
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,

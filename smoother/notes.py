@@ -65,8 +65,7 @@ def _mounting(known: Knowledge) -> list[str]:
 
 
 def _set_aside(pieces: list[Piece]) -> list[str]:
-    reasons = np.concatenate([piece.reason.ravel() for piece in pieces])
-    count = int((reasons != "").sum())
+    count = sum(int(np.count_nonzero(piece.reason)) for piece in pieces)
     if not count:
         return []
     tracked = count + sum(int(piece.accepted.sum()) for piece in pieces)

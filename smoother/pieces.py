@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .clock import LARGEST_OFFSET_S, stamps_made_up
 from .inertial import InertialSignal
@@ -30,7 +31,7 @@ class Piece:
     signal, attitude : the IMU, and its orientation in {E} (z up, heading drifting).
     frame_t : (f,) camera frames on the camera's clock, s.
     position, accepted : (f, 5, 3) m in {K}, (f, 5) samples that may take part.
-    reason : (f, 5) why a tracked sample was set aside, "" where it was not (see `screen`).
+    reason : (f, 5) why a tracked sample was set aside, as a code of `screen.REASONS`.
     down : (3,) rough direction of gravity in {K}; zero where nothing is known.
     needed : accepted forearm joints that make a frame visible.
     frames : rows of the recording's frames.
@@ -45,7 +46,7 @@ class Piece:
     frame_t: FloatArray
     position: FloatArray
     accepted: BoolArray
-    reason: np.ndarray
+    reason: NDArray[np.uint8]
     down: FloatArray
     needed: int
     frames: slice
@@ -99,7 +100,7 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
                 frame_t=recording.arm.t_s[frames],
                 position=recording.arm.position[frames],
                 accepted=accepted[frames],
-                reason=np.full(accepted[frames].shape, "", dtype="<U64"),
+                reason=np.zeros(accepted[frames].shape, np.uint8),
                 down=down_hint(recording),
                 needed=joints_needed(recording.arm),
                 frames=frames,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
 from .recording import JOINTS, BoolArray, FloatArray, JointTracks
@@ -39,13 +40,15 @@ class FrameResiduals:
     t_s : (F,) frame times on the IMU's clock, s.
     residual : (F, 5, 3) m in {K}, joints in the order of `JOINTS`; nan where there is no answer.
     used : (F, 5) the sample took part in the solution.
-    reason : (F, 5) why a tracked sample was set aside, "" where it was not (numpy str).
+    reason : (F, 5) why a tracked sample was set aside: index into `reasons`, 0 where it was not.
+    reasons : the sentences, the first one empty.
     """
 
     t_s: FloatArray
     residual: FloatArray
     used: BoolArray
-    reason: np.ndarray
+    reason: NDArray[np.uint8]
+    reasons: tuple[str, ...] = ("",)
 
 
 @dataclass(frozen=True)

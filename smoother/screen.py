@@ -23,6 +23,8 @@ DIRECTION = "direction: forearm more than 30 degrees off the inertial one"
 RAY = "viewing ray: the forearm points at the camera and is misjudged"
 STRAP = "strap: off the elbow-wrist line or nearer the elbow"
 RESIDUAL = "residual: does not agree with the recovered motion"
+#: All of them by their code (`Piece.reason`); nothing was wrong with 0.
+REASONS = ("", FROZEN, JUMP, BONE, DIRECTION, RAY, STRAP, RESIDUAL)
 
 #: A value that repeats exactly so often is frozen, if the sensor turns or is moved meanwhile.
 FROZEN_REPEATS = 2
@@ -111,7 +113,8 @@ def _set_aside(piece: Piece, wrong: BoolArray, why: str) -> Piece:
     wrong = wrong & piece.accepted
     if not wrong.any():
         return piece
-    return replace(piece, accepted=piece.accepted & ~wrong, reason=np.where(wrong, why, piece.reason))
+    reason = np.where(wrong, np.uint8(REASONS.index(why)), piece.reason)
+    return replace(piece, accepted=piece.accepted & ~wrong, reason=reason)
 
 
 def _only(frames: BoolArray, *columns: int) -> BoolArray:
