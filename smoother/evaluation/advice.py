@@ -249,7 +249,7 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
     """Part of all tracked samples."""
     if recovery.residuals is None:
         return 0.0
-    tracked = recovery.residuals.used | (np.asarray(recovery.residuals.reason) != "")
+    tracked = recovery.residuals.used | (recovery.residuals.reason != 0)
     return sum(counts) / max(int(tracked.sum()), 1)
 
 

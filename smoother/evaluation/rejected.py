@@ -48,15 +48,16 @@ def rejected(recovery: Recovery) -> list[Rejected]:
     kept = recovery.residuals
     if kept is None:
         return []
-    reasons = np.asarray(kept.reason)
-    totals = {str(reason): int((reasons == reason).sum()) for reason in np.unique(reasons) if reason}
+    totals = np.bincount(kept.reason.reshape(-1), minlength=len(kept.reasons))
+    codes = [code for code in range(1, len(totals)) if totals[code]]
+    tracked = np.count_nonzero(kept.used | (kept.reason != 0), axis=0)
     rows = []
-    for reason in sorted(totals, key=lambda name: (-totals[name], name)):
-        name, _, why = reason.partition(": ")
+    for code in sorted(codes, key=lambda code: (-totals[code], kept.reasons[code])):
+        name, _, why = kept.reasons[code].partition(": ")
         for column, joint in enumerate(JOINTS):
-            at = kept.t_s[reasons[:, column] == reason]
+            at = kept.t_s[kept.reason[:, column] == code]
             if not len(at):
                 continue
-            tracked = int((kept.used[:, column] | (reasons[:, column] != "")).sum())
-            rows.append(Rejected(name, why, joint, len(at), len(at) / tracked, float(at[0]), float(at[-1])))
+            share = len(at) / int(tracked[column])
+            rows.append(Rejected(name, why, joint, len(at), share, float(at[0]), float(at[-1])))
     return rows

@@ -160,15 +160,16 @@ class RecoveryStreams:
         if residuals is None or not len(residuals.t_s):
             return
         stamp = nanoseconds(residuals.t_s, self.recovery.origin_ns)
-        reasons = np.asarray(residuals.reason).astype(str)
-        patterns, which = np.unique(reasons, axis=0, return_inverse=True)
+        patterns, which = np.unique(residuals.reason, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
             for i in _present(residuals):
                 value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
                 used = wire.flag(3, "used", i)
                 parts.append(
-                    wire.message(3, wire.text(1, JOINTS[i]), value, used, wire.text(4, str(pattern[i])))
+                    wire.message(
+                        3, wire.text(1, JOINTS[i]), value, used, wire.text(4, residuals.reasons[pattern[i]])
+                    )
                 )
 
             def columns(rows: IntArray) -> dict[str, NDArray]:
@@ -285,5 +286,5 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
 def _present(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
     said = np.isfinite(residuals.residual).any(axis=(0, 2)) | residuals.used.any(axis=0)
-    said |= (np.asarray(residuals.reason) != "").any(axis=0)
+    said |= (residuals.reason != 0).any(axis=0)
     return np.flatnonzero(said).tolist()

@@ -161,14 +161,16 @@ def _residuals(table: _Table | None, origin: int) -> FrameResiduals:
     if table is None:
         shape = (0, len(JOINTS))
         return FrameResiduals(
-            np.empty(0), np.empty((*shape, 3)), np.zeros(shape, bool), np.empty(shape, "<U1")
+            np.empty(0), np.empty((*shape, 3)), np.zeros(shape, bool), np.zeros(shape, np.uint8)
         )
+    assert isinstance(table, _ResidualTable)
     values = table.done()
     return FrameResiduals(
         seconds(values["stamp"], origin),
         values["residual"].reshape(-1, len(JOINTS), 3),
         values["used"].astype(bool),
         values["reason"],
+        tuple(table.reasons),
     )
 
 
@@ -231,17 +233,27 @@ class _SkeletonTable(_Table):
 
 
 class _ResidualTable(_Table):
+    def __init__(self, topic: Topic):
+        super().__init__(topic)
+        self.reasons = [""]
+
     def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
         rows = len(block)
         residual = np.full((rows, len(JOINTS), 3), np.nan)
         used = np.zeros((rows, len(JOINTS)), np.int64)
-        reason = [""] * len(JOINTS)
+        reason = np.zeros(len(JOINTS), np.uint8)
         for i in range(layout.counts.get("joints", 0)):
             joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
             residual[:, joint] = layout.vector(block, [f"joints.{i}.residual.{axis}" for axis in "xyz"])
             used[:, joint] = layout.integer(block, f"joints.{i}.used")
-            reason[joint] = layout.texts.get(f"joints.{i}.reason", "")
-        return {"residual": residual, "used": used, "reason": np.tile(np.array(reason), (rows, 1))}
+            reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
+        return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
+
+    def _code(self, sentence: str) -> int:
+        """Number of a sentence, in the order in which they are met."""
+        if sentence not in self.reasons:
+            self.reasons.append(sentence)
+        return self.reasons.index(sentence)
 
 
 class _CameraTable(_Table):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -12,7 +12,7 @@ from ..arrays import interpolate, rotate_covariance, skew
 from ..calibration import ArmCalibration
 from ..prepare import lever_of
 from ..recording import JOINTS, FloatArray, Recording
-from ..result import FrameResiduals, Recovery
+from ..result import Recovery
 from .scene import Path, Scene
 
 #: What of the graph's figures a peer was told, and its result repeats.
@@ -74,7 +74,7 @@ def answer(
         clock_offset_s=told.clock_offset_s,
         clock_offset_sigma_s=told.clock_offset_sigma_s,
         arm=told.arm,
-        residuals=FrameResiduals(told.arm.t_s, residual, told.residuals.used, told.residuals.reason),
+        residuals=replace(told.residuals, t_s=told.arm.t_s, residual=residual),
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,

@@ -135,7 +135,7 @@ def _piece(
         frame_t=frame_t,
         position=joints,
         accepted=used,
-        reason=np.full(used.shape, ""),
+        reason=np.zeros(used.shape, np.uint8),
         down=told.gravity_direction,
         needed=joints_needed(recording.arm),
         frames=slice(0, len(frame_t)),

@@ -177,7 +177,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
 
 def _residual(kept: FrameResiduals, distance_cm: FloatArray, joint: int) -> list[go.Scatter]:
     used = kept.used[:, joint] & np.isfinite(distance_cm)
-    aside = ~kept.used[:, joint] & np.isfinite(distance_cm) & (kept.reason[:, joint] != "")
+    aside = ~kept.used[:, joint] & np.isfinite(distance_cm) & (kept.reason[:, joint] != 0)
     index = np.flatnonzero(used)
     index = index[thin(np.zeros(len(index), bool), 3000)]
     dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
@@ -188,7 +188,7 @@ def _residual(kept: FrameResiduals, distance_cm: FloatArray, joint: int) -> list
     index = index[thin(np.zeros(len(index), bool), 1000)]
     if len(index):
         cross = _cross("set aside", kept.t_s[index], distance_cm[index])
-        cross.update(text=kept.reason[index, joint], showlegend=False)
+        cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)
         traces.append(cross)
     return traces
 

@@ -116,7 +116,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
         text = f"{reason}: {why}" if why else reason
-        at, column = np.nonzero(np.asarray(kept.reason) == text)
+        at, column = np.nonzero(kept.reason == kept.reasons.index(text))
         chosen = thin(np.zeros(len(at), bool), 3000)
         tick = {"symbol": "line-ns-open", "size": 20, "color": REASON_COLOURS[number % len(REASON_COLOURS)]}
         figure.add_trace(

@@ -49,7 +49,7 @@ def forearm(
         frame_t=t,
         position=position,
         accepted=np.isfinite(position).all(axis=2),
-        reason=np.full(position.shape[:2], "", dtype="<U64"),
+        reason=np.zeros(position.shape[:2], np.uint8),
         down=np.array([0.0, -1.0, 0.0]),
         needed=2,
         frames=slice(0, frames),

@@ -105,7 +105,7 @@ def make_recovery(
             on_imu.t_s,
             residual,
             np.isfinite(arm.position).all(axis=2),
-            np.full(arm.state.shape, "", dtype="U40"),
+            np.zeros(arm.state.shape, np.uint8),
         ),
         side="right",
         name=recording.name,

@@ -46,8 +46,8 @@ def recovery(count: int = 400, seed: int = 0, side: str = "right", origin_ns: in
     state = rng.integers(0, 3, (len(frames), len(JOINTS))).astype(np.int8)
     camera[state == 0] = np.nan
     residual, used = rng.normal(size=camera.shape), rng.random(state.shape) > 0.5
-    reason = np.where(rng.random(state.shape) > 0.9, "far from the arm", "")
-    residual[:, 4], used[:, 4], reason[:, 4] = np.nan, False, ""
+    reason = (rng.random(state.shape) > 0.9).astype(np.uint8)
+    residual[:, 4], used[:, 4], reason[:, 4] = np.nan, False, 0
     joints = {joint: rng.normal(size=(count, 3)) for joint in JOINTS[:4]}
     joints["hand"][7:20] = np.nan
     return Recovery(
@@ -74,7 +74,7 @@ def recovery(count: int = 400, seed: int = 0, side: str = "right", origin_ns: in
         clock_offset_s=-0.04,
         clock_offset_sigma_s=float("nan"),
         arm=JointTracks("/body", frames, camera, state),
-        residuals=FrameResiduals(frames, residual, used, reason),
+        residuals=FrameResiduals(frames, residual, used, reason, ("", "far from the arm")),
         origin_ns=origin_ns,
         side=side,
         name="rec.mcap",

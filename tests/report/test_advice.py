@@ -57,10 +57,11 @@ def hidden(recovery: Recovery, gap: Gap, sigma_m: float) -> Recovery:
 def with_reason(recovery: Recovery, reason: str, joint: str, frames: slice) -> Recovery:
     kept = recovery.residuals
     assert kept is not None
-    reasons, used = kept.reason.astype("<U64"), kept.used.copy()
-    reasons[frames, JOINTS.index(joint)] = reason
+    codes, used = kept.reason.copy(), kept.used.copy()
+    codes[frames, JOINTS.index(joint)] = len(kept.reasons)
     used[frames, JOINTS.index(joint)] = False
-    return replace(recovery, residuals=replace(kept, reason=reasons, used=used))
+    kept = replace(kept, reason=codes, reasons=(*kept.reasons, reason), used=used)
+    return replace(recovery, residuals=kept)
 
 
 def test_a_good_recording_asks_for_nothing():

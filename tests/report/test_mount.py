@@ -80,11 +80,12 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
     recovery = make_recovery(make_recording())
     kept = recovery.residuals
     assert kept is not None
-    reason, used = kept.reason.astype("<U64"), kept.used.copy()
-    reason[30:90, JOINTS.index("wrist")] = "frozen: <it> stands"
+    reason, used = kept.reason.copy(), kept.used.copy()
+    reason[30:90, JOINTS.index("wrist")] = 1
     used[30:90, JOINTS.index("wrist")] = False
+    kept = replace(kept, reason=reason, reasons=("", "frozen: <it> stands"), used=used)
     figures = {"max_sigma_m": 0.005, "camera_sigma_m": {"wrist": 0.008, "elbow": 0.008}}
-    recovery = replace(recovery, residuals=replace(kept, reason=reason, used=used), figures=figures)
+    recovery = replace(recovery, residuals=kept, figures=figures)
     drawn = timeline(recovery)
     assert drawn is not None
     frozen = next(trace for trace in drawn.data if trace.name == "frozen")
