@@ -10,6 +10,7 @@ from .reading import read_recording
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..recording import Recording
+    from ..room import Room
 
 #: Tables of a calibration file that concern sensors, not an arm.
 _OF_SENSORS = {"imu", "camera_from_base"}
@@ -23,6 +24,8 @@ def read_arm(
     skeleton: str | None = None,
     side: str | None = None,
     body: int | None = None,
+    room: Room | None = None,
+    truth: bool = True,
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by what a calibration file knows of its sensors.
 
@@ -33,6 +36,7 @@ def read_arm(
     path : the recording, MCAP.
     calibration_file : TOML; None where everything is to be found.
     imu, skeleton, side, body : what to take where the recording has several, see `read_recording`.
+    room, truth : where samples lie, and whether the reference motion is read: see there as well.
 
     Returns
     -------
@@ -44,7 +48,10 @@ def read_arm(
         A file cannot be used, or the two do not fit.
     """
     if calibration_file is None:
-        return read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body), None
+        return (
+            read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, room=room, truth=truth),
+            None,
+        )
     from calib.file import read_calibration
     from calib.imu.apply import corrected
     from calib.world.apply import with_gravity
@@ -52,7 +59,16 @@ def read_arm(
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
     prefer = sides[0] if len(sides) == 1 else None
-    recording = read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer)
+    recording = read_recording(
+        path,
+        imu=imu,
+        skeleton=skeleton,
+        side=side,
+        body=body,
+        prefer_side=prefer,
+        room=room,
+        truth=truth,
+    )
     recording = with_gravity(corrected(recording, calibration), calibration)
     if not calibration.arms and _OF_SENSORS & set(calibration.tables):
         return recording, None

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..recording import JOINTS, FloatArray, JointState
+from ..room import Room
 from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -63,6 +64,7 @@ def choose(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
+    room: Room | None = None,
 ) -> Choice:
     """Settle which IMU and arm are meant: by option, else by name, else by motion.
 
@@ -73,7 +75,7 @@ def choose(
     """
     notes: list[str] = []
     if body is None:
-        arms, notes = join_bodies(file.arms)
+        arms, notes = join_bodies(file.arms, room)
         file = replace(file, arms=arms)
     arms = _arms(file, skeleton, side, body)
     imus = _imus(file, imu)

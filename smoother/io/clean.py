@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..recording import JOINTS, BoolArray, IntArray, JointState
+from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ..room import Room
+from .column import passes, sampled
 from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: A stream that loses more of its samples than this is refused.
@@ -26,7 +28,7 @@ def increasing(stamp_ns: IntArray) -> BoolArray:
     A stamp that jumps back makes the later sample the wrong one, a stamp that jumps ahead the
     earlier: whichever reading drops fewer samples is taken.
     """
-    if len(stamp_ns) < 2:
+    if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return np.ones(len(stamp_ns), bool)
     after_all = np.ones(len(stamp_ns), bool)
     after_all[1:] = stamp_ns[1:] > np.maximum.accumulate(stamp_ns)[:-1]
@@ -35,13 +37,16 @@ def increasing(stamp_ns: IntArray) -> BoolArray:
     return after_all if after_all.sum() >= before_all.sum() else before_all
 
 
-def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
+def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tuple[ImuSamples, list[str]]:
     """Drop what cannot be used of an IMU, and check its units.
+
+    Nothing is copied where nothing is dropped.
 
     Parameters
     ----------
     stream : samples as recorded.
     source : the file, for messages.
+    room : where what is kept is to lie; None = in memory.
 
     Returns
     -------
@@ -52,11 +57,15 @@ def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
     RecordingError
         More than 5 % of the samples would be dropped, or a unit cannot be.
     """
-    finite = np.isfinite(stream.acc).all(axis=1) & np.isfinite(stream.gyro).all(axis=1)
-    keep, notes = _keep(stream.stamp_ns, np.asarray(finite), stream.topic, source, "samples")
-    mag = None if stream.mag is None else stream.mag[keep]
+    room = room or Room()
+    finite = _finite(stream.acc, room) & _finite(stream.gyro, room)
+    keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
     kept = replace(
-        stream, stamp_ns=stream.stamp_ns[keep], acc=stream.acc[keep], gyro=stream.gyro[keep], mag=mag
+        stream,
+        stamp_ns=_kept(stream.stamp_ns, keep, room),
+        acc=_kept(stream.acc, keep, room),
+        gyro=_kept(stream.gyro, keep, room),
+        mag=None if stream.mag is None else _kept(stream.mag, keep, room),
     )
     if len(kept.stamp_ns) < 2:
         raise RecordingError(
@@ -66,15 +75,19 @@ def clean_imu(stream: ImuSamples, source: str) -> tuple[ImuSamples, list[str]]:
     return kept, notes
 
 
-def clean_arm(arm: ArmFrames, source: str) -> tuple[ArmFrames, list[str]]:
+def clean_arm(arm: ArmFrames, source: str, room: Room | None = None) -> tuple[ArmFrames, list[str]]:
     """Drop frames with repeated or backward stamps, and tracked joints without a position.
 
-    Returns, raises : as `clean_imu`.
+    Parameters, returns, raises : as `clean_imu`.
     """
+    room = room or Room()
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), arm.label, source, "frames")
-    position, state = arm.position[keep].copy(), arm.state[keep].copy()
+    position, state = _kept(arm.position, keep, room), arm.state[keep]
     claimed = state != JointState.NOT_TRACKED
-    broken = claimed & ~np.isfinite(position).all(axis=2)
+    there = np.empty(claimed.shape, bool)
+    for part in passes(len(position), room):
+        there[part] = np.isfinite(position[part]).all(axis=2)
+    broken = claimed & ~there
     if broken.any():
         if broken.sum() > _LIMIT * claimed.sum():
             raise RecordingError(
@@ -83,39 +96,80 @@ def clean_arm(arm: ArmFrames, source: str) -> tuple[ArmFrames, list[str]]:
             )
         notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
         state[broken] = JointState.NOT_TRACKED
-    position[state == JointState.NOT_TRACKED] = np.nan
-    tracked = state == JointState.TRACKED
-    if tracked.any():
-        far = float(np.median(np.linalg.norm(position[tracked], axis=1)))
-        if far > 100:
-            raise RecordingError(
-                f"{source}: the joints of {arm.label} lie about {far:.0f} from the camera, which looks like "
-                "millimetres; convert them to metres (position_unit in a recording.toml)."
-            )
-    return replace(arm, stamp_ns=arm.stamp_ns[keep], position=position, state=state), notes
+    position = _without(position, state == JointState.NOT_TRACKED, room)
+    _check_metres(position, state, arm.label, source)
+    return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, room), position=position, state=state), notes
 
 
-def clean_poses(poses: PoseSamples) -> tuple[PoseSamples, list[str]]:
+def clean_poses(poses: PoseSamples, room: Room | None = None) -> tuple[PoseSamples, list[str]]:
     """Drop poses with repeated or backward stamps; those that are not finite stay as nan."""
+    room = room or Room()
     keep = increasing(poses.stamp_ns)
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
     score = None if poses.score is None else poses.score[keep]
-    position, quaternion = poses.position[keep].copy(), poses.quaternion[keep].copy()
-    position[~np.isfinite(position).all(axis=1)] = np.nan
-    length = np.linalg.norm(quaternion, axis=1)
-    quaternion[~(np.isfinite(length) & (length > 0.5))] = np.nan
+    position, quaternion = _kept(poses.position, keep, room), _kept(poses.quaternion, keep, room)
+    turned = np.empty(len(quaternion), bool)
+    for part in passes(len(quaternion), room):
+        length = np.linalg.norm(quaternion[part], axis=1)
+        turned[part] = np.isfinite(length) & (length > 0.5)
     return (
         replace(
             poses,
-            stamp_ns=poses.stamp_ns[keep],
-            position=position,
-            quaternion=quaternion,
+            stamp_ns=_kept(poses.stamp_ns, keep, room),
+            position=_without(position, ~_finite(position, room), room),
+            quaternion=_without(quaternion, ~turned, room),
             score=score,
-            joints={name: values[keep] for name, values in poses.joints.items()},
+            joints={name: _kept(values, keep, room) for name, values in poses.joints.items()},
         ),
         notes,
     )
+
+
+def _finite(values: FloatArray, room: Room) -> BoolArray:
+    """Rows (N,) of finite numbers."""
+    finite = np.empty(len(values), bool)
+    for part in passes(len(values), room):
+        finite[part] = np.isfinite(values[part]).all(axis=1)
+    return finite
+
+
+def _kept(values: NDArray, keep: BoolArray, room: Room) -> NDArray:
+    """The rows to keep; the same array where that is all."""
+    count = int(keep.sum())
+    if count == len(values):
+        return values
+    kept, filled = room.array((count, *values.shape[1:]), 0, values.dtype), 0
+    for part in passes(len(values), room):
+        rows = values[part][keep[part]]
+        kept[filled : filled + len(rows)] = rows
+        filled += len(rows)
+    return kept
+
+
+def _without(values: FloatArray, gone: BoolArray, room: Room) -> FloatArray:
+    """A copy with nan where values are to go; the same array where they are nan already."""
+    if all(np.isnan(values[part][gone[part]]).all() for part in passes(len(values), room)):
+        return values
+    out = room.array(values.shape, 0.0)
+    for part in passes(len(values), room):
+        out[part] = values[part]
+        out[part][gone[part]] = np.nan
+    return out
+
+
+def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> None:
+    """Judged by an even sub-sample of a long recording's frames."""
+    some = sampled(len(position))
+    tracked = state[some] == JointState.TRACKED
+    if not tracked.any():
+        return
+    far = float(np.median(np.linalg.norm(position[some][tracked], axis=1)))
+    if far > 100:
+        raise RecordingError(
+            f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
+            "millimetres; convert them to metres (position_unit in a recording.toml)."
+        )
 
 
 def _keep(
@@ -141,7 +195,8 @@ def _keep(
 
 
 def _check_units(stream: ImuSamples, source: str) -> None:
-    rate = np.linalg.norm(stream.gyro, axis=1)
+    some = sampled(len(stream.gyro))  # a long recording is judged by an even sub-sample
+    rate = np.linalg.norm(stream.gyro[some], axis=1)
     fast = float(np.percentile(rate, 99))
     if fast > _GYRO_LIMIT:
         raise RecordingError(
@@ -150,7 +205,7 @@ def _check_units(stream: ImuSamples, source: str) -> None:
         )
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
-    rest = float(np.median(np.linalg.norm(stream.acc[quiet], axis=1)))
+    rest = float(np.median(np.linalg.norm(stream.acc[some][quiet], axis=1)))
     if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:

@@ -18,13 +18,27 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
+from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from .messages import Message, Run, Topic
+from ..recording import IntArray
+from .layout import cut_out
+from .messages import Message, Rows, Run, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+#: A message record up to its payload.
+_RECORD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<u8"),
+        ("publish", "<u8"),
+    ]
+)
 _CHUNK = struct.Struct("<QQQI")
 #: Messages outside chunks are gathered to blocks of this size.
 _GATHER = 1 << 20
@@ -48,107 +62,127 @@ class Container:
         self.topics: list[Topic] = []
         self.metadata: dict[str, dict[str, str]] = {}
         self.notes: list[str] = []
-        self._channels: dict[int, Topic] = {}
+        self._numbers = np.full(1 << 16, -1, np.int64)  # by channel: position in `topics`
         self._schemas: dict[int, Schema] = {}
         self._cut = False
 
-    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[Message]]]:
+    def rows(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, Rows]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
 
         All messages are counted in their topic; payloads of topics that are not wanted are passed over.
+        Topics come in the order of their first message in the chunk.
         """
         for block in self._blocks():
-            found: dict[int, list[Message]] = {}
-            take: dict[int, list[Message] | None] = {}
-            for message in self._messages(block):
-                key = id(message.topic)
-                if key not in take:
-                    is_wanted = wanted(message.topic)
-                    take[key] = found.setdefault(self.topics.index(message.topic), []) if is_wanted else None
-                message.topic.note(message.log_ns)
-                into = take[key]
-                if into is not None:
-                    into.append(message)
+            heads, start, stop, number = self._messages_in(block)
+            found: dict[int, Rows] = {}
+            for position, mine in _by_number(number):
+                topic, log_ns = self.topics[position], heads["log"][mine]
+                topic.note(log_ns)
+                if wanted(topic):
+                    found[position] = Rows(log_ns.view(np.int64), block, start[mine], stop[mine])
             if found:
                 yield found
 
+    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[Message]]]:
+        """The same with an object for each message: for topics whose messages are few, or large."""
+        for found in self.rows(wanted):
+            yield {position: self._one_by_one(position, rows) for position, rows in found.items()}
+
     def messages(self) -> Iterator[Message]:
         """Yield all messages in the file's order."""
-        for block in self._blocks():
-            yield from self._messages(block)
+        for run in self.runs(lambda topic: True):
+            for number, log_ns, data in zip(run.topic.tolist(), run.log_ns.tolist(), run.data, strict=True):
+                yield Message(run.topics[number], log_ns, memoryview(data))
+
+    def _one_by_one(self, position: int, rows: Rows) -> list[Message]:
+        topic, view = self.topics[position], memoryview(rows.block)
+        columns = (rows.log_ns.view(np.uint64).tolist(), rows.start.tolist(), rows.stop.tolist())
+        return [
+            Message(topic, log_ns, view[start:stop]) for log_ns, start, stop in zip(*columns, strict=True)
+        ]
 
     def runs(self, wanted: Callable[[Topic], bool]) -> Iterator[Run]:
         """Yield the messages of wanted topics a chunk at a time, in the file's order."""
         topics: list[Topic] = []
-        numbers: dict[int, int] = {}  # by channel; -1: not wanted
+        numbers: dict[int, int] = {}  # by position in `topics` of the file; -1: not wanted
         for block in self._blocks():
-            rows: list[tuple[int, int, int, int]] = []
-            data: list[bytes] = []
-            for start, end in self._records_in(block):
-                channel, *rest = _MESSAGE.unpack_from(block, start)
-                number = numbers.get(channel)
-                if number is None:
-                    topic = self._channels.get(channel)
-                    if topic is None:
-                        continue
-                    number = numbers[channel] = len(topics) if wanted(topic) else -1
-                    if number >= 0:
-                        topics.append(topic)
-                if number >= 0:
-                    rows.append((number, *rest))
-                    data.append(block[start + _MESSAGE.size : end])
-            if rows:
-                topic_of, sequence, log_ns, publish_ns = np.array(rows, np.uint64).astype(np.int64).T
+            heads, start, stop, number = self._messages_in(block)
+            of_run = np.full(len(self.topics), -1, np.int64)
+            for position, _ in _by_number(number):
+                if position not in numbers:
+                    topic = self.topics[position]
+                    numbers[position] = len(topics) if wanted(topic) else -1
+                    topics += [topic] * (numbers[position] >= 0)
+                of_run[position] = numbers[position]
+            topic_of = of_run[number]
+            kept = topic_of >= 0
+            if not kept.all():
+                heads, start, stop, topic_of = heads[kept], start[kept], stop[kept], topic_of[kept]
+            if len(heads):
+                data = [block[a:b] for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
+                sequence, log_ns, publish_ns = (
+                    heads[name].astype(np.int64) for name in ("sequence", "log", "publish")
+                )
                 yield Run(topics, topic_of, sequence, log_ns, publish_ns, data)
 
-    def _messages(self, block: bytes) -> Iterator[Message]:
-        view = memoryview(block)
-        channels = self._channels
-        for start, end in self._records_in(block):
-            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(block, start)
-            topic = channels.get(channel)
-            if topic is not None:
-                yield Message(topic, sequence, log_ns, publish_ns, view[start + _MESSAGE.size : end])
+    def _messages_in(self, block: bytes) -> tuple[NDArray, IntArray, IntArray, IntArray]:
+        """Heads of a block's messages, where their payloads start and stop, the positions of their topics."""
+        places, late = self._walk(block)
+        heads = cut_out(block, places, _RECORD.itemsize).reshape(-1).view(_RECORD)
+        number = self._numbers[heads["channel"]]
+        for channel, place in late:  # messages before their channel's record are not known to be of it
+            number[(heads["channel"] == channel) & (places < place)] = -1
+        if (number < 0).any():
+            known = number >= 0
+            heads, places, number = heads[known], places[known], number[known]
+        return heads, places + _RECORD.itemsize, places + 9 + heads["length"].astype(np.int64), number
 
-    def _records_in(self, block: bytes) -> Iterator[tuple[int, int]]:
-        """Yield where each message record's content starts and ends; schemas and channels are taken in."""
+    def _walk(self, block: bytes) -> tuple[IntArray, list[tuple[int, int]]]:
+        """Where messages start; channels that are new, and where. Schemas and channels are taken in."""
+        places: list[int] = []
+        late: list[tuple[int, int]] = []
         position, size, head, message = 0, len(block), _HEAD.unpack_from, int(Opcode.MESSAGE)
-        while position + 9 <= size:
+        shortest, last, add = _MESSAGE.size, size - 9, places.append
+        while position <= last:
             opcode, length = head(block, position)
-            start = position + 9
-            position = start + length
-            if position > size:
+            end = position + 9 + length
+            if end > size:
                 self._cut = True
-                return
-            if opcode == message and length >= _MESSAGE.size:
-                yield start, position
+                break
+            if opcode == message and length >= shortest:
+                add(position)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, block[start:position])
+                channel = self._define(opcode, block[position + 9 : end])
+                late += [] if channel is None else [(channel, position)]
+            position = end
+        return np.array(places, np.int64), late
 
-    def _define(self, opcode: int, content: bytes) -> None:
+    def _define(self, opcode: int, content: bytes) -> int | None:
+        """Take in a schema or a channel; the number of a channel that is new."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
                 self._schemas[schema.id] = schema
-                return
+                return None
             channel = Channel.read(stream)
         except (McapError, struct.error, UnicodeDecodeError):
             self._damaged("a schema or channel record is damaged")
-            return
-        if channel.id in self._channels:
-            return
+            return None
+        if self._numbers[channel.id] >= 0:
+            return None
         its = self._schemas.get(channel.schema_id)
         name, encoding, data = (its.name, its.encoding, its.data) if its else ("", "", b"")
         topic = Topic(channel.topic, name, encoding, data, channel.message_encoding, dict(channel.metadata))
         # Recorders that split or restart make a second channel of the same topic.
-        for known in self.topics:
+        for position, known in enumerate(self.topics):
             if (known.name, known.schema, known.encoding) == (topic.name, topic.schema, topic.encoding):
-                topic = known
+                self._numbers[channel.id] = position
                 break
         else:
+            self._numbers[channel.id] = len(self.topics)
             self.topics.append(topic)
-        self._channels[channel.id] = topic
+        return int(channel.id)
 
     def _blocks(self) -> Iterator[bytes]:
         """Yield runs of schema, channel and message records."""
@@ -240,6 +274,12 @@ class Container:
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and plain files "
                 "with `unocclude import csv`."
             )
+
+
+def _by_number(number: IntArray) -> list[tuple[int, IntArray]]:
+    """The numbers that occur, in the order in which they first do, and where each does."""
+    there = [(int(k), np.flatnonzero(number == k)) for k in np.flatnonzero(np.bincount(number))]
+    return sorted(there, key=lambda each: int(each[1][0]))
 
 
 def _decompress(compression: str, packed: bytes, path: Path) -> bytes:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..recording import FloatArray, IntArray
+from ..room import Room
 from . import cdr, proto
+from .column import Column, passes, sampled
 from .layout import Block, Grouper, Layout
-from .messages import Message, Topic
+from .messages import Rows, Topic
 from .schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
 
@@ -31,22 +34,26 @@ class Decoder:
 
     topic: Topic
     grouper: Grouper
-    frame_id: str = ""
-    parts: list[tuple[NDArray, ...]] = field(default_factory=list)
     is_cdr: bool = True
+    room: Room = field(default_factory=Room)
+    frame_id: str = ""
+    gathered: list[Column] = field(default_factory=list)
+    #: Columns that may hold nothing.
+    optional: ClassVar[Collection[int]] = ()
 
-    def feed(self, messages: Sequence[Message]) -> None:
+    def feed(self, rows: Rows) -> None:
         """Take a batch of messages."""
-        payloads = [bytes(message.data) for message in messages]
-        log_ns = np.fromiter((message.log_ns for message in messages), np.uint64, len(messages))
-        for index, block, layout in self.grouper.groups(payloads):
+        parts = []
+        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            log = log_ns[index].astype(np.int64)
-            stamp = self.stamps(block, layout, log)
-            self.parts.append((index + self._fed, stamp, log, *self.columns(block, layout)))
-        self._fed += len(messages)
-
-    _fed: int = 0
+            log_ns = rows.log_ns[index]
+            stamp = self.stamps(block, layout, log_ns)
+            parts.append((index, stamp, log_ns - stamp, *self.columns(block, layout)))
+        for column, values in enumerate(in_order(parts)):
+            if column == len(self.gathered):
+                optional = column in self.optional
+                self.gathered.append(Column(self.room, values.shape[1:], values.dtype, optional))
+            self.gathered[column].append(values)
 
     def stamps(self, block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
         """Stamps (rows,), ns; log times where they are zero."""
@@ -61,13 +68,14 @@ class Decoder:
         raise NotImplementedError
 
     def joined(self) -> list[NDArray]:
-        """Stamps, log times and columns of all messages, in the file's order."""
-        order = np.argsort(np.concatenate([part[0] for part in self.parts]), kind="stable")
-        return [np.concatenate(column)[order] for column in zip(*self.parts, strict=True)][1:]
+        """Stamps, log times less stamps, and columns of all messages, in the file's order."""
+        return [column.done() for column in self.gathered]
 
 
 class ImuDecoder(Decoder):
     """sensor_msgs/msg/Imu and unocclude.Imu."""
+
+    optional = (4,)
 
     def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
         """Specific force, angular velocity, magnetic field (nan where there is none)."""
@@ -82,11 +90,11 @@ class ImuDecoder(Decoder):
 
     def stream(self) -> ImuSamples | None:
         """All samples, or None where there are none."""
-        if not self.parts:
+        if not self.gathered:
             return None
-        stamp, log, acc, gyro, mag = self.joined()
-        has_mag = bool(np.isfinite(mag).any())
-        shift = int(np.median(log - stamp))
+        stamp, delay, acc, gyro, mag = self.joined()
+        has_mag = any(np.isfinite(mag[part]).any() for part in passes(len(mag), self.room))
+        shift = int(np.median(delay[sampled(len(delay))]))
         return ImuSamples(self.topic.name, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
 
 
@@ -99,7 +107,7 @@ class FieldDecoder(Decoder):
 
     def stream(self) -> FieldSamples | None:
         """All samples, or None where there are none."""
-        if not self.parts:
+        if not self.gathered:
             return None
         stamp, _, mag = self.joined()
         return FieldSamples(self.topic.name, self.frame_id, stamp, mag)
@@ -109,40 +117,51 @@ class PoseDecoder(Decoder):
     """geometry_msgs/msg/PoseStamped and foxglove.PoseInFrame."""
 
     def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
-        """Position, quaternion (x, y, z, w)."""
+        """Position, quaternion (qw, qx, qy, qz); an orientation of zeros is none."""
         if self.is_cdr:
-            position, quaternion = layout.get(block, "position"), layout.get(block, "quaternion")
-            return position.astype(float), quaternion.astype(float)
-        orientation = [f"pose.orientation.{axis}" for axis in "xyzw"]
-        return layout.vector(block, _xyz("pose.position")), layout.vector(block, orientation)
+            position = layout.get(block, "position").astype(float)
+            quaternion = layout.get(block, "quaternion").astype(float)[:, [3, 0, 1, 2]]
+        else:
+            position = layout.vector(block, _xyz("pose.position"))
+            quaternion = layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"])
+        quaternion[~(np.linalg.norm(quaternion, axis=1) > 0.5)] = np.nan
+        return position, quaternion
 
     def stream(self) -> PoseSamples | None:
-        """All poses, or None where there are none; an orientation of zeros is none."""
-        if not self.parts:
+        """All poses, or None where there are none."""
+        if not self.gathered:
             return None
         stamp, _, position, quaternion = self.joined()
-        quaternion = quaternion[:, [3, 0, 1, 2]]
-        length = np.linalg.norm(quaternion, axis=1)
-        quaternion[~(length > 0.5)] = np.nan
         return PoseSamples(self.topic.name, self.frame_id, stamp, position, quaternion)
 
 
-def plain_decoder(topic: Topic) -> ImuDecoder | FieldDecoder | PoseDecoder | None:
+def plain_decoder(topic: Topic, room: Room | None = None) -> ImuDecoder | FieldDecoder | PoseDecoder | None:
     """The decoder of a topic of IMU samples, magnetic fields or poses; None for other topics."""
+    room = room or Room()
     if topic.encoding == "cdr":
         kind = topic.schema.replace("/msg/", "/")
         if kind == "sensor_msgs/Imu":
-            return ImuDecoder(topic, Grouper(cdr.imu))
+            return ImuDecoder(topic, Grouper(cdr.imu), room=room)
         if kind == "sensor_msgs/MagneticField":
-            return FieldDecoder(topic, Grouper(cdr.magnetic_field))
+            return FieldDecoder(topic, Grouper(cdr.magnetic_field), room=room)
         if kind == "geometry_msgs/PoseStamped":
-            return PoseDecoder(topic, Grouper(cdr.pose_stamped))
+            return PoseDecoder(topic, Grouper(cdr.pose_stamped), room=room)
     elif topic.encoding == "protobuf":
         if topic.schema == "unocclude.Imu":
-            return ImuDecoder(topic, proto_grouper(topic.schema), is_cdr=False)
+            return ImuDecoder(topic, proto_grouper(topic.schema), is_cdr=False, room=room)
         if topic.schema == "foxglove.PoseInFrame":
-            return PoseDecoder(topic, proto_grouper(topic.schema), is_cdr=False)
+            return PoseDecoder(topic, proto_grouper(topic.schema), is_cdr=False, room=room)
     return None
+
+
+def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
+    """Columns of parts put together by the first of them, which is left out; none of no parts."""
+    if len(parts) == 1:
+        return list(parts[0][1:])
+    if not parts:
+        return []
+    order = np.argsort(np.concatenate([part[0] for part in parts]), kind="stable")
+    return [np.concatenate(column)[order] for column in zip(*(part[1:] for part in parts), strict=True)]
 
 
 def proto_grouper(schema: str) -> Grouper:

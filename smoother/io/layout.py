@@ -68,13 +68,13 @@ class Layout:
 
     def get(self, block: Block, name: str) -> NDArray:
         """Values (rows, count) of a field's first occurrence."""
-        return self.many(block, name)[:, 0]
+        offsets, dtype, count = self.fields[name]
+        return _cut(block, offsets[0], dtype, count)
 
     def many(self, block: Block, name: str) -> NDArray:
         """Values (rows, occurrences, count) of a field."""
         offsets, dtype, count = self.fields[name]
-        index = np.asarray(offsets)[:, None] + np.arange(dtype.itemsize * count)
-        return np.ascontiguousarray(block[:, index]).view(dtype)
+        return np.stack([_cut(block, offset, dtype, count) for offset in offsets], axis=1)
 
     def integer(self, block: Block, name: str) -> IntArray:
         """Values (rows,) of a varint; zero where the field is absent."""
@@ -109,17 +109,28 @@ class Grouper:
 
     def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, Layout]]:
         """Yield the indices of payloads of one layout, their bytes (rows, size), the layout."""
-        sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        for size in np.unique(sizes):
+        stop = np.cumsum(np.fromiter(map(len, payloads), np.int64, len(payloads)))
+        start = np.concatenate([np.zeros(1, np.int64), stop])[: len(payloads)]
+        yield from self.groups_in(b"".join(payloads), start, stop)
+
+    def groups_in(
+        self, data: bytes, start: IntArray, stop: IntArray
+    ) -> Iterator[tuple[IntArray, Block, Layout]]:
+        """The same for payloads that lie in `data` from `start` to `stop`, (n,) each."""
+        sizes = stop - start
+        for size in np.unique(sizes).tolist():
             index = np.flatnonzero(sizes == size)
-            joined = b"".join([payloads[i] for i in index.tolist()])
-            block = np.frombuffer(joined, np.uint8).reshape(len(index), size)
-            yield from self._split(index, block)
+            yield from self._split(index, cut_out(data, start[index], size))
 
     def _split(self, index: IntArray, block: Block) -> Iterator[tuple[IntArray, Block, Layout]]:
         known = self._known.setdefault(block.shape[1], [])
         for layout in tuple(known):
+            if not len(index):
+                return
             same = layout.matches(block)
+            if same.all():
+                yield index, block, layout
+                return
             if same.any():
                 yield index[same], block[same], layout
                 index, block = index[~same], block[~same]
@@ -136,3 +147,20 @@ class Grouper:
             same = layout.matches(block)
             yield index[same], block[same], layout
             index, block = index[~same], block[~same]
+
+
+def cut_out(data: bytes, start: IntArray, size: int) -> Block:
+    """Stretches (n, size) of the same length from where they start (n,)."""
+    if not size or not len(start):
+        return np.empty((len(start), size), np.uint8)
+    whole = np.frombuffer(data, np.uint8)
+    rows: Block = np.lib.stride_tricks.sliding_window_view(whole, size)[start]
+    return rows
+
+
+def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:
+    """Values (rows, count) that lie in each row from a byte on, wherever that is."""
+    if not len(block):
+        return np.empty((0, count), dtype)
+    shape, strides = (len(block), count), (block.strides[0], dtype.itemsize)
+    return np.ndarray(shape, dtype, block, offset, strides).copy()

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..recording import IntArray
 
 
@@ -32,21 +35,36 @@ class Topic:
     first_ns: int = 0
     last_ns: int = 0
 
-    def note(self, log_ns: int) -> None:
-        """Count a message."""
-        self.first_ns = min(self.first_ns, log_ns) if self.count else log_ns
-        self.last_ns = max(self.last_ns, log_ns)
-        self.count += 1
+    def note(self, log_ns: NDArray[np.uint64]) -> None:
+        """Count messages (n,), at least one."""
+        first, last = int(log_ns.min()), int(log_ns.max())
+        self.first_ns = min(self.first_ns, first) if self.count else first
+        self.last_ns = max(self.last_ns, last)
+        self.count += len(log_ns)
 
 
 class Message(NamedTuple):
     """A message as it lies in the file."""
 
     topic: Topic
-    sequence: int
     log_ns: int
-    publish_ns: int
     data: memoryview
+
+
+class Rows(NamedTuple):
+    """Messages of one topic in a run of the file's bytes, as columns (n,) in the file's order.
+
+    Attributes
+    ----------
+    log_ns : log times, ns.
+    block : the bytes; payloads stay where they lie in them.
+    start, stop : where each payload begins and ends.
+    """
+
+    log_ns: IntArray
+    block: bytes
+    start: IntArray
+    stop: IntArray
 
 
 class Run(NamedTuple):

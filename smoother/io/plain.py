@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import RecordingError
 from ..recording import CameraFrame, FloatArray, IntArray, JointState, Recording
+from .joint_rows import JointRows, frames_of
 from .reading import select_recording
-from .skeletons import JointRows, joint_code
+from .skeletons import joint_code
 from .streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .table import read_table
 
@@ -169,9 +170,11 @@ def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
         raise RecordingError(f"{path}: column body must hold whole numbers from 0; mend it.")
     position = np.stack([numbers[axis] for axis in "xyz"], axis=1) * metres
     bare = (state != JointState.NOT_TRACKED) & ~np.isfinite(position).all(axis=1)
-    rows = JointRows(frames=[stamp])
-    rows.add(stamp, body.astype(np.int64), pairs[:, 0], pairs[:, 1], state, position)
-    file.arms = rows.arms("/skeleton", "camera", file.camera_frame)
+    frames, frame = frames_of(stamp)
+    rows = JointRows()
+    frame = np.arange(len(stamp)) if frame is None else frame
+    rows.add_joints(frame, body.astype(np.int64), pairs[:, 0], pairs[:, 1], state, position)
+    file.arms = rows.arms(frames, "/skeleton", "camera", file.camera_frame)
     if bare.any():
         file.notes.append(
             f"{path.name}: {int(bare.sum())} rows that are tracked or inferred have no position, the first "

@@ -10,8 +10,10 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
+from ..room import Room
 from .choose import choose
 from .clean import clean_arm, clean_imu, clean_poses
+from .column import passes
 from .container import Container
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .messages import Topic
@@ -26,10 +28,19 @@ _SECOND = 1_000_000_000
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * _SECOND
 
+#: After so many bytes of messages what was gathered may leave the memory.
+_HELD_BYTES = 1 << 22
+
 AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
 
 
-def open_recording(path: str | os.PathLike[str], *, only: Collection[str] = ()) -> RecordingFile:
+def open_recording(
+    path: str | os.PathLike[str],
+    *,
+    only: Collection[str] = (),
+    room: Room | None = None,
+    truth: bool = True,
+) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of.
 
     Streams are found by schema. Images are passed over. A file that was cut off gives what it has.
@@ -38,6 +49,8 @@ def open_recording(path: str | os.PathLike[str], *, only: Collection[str] = ()) 
     ----------
     path : the file.
     only : topics: read on only until they and an IMU were met, for what holds from the first message on.
+    room : where the samples are to lie; None = in memory.
+    truth : False passes over poses and joints of a reference.
 
     Returns
     -------
@@ -48,23 +61,28 @@ def open_recording(path: str | os.PathLike[str], *, only: Collection[str] = ()) 
     RecordingError
         The file is missing, empty or not MCAP.
     """
+    room = room or Room()
     container = Container(path)
     decoders: dict[int, AnyDecoder | None] = {}
     by_topic: dict[int, AnyDecoder | None] = {}
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in by_topic:
-            ours = topic.name.startswith(RESULT_PREFIX)
-            by_topic[id(topic)] = None if ours else plain_decoder(topic) or skeleton_decoder(topic)
+            by_topic[id(topic)] = _decoder(topic, room, truth)
         return by_topic[id(topic)] is not None
 
-    for batch in container.batches(wanted):
-        for position, messages in batch.items():
+    held = 0
+    for batch in container.rows(wanted):
+        for position, rows in batch.items():
             if position not in decoders:
                 decoders[position] = by_topic[id(container.topics[position])]
             decoder = decoders[position]
-            if decoder is not None and messages:
-                decoder.feed(messages)
+            if decoder is not None:
+                decoder.feed(rows)
+                held += int((rows.stop - rows.start).sum())
+        if held > _HELD_BYTES:
+            room.tidy()
+            held = 0
         if only and _met(only, [container.topics[position] for position in decoders], by_topic):
             break
 
@@ -72,9 +90,20 @@ def open_recording(path: str | os.PathLike[str], *, only: Collection[str] = ()) 
     file.topics = [
         TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
     ]
-    _gather(file, [decoder for decoder in decoders.values() if decoder is not None])
+    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], room)
     _take_metadata(file)
     return file
+
+
+def _decoder(topic: Topic, room: Room, truth: bool) -> AnyDecoder | None:
+    """What decodes a topic; None where it is not wanted."""
+    if topic.name.startswith(RESULT_PREFIX):
+        return None
+    decoder = plain_decoder(topic, room) or skeleton_decoder(topic, room)
+    is_reference = isinstance(decoder, PoseDecoder) or (
+        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SkeletonDecoder | MarkerDecoder)
+    )
+    return None if is_reference and not truth else decoder
 
 
 def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
@@ -91,6 +120,8 @@ def read_recording(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
+    room: Room | None = None,
+    truth: bool = True,
 ) -> Recording:
     """Read one arm and the IMU on it from an MCAP file.
 
@@ -101,6 +132,9 @@ def read_recording(
     side : "left" or "right".
     body : the camera's number of the body.
     prefer_side : side to take where the file leaves it open (a calibration's).
+    room : where samples and frames are to lie: memory stays flat with an `io.disk_room.DiskRoom`. None = in
+        memory.
+    truth : False passes over the reference motion; the recording has none.
 
     Returns
     -------
@@ -111,8 +145,10 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = open_recording(path)
-    return select_recording(file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side)
+    file = open_recording(path, room=room, truth=truth)
+    return select_recording(
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+    )
 
 
 def select_recording(
@@ -123,33 +159,37 @@ def select_recording(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
+    room: Room | None = None,
 ) -> Recording:
     """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
-    choice = choose(file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side)
+    room = room or Room()
+    choice = choose(
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+    )
     source = str(file.path)
     notes = [*file.notes, *choice.notes]
-    forearm, dropped = clean_imu(choice.imu, source)
-    arm, arm_dropped = clean_arm(choice.arm, source)
+    forearm, dropped = clean_imu(choice.imu, source, room)
+    arm, arm_dropped = clean_arm(choice.arm, source, room)
     notes += dropped + arm_dropped
     _check_overlap(forearm, arm, source)
     base, truth = None, None
     if choice.base is not None:
-        base, dropped = clean_imu(choice.base, source)
+        base, dropped = clean_imu(choice.base, source, room)
         notes += dropped
     if choice.truth is not None:
-        truth, dropped = clean_poses(choice.truth)
+        truth, dropped = clean_poses(choice.truth, room)
         notes += dropped
     first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
     origin = min(first) // _SECOND * _SECOND
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
     return Recording(
-        imu=_imu_stream(forearm, origin),
-        arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin), arm.position, arm.state),
+        imu=_imu_stream(forearm, origin, room),
+        arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, room), arm.position, arm.state),
         side=choice.side,
         camera_frame=file.camera_frame or arm.camera_frame,
         gravity_hint=file.gravity_hint,
-        base_imu=None if base is None else _imu_stream(base, origin),
-        truth=None if truth is None else _truth(truth, origin),
+        base_imu=None if base is None else _imu_stream(base, origin, room),
+        truth=None if truth is None else _truth(truth, origin, room),
         origin_ns=origin,
         name=file.name,
         notes=tuple(notes),
@@ -166,7 +206,14 @@ def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
     return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
 
 
-def _gather(file: RecordingFile, decoders: list[AnyDecoder]) -> None:
+def _seconds(stamp_ns: IntArray, origin_ns: int, room: Room) -> FloatArray:
+    t_s = room.array((len(stamp_ns),), 0.0)
+    for part in passes(len(stamp_ns), room):
+        t_s[part] = seconds(stamp_ns[part], origin_ns)
+    return t_s
+
+
+def _gather(file: RecordingFile, decoders: list[AnyDecoder], room: Room) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
         if decoder.grouper.broken:
@@ -186,12 +233,12 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder]) -> None:
             file.poses.append(stream)
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
-    _join_truth_joints(file)
+    _join_truth_joints(file, room)
     for field in fields:
-        _join_field(file, field)
+        _join_field(file, field, room)
 
 
-def _join_truth_joints(file: RecordingFile) -> None:
+def _join_truth_joints(file: RecordingFile, room: Room) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
     from ..recording import JOINTS
 
@@ -200,15 +247,19 @@ def _join_truth_joints(file: RecordingFile) -> None:
         for poses in file.poses:
             if f"{poses.topic}/joints" != arm.topic:
                 continue
-            row = np.searchsorted(arm.stamp_ns, poses.stamp_ns)
-            row = np.minimum(row, len(arm.stamp_ns) - 1)
-            same = arm.stamp_ns[row] == poses.stamp_ns
             for i, joint in enumerate(JOINTS):
                 if arm.state[:, i].any():
-                    poses.joints[joint] = np.where(same[:, None], arm.position[row, i], np.nan)
+                    poses.joints[joint] = room.array((len(poses.stamp_ns), 3), 0.0)
+            for part in passes(len(poses.stamp_ns), room):
+                row = np.searchsorted(arm.stamp_ns, poses.stamp_ns[part])
+                row = np.minimum(row, len(arm.stamp_ns) - 1)
+                same = arm.stamp_ns[row] == poses.stamp_ns[part]
+                for joint, values in poses.joints.items():
+                    there = arm.position[row, JOINTS.index(joint)]
+                    values[part] = np.where(same[:, None], there, np.nan)
 
 
-def _join_field(file: RecordingFile, field: FieldSamples) -> None:
+def _join_field(file: RecordingFile, field: FieldSamples, room: Room) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
 
     def beside(imu: ImuSamples) -> bool:
@@ -220,13 +271,28 @@ def _join_field(file: RecordingFile, field: FieldSamples) -> None:
     if len(mine) != 1 or mine[0].mag is not None:
         file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
         return
-    order = np.argsort(field.stamp_ns, kind="stable")
-    order = order[np.isfinite(field.mag[order]).all(axis=1)]
-    if not len(order):
+    stamp, values = _usable_field(field)
+    if not len(stamp):
         return
-    zero = int(field.stamp_ns[order[0]])
-    at, have = (mine[0].stamp_ns - zero) / 1e9, (field.stamp_ns[order] - zero) / 1e9
-    mine[0].mag = np.stack([np.interp(at, have, field.mag[order, i]) for i in range(3)], axis=1)
+    zero = int(stamp[0])
+    mag = room.array((len(mine[0].stamp_ns), 3), 0.0)
+    for part in passes(len(mag), room):
+        at = mine[0].stamp_ns[part]
+        first, last = np.searchsorted(stamp, [at.min(), at.max()], "right")
+        near = slice(max(int(first) - 2, 0), int(last) + 2)
+        x, have = (at - zero) / 1e9, (stamp[near] - zero) / 1e9
+        mag[part] = np.stack([np.interp(x, have, values[near, i]) for i in range(3)], axis=1)
+    mine[0].mag = mag
+
+
+def _usable_field(field: FieldSamples) -> tuple[IntArray, FloatArray]:
+    """Samples that are finite, in the order of their stamps; nothing is copied where all are so."""
+    stamp, values = field.stamp_ns, field.mag
+    if (stamp[1:] < stamp[:-1]).any():
+        order = np.argsort(stamp, kind="stable")
+        stamp, values = stamp[order], values[order]
+    finite = np.isfinite(values).all(axis=1)
+    return (stamp, values) if finite.all() else (stamp[finite], values[finite])
 
 
 def _take_metadata(file: RecordingFile) -> None:
@@ -267,10 +333,12 @@ def _span(stamp_ns: IntArray) -> str:
     return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
 
 
-def _imu_stream(stream: ImuSamples, origin: int) -> ImuStream:
-    return ImuStream(stream.topic, seconds(stream.stamp_ns, origin), stream.acc, stream.gyro, stream.mag)
+def _imu_stream(stream: ImuSamples, origin: int, room: Room) -> ImuStream:
+    t_s = _seconds(stream.stamp_ns, origin, room)
+    return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
 
 
-def _truth(poses: PoseSamples, origin: int) -> Truth:
+def _truth(poses: PoseSamples, origin: int, room: Room) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
-    return Truth(seconds(poses.stamp_ns, origin), poses.position, poses.quaternion, score, dict(poses.joints))
+    t_s = _seconds(poses.stamp_ns, origin, room)
+    return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

@@ -17,7 +17,7 @@ from . import proto
 from .container import Container
 from .decode import proto_grouper
 from .layout import Block, Grouper, Layout
-from .messages import Message, Topic
+from .messages import Rows, Topic
 from .reading import RESULT_PREFIX, seconds
 from .result import RESULT
 from .skeletons import SkeletonDecoder, joint_code
@@ -51,12 +51,12 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
         return topic.name.startswith(RESULT_PREFIX) and kind in _NEEDED
 
     tables: dict[str, _Table] = {}
-    for batch in container.batches(wanted):
-        for position, messages in batch.items():
+    for batch in container.rows(wanted):
+        for position, rows in batch.items():
             topic = container.topics[position]
             if topic.name not in tables:
                 tables[topic.name] = _table(topic)
-            tables[topic.name].feed(messages)
+            tables[topic.name].feed(rows)
     found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
     if not found:
         raise RecordingError(
@@ -186,11 +186,11 @@ class _Table:
         self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
         self.fed = 0
 
-    def feed(self, messages: list[Message]) -> None:
-        for index, block, layout in self.grouper.groups([bytes(message.data) for message in messages]):
+    def feed(self, rows: Rows) -> None:
+        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
             stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
             self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
-        self.fed += len(messages)
+        self.fed += len(rows.start)
 
     def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
         raise NotImplementedError
@@ -261,12 +261,12 @@ class _CameraTable(_Table):
         super().__init__(topic)
         self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
 
-    def feed(self, messages: list[Message]) -> None:
-        self.decoder.feed(messages)
+    def feed(self, rows: Rows) -> None:
+        self.decoder.feed(rows)
 
     def tracks(self, name: str, origin: int) -> JointTracks:
         arms = self.decoder.arms()
-        stamp = np.concatenate(self.decoder.rows.frames)
+        stamp = self.decoder.stamp_ns()
         if not arms:
             nothing = np.full((len(stamp), len(JOINTS), 3), np.nan)
             return JointTracks(
