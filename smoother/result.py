@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
+from .pages import let_go
 from .recording import JOINTS, BoolArray, FloatArray, JointTracks
+
+#: Samples or frames that are looked at together; what is computed of them passes through the memory.
+BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,25 @@ class FrameResiduals:
     used: BoolArray
     reason: NDArray[np.uint8]
     reasons: tuple[str, ...] = ("",)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def rows(self, rows: slice) -> FrameResiduals:
+        """Some of the frames."""
+        return replace(
+            self,
+            t_s=self.t_s[rows],
+            residual=self.residual[rows],
+            used=self.used[rows],
+            reason=self.reason[rows],
+        )
+
+    def blocks(self) -> Iterator[FrameResiduals]:
+        """All frames, some thousand at a time; those kept in files leave the memory again."""
+        for start in range(0, len(self), BLOCK):
+            yield self.rows(slice(start, start + BLOCK))
+            let_go(self.t_s, self.residual, self.used, self.reason)
 
 
 @dataclass(frozen=True)
@@ -106,6 +130,36 @@ class Recovery:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    def rows(self, rows: slice) -> Recovery:
+        """The recovery of some of the samples; frames, gaps and all else stay whole. Copies nothing."""
+        return replace(
+            self,
+            t_s=self.t_s[rows],
+            occluded=self.occluded[rows],
+            position=self.position[rows],
+            quaternion=self.quaternion[rows],
+            velocity=self.velocity[rows],
+            pose_covariance=self.pose_covariance[rows],
+            velocity_covariance=self.velocity_covariance[rows],
+            joints={joint: values[rows] for joint, values in self.joints.items()},
+            joint_covariance={joint: values[rows] for joint, values in self.joint_covariance.items()},
+        )
+
+    def blocks(self, overlap: int = 0) -> Iterator[Recovery]:
+        """All samples, some thousand at a time (`rows`); those kept in files leave the memory again.
+
+        With an overlap each block begins with the last samples of the one before.
+        """
+        for start in range(0, len(self), BLOCK):
+            yield self.rows(slice(max(start - overlap, 0), start + BLOCK))
+            self.let_go()
+
+    def let_go(self) -> None:
+        """Let the memory of columns that are kept in files go; they stay what they are."""
+        columns = (self.t_s, self.occluded, self.position, self.quaternion, self.velocity)
+        let_go(*columns, self.pose_covariance, self.velocity_covariance)
+        let_go(*self.joints.values(), *self.joint_covariance.values(), self.arm.t_s, self.arm.position)
 
     @property
     def sigma_m(self) -> FloatArray:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..recording import IntArray
+from .batch import Batch
+from .batch import Encoded as Encoded
 from .chunks import ChunkedFile
 from .messages import Run, Topic
 from .schemas import schema_data
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
-_SLICE = 4096
+SLICE = 4096
 #: Messages carried over are written at the latest when they hold so many bytes.
 _HELD_BYTES = 1 << 23
-_END = int(np.iinfo(np.int64).max)
+#: After all times.
+END = int(np.iinfo(np.int64).max)
 
 
 @dataclass
@@ -37,7 +39,7 @@ class Outgoing:
 
     channel: int
     time_ns: IntArray
-    encode: Callable[[slice], list[bytes]]
+    encode: Callable[[slice], Encoded]
 
     def __post_init__(self) -> None:
         # Log times must not run back, or slices could not be cut; stamps inside stay as they are.
@@ -53,7 +55,10 @@ class Output:
         self._open: IO[bytes] | None = None
         self._channels: dict[tuple[str, str, str], int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._sequence: dict[int, int] = {}
+        self._sequence: Counter[int] = Counter()
+        self._latest: dict[int, int] = {}
+        self._passed: Iterator[Run] = iter(())
+        self._waiting: Run | None = None
 
     def __enter__(self) -> Output:
         self._open = open(self._path, "wb")
@@ -65,8 +70,11 @@ class Output:
     ) -> None:
         assert self._open is not None
         with self._open:
-            if kind is None:
-                self._file.finish()
+            try:
+                if kind is None:
+                    self._file.finish()
+            finally:
+                self._file.close()
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
@@ -88,91 +96,68 @@ class Output:
             self._channels[key] = self._file.channel(topic.name, topic.encoding, schema, topic.metadata)
         return self._channels[key]
 
-    def write(self, outgoing: Sequence[Outgoing], passed: Iterable[Run] = ()) -> None:
-        """Write streams, and messages of another file between them, by log time.
+    def carry(self, passed: Iterable[Run]) -> None:
+        """Write these messages of another file between all that comes, about in the order of their times."""
+        self._passed = iter(passed)
+        self._waiting = next(self._passed, None)
+
+    def write(self, outgoing: Sequence[Outgoing], until: int = END) -> None:
+        """Write streams by log time, and between them what is carried over.
 
         Parameters
         ----------
         outgoing : streams to encode.
-        passed : messages carried over as they are, about in the order of their log times.
+        until : log time before which all of them lie, and from which on others will come, ns.
         """
-        carried = iter(passed)
-        waiting = next(carried, None)
-        for edge, batch in _slices(outgoing):
-            held = 0
-            while waiting is not None:
-                late = waiting.log_ns >= edge
-                stop = int(np.argmax(late)) if late.any() and edge != _END else len(waiting.data)
-                if stop:
-                    part = waiting.part(slice(0, stop))
-                    batch.add(part, [self._channel(topic) for topic in part.topics])
-                    held += sum(map(len, part.data))
-                if stop < len(waiting.data):
-                    waiting = waiting.part(slice(stop, None))
-                    break
-                waiting = next(carried, None)
-                if held > _HELD_BYTES:
-                    self._write(batch)
-                    batch, held = _Batch(), 0
-            self._write(batch)
+        latest = dict(self._latest)
+        for stream in outgoing:  # streams that go on where an earlier part of them ended
+            if len(stream.time_ns):
+                stream.time_ns = np.maximum(stream.time_ns, latest.get(stream.channel, 0))
+                last = int(stream.time_ns[-1])
+                self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
+        for edge, batch in _slices(outgoing, until):
+            self._write(self._with_carried(batch, edge))
 
-    def _write(self, batch: _Batch) -> None:
-        channel, sequence, log_ns, publish_ns, data = batch.sorted()
-        if not data:
-            return
-        # Our own messages are numbered here; those carried over keep their numbers.
-        for number in np.unique(channel[sequence < 0]).tolist():
-            mine = (channel == number) & (sequence < 0)
-            first = self._sequence.get(number, 0)
-            sequence[mine] = first + np.arange(mine.sum())
-            self._sequence[number] = first + int(mine.sum())
-        self._file.messages(channel, sequence, log_ns, publish_ns, data)
+    def _with_carried(self, batch: Batch, edge: int) -> Batch:
+        """A batch with the messages carried over that come before an edge; some are written at once."""
+        held = 0
+        while self._waiting is not None:
+            run = self._waiting
+            late = run.log_ns >= edge
+            stop = int(np.argmax(late)) if late.any() and edge != END else len(run.data)
+            if stop:
+                part = run.part(slice(0, stop))
+                batch.add(part, [self._channel(topic) for topic in part.topics])
+                held += sum(map(len, part.data))
+            if stop < len(run.data):
+                self._waiting = run.part(slice(stop, None))
+                break
+            self._waiting = next(self._passed, None)
+            if held > _HELD_BYTES:
+                self._write(batch)
+                batch, held = Batch(), 0
+        return batch
 
-
-class _Batch:
-    """Messages to be sorted and written together."""
-
-    def __init__(self) -> None:
-        self._encoded: list[tuple[int, IntArray, list[bytes]]] = []
-        self._carried: list[NDArray] = []
-        self._carried_data: list[bytes] = []
-
-    def extend(self, channel: int, time_ns: IntArray, data: list[bytes]) -> None:
-        self._encoded.append((channel, time_ns, data))
-
-    def add(self, run: Run, channels: list[int]) -> None:
-        """Messages carried over; `channels` of the run's topics."""
-        channel = np.array(channels, np.int64)[run.topic]
-        self._carried.append(np.stack([channel, run.sequence, run.log_ns, run.publish_ns], axis=1))
-        self._carried_data += run.data
-
-    def sorted(self) -> tuple[IntArray, IntArray, IntArray, NDArray, list[bytes]]:
-        """Channel, sequence (-1: to be numbered), log time, publish time, data; by log time."""
-        parts = [np.zeros((0, 4), np.int64), *self._carried]
-        for channel, time_ns, _ in self._encoded:
-            part = np.full((len(time_ns), 4), -1, np.int64)
-            part[:, 0] = channel
-            part[:, 2] = part[:, 3] = time_ns
-            parts.append(part)
-        table = np.concatenate(parts)
-        data = list(chain(self._carried_data, *(part for _, _, part in self._encoded)))
-        order = np.argsort(table[:, 2], kind="stable")
-        table = table[order]
-        return table[:, 0], table[:, 1], table[:, 2], table[:, 3], [data[i] for i in order.tolist()]
+    def _write(self, batch: Batch) -> None:
+        channel, log_ns, records = batch.sorted(self._sequence)
+        self._sequence.update(batch.own())
+        if records:
+            self._file.messages(channel, log_ns, records)
 
 
-def _slices(outgoing: Sequence[Outgoing]) -> Iterator[tuple[int, _Batch]]:
+def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Batch]]:
     """Yield runs of time: where each ends, and the messages of all streams in it."""
     streams = [stream for stream in outgoing if len(stream.time_ns)]
     longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
+    edges = [*longest[SLICE::SLICE].tolist(), until]
     starts = [0] * len(streams)
-    for edge in [*longest[_SLICE::_SLICE].tolist(), _END]:
-        batch = _Batch()
+    for edge in edges:
+        batch = Batch()
         for i, stream in enumerate(streams):
-            stop = int(np.searchsorted(stream.time_ns, edge)) if edge != _END else len(stream.time_ns)
+            stop = int(np.searchsorted(stream.time_ns, edge)) if edge != until else len(stream.time_ns)
             # A stream may be far denser here than the longest is: encode it in pieces all the same.
-            for start in range(starts[i], stop, _SLICE):
-                part = slice(start, min(start + _SLICE, stop))
+            for start in range(starts[i], stop, SLICE):
+                part = slice(start, min(start + SLICE, stop))
                 batch.extend(stream.channel, stream.time_ns[part], stream.encode(part))
             starts[i] = stop
         yield edge, batch

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..recording import JOINTS, IntArray, JointState, Recording
 from . import wire
 from .atomic import writing
-from .merge import Outgoing, Output
+from .merge import Encoded, Outgoing, Output
 from .reading import METADATA, nanoseconds
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -136,7 +136,7 @@ def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
         parts.append(wire.vector(5, "mag"))
     template = wire.join(*parts)
 
-    def encode(part: slice) -> list[bytes]:
+    def encode(part: slice) -> Encoded:
         columns: dict[str, NDArray] = {"acc": imu.acc[part], "gyro": imu.gyro[part]}
         if imu.mag is not None:
             columns["mag"] = imu.mag[part]
@@ -146,17 +146,21 @@ def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
     return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
 
-def arm_messages(output: Output, arm: ArmFrames) -> Outgoing:
-    """Skeleton messages of an arm, on its topic; joints that are never there are left out."""
+def arm_messages(output: Output, arm: ArmFrames, present: list[int] | None = None) -> Outgoing:
+    """Skeleton messages of an arm, on its topic; joints that are never there are left out.
+
+    `present` names the others by number, where `arm` is a part of a longer one.
+    """
     suffix = f"_{arm.side}" if arm.side else ""
-    present = [i for i in range(len(JOINTS)) if (arm.state[:, i] != JointState.NOT_TRACKED).any()]
+    if present is None:
+        present = joints_there(arm.state)
     parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
     for i in present:
         position = wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2))
         parts.append(wire.message(4, wire.text(1, JOINTS[i] + suffix), position, wire.flag(3, "state", i)))
     template = wire.join(*parts)
 
-    def encode(part: slice) -> list[bytes]:
+    def encode(part: slice) -> Encoded:
         stamp = arm.stamp_ns[part]
         columns: dict[str, NDArray] = {
             "position": arm.position[part].reshape(-1, 15),
@@ -167,11 +171,16 @@ def arm_messages(output: Output, arm: ArmFrames) -> Outgoing:
     return Outgoing(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
 
 
+def joints_there(state: NDArray[np.int8]) -> list[int]:
+    """Joints, by number, that are there in any frame."""
+    return np.flatnonzero((state != JointState.NOT_TRACKED).any(axis=0)).tolist()
+
+
 def _poses(output: Output, poses: PoseSamples) -> list[Outgoing]:
     pose = wire.message(3, wire.vector(1, "position"), wire.vector(2, "quaternion", (1, 2, 3, 0)))
     template = wire.join(wire.timestamp(1, "stamp"), wire.text(2, poses.frame_id), pose)
 
-    def encode(part: slice) -> list[bytes]:
+    def encode(part: slice) -> Encoded:
         stamp = poses.stamp_ns[part]
         columns = {"position": poses.position[part], "quaternion": poses.quaternion[part]}
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ..result import FrameResiduals, Recovery
 from . import scene, wire
-from .merge import Outgoing, Output
+from .merge import Encoded, Outgoing, Output
+from .parts import Axis
 from .reading import RESULT_PREFIX, nanoseconds
-from .recording_writing import arm_messages
+from .recording_writing import arm_messages, joints_there
 from .schemas import message_class
 from .streams import ArmFrames
 
@@ -20,7 +22,7 @@ Columns = Callable[[IntArray], dict[str, NDArray]]
 
 
 class RecoveryStreams:
-    """The messages of one recovery, encoded when they are written.
+    """The messages of one recovery, a part of time after the other, encoded when they are written.
 
     Parameters
     ----------
@@ -38,23 +40,36 @@ class RecoveryStreams:
         self.frame_id = frame_id
         self.shift = shift
         self.body = "forearm_imu" + suffix.replace("/", "_")
-        self.stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
-        self.frame_stamp = nanoseconds(recovery.arm.t_s, recovery.origin_ns)
-        self.has_position: BoolArray = np.asarray(np.isfinite(recovery.position).all(axis=1))
-        self.has_turn: BoolArray = np.asarray(np.isfinite(recovery.quaternion).all(axis=1))
+        self.camera_joints = joints_there(recovery.arm.state)
+        self.residual_joints = [] if recovery.residuals is None else _present(recovery.residuals)
+        self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
 
-    def all(self) -> list[Outgoing]:
-        """Every stream."""
+    def axes(self) -> list[Axis]:
+        """Times of the samples, the frames, the residuals and the gaps."""
+        r = self.recovery
+        residual_t = np.empty(0) if r.residuals is None else r.residuals.t_s
+        times = (r.t_s, r.arm.t_s, residual_t, self.gap_start_s)
+        return [Axis(t_s, r.origin_ns, self.shift) for t_s in times]
+
+    def part(self, samples: slice, frames: slice, residuals: slice, gaps: slice) -> list[Outgoing]:
+        """Every stream of a part of time, from its rows on the `axes`."""
+        part = self.recovery.rows(samples)
+        part = replace(part, arm=part.arm.select(frames), gaps=part.gaps[gaps])
+        part_residuals = None if part.residuals is None else part.residuals.rows(residuals)
+        nearest, inside = self._at_frames(samples, part)
         return [
-            self._skeleton(),
-            *self._odometry(),
-            *self._camera(),
-            *self._residuals(),
-            *self._drawn(),
-            *self._transforms(),
-            *self._joint_states(),
-            *self._gaps(),
+            self._skeleton(part),
+            *self._odometry(part),
+            *self._camera(part),
+            *self._residuals(part_residuals),
+            *self._drawn(part, nearest, inside),
+            *self._transforms(part, nearest, inside),
+            *self._joint_states(part),
+            *self._gaps(part),
         ]
+
+    def _stamps(self, t_s: FloatArray) -> IntArray:
+        return nanoseconds(t_s, self.recovery.origin_ns)
 
     def _stream(
         self,
@@ -65,22 +80,26 @@ class RecoveryStreams:
         rows: IntArray,
         columns: Columns,
     ) -> Outgoing:
-        def encode(part: slice) -> list[bytes]:
+        """Some rows of stamps (n,) on a topic."""
+
+        def encode(part: slice) -> Encoded:
             chosen = rows[part]
             return template.encode(len(chosen), columns(chosen) | wire.stamps("stamp", stamp[chosen]))
 
         channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
         return Outgoing(channel, stamp[rows] + self.shift, encode)
 
-    def _odometry(self) -> Iterator[Outgoing]:
+    def _odometry(self, r: Recovery) -> Iterator[Outgoing]:
         from scipy.spatial.transform import Rotation
 
-        r = self.recovery
+        stamp = self._stamps(r.t_s)
+        has_position = np.isfinite(r.position).all(axis=1)
+        has_turn = np.isfinite(r.quaternion).all(axis=1)
         has_velocity = np.isfinite(r.velocity).all(axis=1)
         head = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
         for turned in (True, False):
             for moving in (True, False):
-                mine = self.has_position & (self.has_turn == turned) & (has_velocity == moving)
+                mine = has_position & (has_turn == turned) & (has_velocity == moving)
                 if not mine.any():
                     continue
                 turn = wire.vector(2, "quaternion", (1, 2, 3, 0))
@@ -114,11 +133,10 @@ class RecoveryStreams:
 
                 rows = np.flatnonzero(mine)
                 template = wire.join(*parts)
-                yield self._stream("forearm", "foxglove.Odometry", template, self.stamp, rows, columns)
+                yield self._stream("forearm", "foxglove.Odometry", template, stamp, rows, columns)
 
-    def _skeleton(self) -> Outgoing:
+    def _skeleton(self, r: Recovery) -> Outgoing:
         """Every sample, so that times and occlusion are whole even where there is no answer."""
-        r = self.recovery
         names = [joint for joint in JOINTS if joint in r.joints]
         parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
         side = f"_{r.side}" if r.side else ""
@@ -145,67 +163,59 @@ class RecoveryStreams:
                 found[f"{joint}_covariance"] = r.joint_covariance[joint][rows]
             return found
 
-        rows = np.arange(len(self.stamp))
-        return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), self.stamp, rows, columns)
+        stamp, rows = self._stamps(r.t_s), np.arange(len(r))
+        return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), stamp, rows, columns)
 
-    def _camera(self) -> Iterator[Outgoing]:
-        r = self.recovery
+    def _camera(self, r: Recovery) -> Iterator[Outgoing]:
         topic = f"{RESULT_PREFIX}camera{self.suffix}"
-        arm = ArmFrames(topic, self.frame_id, 0, r.side, self.frame_stamp, r.arm.position, r.arm.state)
-        stream = arm_messages(self.output, arm)
+        stamp = self._stamps(r.arm.t_s)
+        arm = ArmFrames(topic, self.frame_id, 0, r.side, stamp, r.arm.position, r.arm.state)
+        stream = arm_messages(self.output, arm, self.camera_joints)
         yield Outgoing(stream.channel, stream.time_ns + self.shift, stream.encode)
 
-    def _residuals(self) -> Iterator[Outgoing]:
-        residuals = self.recovery.residuals
-        if residuals is None or not len(residuals.t_s):
+    def _residuals(self, residuals: FrameResiduals | None) -> Iterator[Outgoing]:
+        if residuals is None or not len(residuals):
             return
-        stamp = nanoseconds(residuals.t_s, self.recovery.origin_ns)
-        patterns, which = np.unique(residuals.reason, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
-            for i in _present(residuals):
-                value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
-                used = wire.flag(3, "used", i)
-                parts.append(
-                    wire.message(
-                        3, wire.text(1, JOINTS[i]), value, used, wire.text(4, residuals.reasons[pattern[i]])
-                    )
-                )
+        stamp = self._stamps(residuals.t_s)
 
-            def columns(rows: IntArray) -> dict[str, NDArray]:
-                flat = residuals.residual[rows].reshape(len(rows), -1)
-                return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
+        def columns(rows: IntArray) -> dict[str, NDArray]:
+            flat = residuals.residual[rows].reshape(len(rows), -1)
+            return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
 
-            rows = np.flatnonzero(which.reshape(-1) == number)
-            yield self._stream("residuals", "unocclude.Residuals", wire.join(*parts), stamp, rows, columns)
+        for pattern, rows in wire.alike(residuals.reason):
+            template = self._residual_template([residuals.reasons[code] for code in pattern])
+            yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
 
-    def _drawn(self) -> Iterator[Outgoing]:
-        r = self.recovery
-        row, inside = self._at_frames()
-        after = np.full((len(row), len(JOINTS), 3), np.nan)
-        for joint, position in {"strap": r.position, **r.joints}.items():
-            after[:, JOINTS.index(joint)] = position[row]
-        shade = np.repeat(r.occluded[row].astype(np.int64)[:, None], len(JOINTS), axis=1)
-        stamp = self.frame_stamp[inside]
-        colors = {0: scene.VISIBLE, 1: scene.RECOVERED}
+    def _residual_template(self, reasons: list[str]) -> wire.Template:
+        """One message: each joint's residual, and why its sample was set aside."""
+        parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
+        for i in self.residual_joints:
+            value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
+            used, why = wire.flag(3, "used", i), wire.text(4, reasons[i])
+            parts.append(wire.message(3, wire.text(1, JOINTS[i]), value, used, why))
+        return wire.join(*parts)
+
+    def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+        whole, stamp = self.recovery, self._stamps(r.arm.t_s)
+        after = np.full((len(nearest), len(JOINTS), 3), np.nan)
+        for joint, position in {"strap": whole.position, **whole.joints}.items():
+            after[:, JOINTS.index(joint)] = position[nearest]
+        shade = np.repeat(whole.occluded[nearest].astype(np.int64)[:, None], len(JOINTS), axis=1)
+        colors = (scene.VISIBLE, scene.RECOVERED)
         name = f"arm{self.suffix.replace('/', '_')}"
         for rows, template, columns in scene.drawings(after, shade, colors, self.frame_id, name):
-            yield self._stream("arm", "foxglove.SceneUpdate", template, stamp, rows, columns)
+            yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
         guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
-        colors = {0: scene.CAMERA, 1: scene.GUESSED}
+        colors = (scene.CAMERA, scene.GUESSED)
         name += "_camera"
         for rows, template, columns in scene.drawings(r.arm.position, guessed, colors, self.frame_id, name):
-            yield self._stream(
-                "arm_camera", "foxglove.SceneUpdate", template, self.frame_stamp, rows, columns
-            )
+            yield self._stream("arm_camera", "foxglove.SceneUpdate", template, stamp, rows, columns)
 
-    def _transforms(self) -> Iterator[Outgoing]:
-        r = self.recovery
-        row, inside = self._at_frames()
-        good = self.has_position[row] & self.has_turn[row]
-        if not good.any():
+    def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+        position, quaternion = self.recovery.position[nearest], self.recovery.quaternion[nearest]
+        rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
+        if not len(rows):
             return
-        stamp, row = self.frame_stamp[inside][good], row[good]
         template = wire.message(
             1,
             wire.timestamp(1, "stamp"),
@@ -216,16 +226,16 @@ class RecoveryStreams:
         )
 
         def columns(rows: IntArray) -> dict[str, NDArray]:
-            return {"position": r.position[row[rows]], "quaternion": r.quaternion[row[rows]]}
+            return {"position": position[rows], "quaternion": quaternion[rows]}
 
-        rows = np.arange(len(row))
+        stamp = self._stamps(r.arm.t_s)[inside]
         yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
 
-    def _joint_states(self) -> Iterator[Outgoing]:
-        flexion = elbow_flexion(self.recovery.joints)
+    def _joint_states(self, r: Recovery) -> Iterator[Outgoing]:
+        flexion = elbow_flexion(r.joints)
         if flexion is None or not np.isfinite(flexion).any():
             return
-        name = "elbow_flexion" + (f"_{self.recovery.side}" if self.recovery.side else "")
+        name = "elbow_flexion" + (f"_{r.side}" if r.side else "")
         template = wire.join(
             wire.timestamp(1, "stamp"), wire.message(2, wire.text(1, name), wire.double(2, "angle"))
         )
@@ -234,24 +244,24 @@ class RecoveryStreams:
             "joints",
             "foxglove.JointStates",
             template,
-            self.stamp,
+            self._stamps(r.t_s),
             rows,
             lambda chosen: {"angle": flexion[chosen]},
         )
 
-    def _gaps(self) -> Iterator[Outgoing]:
-        gaps = self.recovery.gaps
+    def _gaps(self, r: Recovery) -> Iterator[Outgoing]:
+        gaps = r.gaps
         if not gaps:
             return
         data = []
-        start = nanoseconds(np.array([gap.start_s for gap in gaps]), self.recovery.origin_ns)
-        end = nanoseconds(np.array([gap.end_s for gap in gaps]), self.recovery.origin_ns)
+        start = self._stamps(np.array([gap.start_s for gap in gaps]))
+        end = self._stamps(np.array([gap.end_s for gap in gaps]))
         for gap, start_ns, end_ns in zip(gaps, start.tolist(), end.tolist(), strict=True):
             event = message_class("foxglove.Event")()
             event.start_time.FromNanoseconds(start_ns)
             event.end_time.FromNanoseconds(end_ns)
             said = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
-            said |= {"side": self.recovery.side} if self.recovery.side else {}
+            said |= {"side": r.side} if r.side else {}
             said |= {"open": "start"} if gap.open_start else {}
             said |= {"open": "end"} if gap.open_end else {}
             for key, value in said.items():
@@ -260,17 +270,20 @@ class RecoveryStreams:
         channel = self.output.channel(f"{RESULT_PREFIX}gaps{self.suffix}", "foxglove.Event")
         yield Outgoing(channel, start + self.shift, lambda part: data[part])
 
-    def _at_frames(self) -> tuple[IntArray, BoolArray]:
-        """The IMU sample nearest to each camera frame that the IMU covers, and which frames those are."""
-        if not len(self.stamp):
-            return np.empty(0, np.int64), np.zeros(len(self.frame_stamp), bool)
-        inside = (self.frame_stamp >= self.stamp[0]) & (self.frame_stamp <= self.stamp[-1])
-        at = self.frame_stamp[inside]
-        after = np.clip(np.searchsorted(self.stamp, at), 1, max(len(self.stamp) - 1, 1))
-        before_is_nearer = (
-            at - self.stamp[after - 1] < self.stamp[np.minimum(after, len(self.stamp) - 1)] - at
-        )
-        return np.minimum(after - before_is_nearer, len(self.stamp) - 1), inside
+    def _at_frames(self, samples: slice, part: Recovery) -> tuple[IntArray, BoolArray]:
+        """The IMU sample nearest to each frame that the IMU covers, and which of the part's frames those are.
+
+        Samples are numbered in the whole recovery: the nearest may lie just outside the part.
+        """
+        first = max(samples.start - 1, 0)
+        stamp, frame = self._stamps(self.recovery.t_s[first : samples.stop + 1]), self._stamps(part.arm.t_s)
+        if not len(stamp):
+            return np.empty(0, np.int64), np.zeros(len(frame), bool)
+        inside: BoolArray = (frame >= stamp[0]) & (frame <= stamp[-1])
+        at, last = frame[inside], len(stamp) - 1
+        after = np.clip(np.searchsorted(stamp, at), 1, max(last, 1))
+        before_is_nearer = at - stamp[after - 1] < stamp[np.minimum(after, last)] - at
+        return first + np.minimum(after - before_is_nearer, last), inside
 
 
 def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
@@ -285,6 +298,8 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
 
 def _present(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
-    said = np.isfinite(residuals.residual).any(axis=(0, 2)) | residuals.used.any(axis=0)
-    said |= (residuals.reason != 0).any(axis=0)
+    said = np.zeros(len(JOINTS), bool)
+    for part in residuals.blocks():
+        said |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
+        said |= (part.reason != 0).any(axis=0)
     return np.flatnonzero(said).tolist()

@@ -6,12 +6,15 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 
 from ..result import Recovery
+from ..room import Room
 from .atomic import check_output, writing
 from .container import Container
-from .merge import Outgoing, Output
+from .merge import Output
 from .messages import Run, Topic
+from .parts import parts_of_time
 from .reading import METADATA, RESULT_PREFIX, open_recording
 from .recording_writing import CAMERA
 from .recovery_streams import RecoveryStreams
@@ -29,6 +32,7 @@ def write_recovery(
     source: str | os.PathLike[str] | None = None,
     force: bool = False,
     passthrough_images: bool = False,
+    room: Room | None = None,
 ) -> None:
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
@@ -49,6 +53,7 @@ def write_recovery(
     source : the recording; its topics are carried over as they are.
     force : overwrite a file that exists.
     passthrough_images : carry images, depth and point clouds over as well (they show patients).
+    room : where the recoveries' columns are kept, if not in memory: what was written leaves the memory.
 
     Raises
     ------
@@ -66,18 +71,21 @@ def write_recovery(
         # A recorder's delay is no reason to move; a sensor that counts from its own start is.
         shift = shift if abs(shift) > 1_000_000_000 else 0
     with writing(path, force) as temporary, Output(temporary) as output:
-        outgoing: list[Outgoing] = []
+        streams = []
         for number, recovery in enumerate(results):
             suffix = "" if len(results) == 1 else f"/{_label(results, number)}"
             output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
-            outgoing += RecoveryStreams(
-                output, recovery, suffix, frames.get(recovery.arm.name, CAMERA), shift
-            ).all()
-        passed: Iterator[Run] = iter(())
+            frame_id = frames.get(recovery.arm.name, CAMERA)
+            streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
         if source is not None:
             container = Container(source)
-            passed = _carried(container, passthrough_images)
-        output.write(outgoing, passed)
+            output.carry(_carried(container, passthrough_images))
+        for part in parts_of_time([axis for each in streams for axis in each.axes()]):
+            rows = [part.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
+            outgoing = [each.part(*mine) for each, mine in zip(streams, rows, strict=True)]
+            output.write(list(chain.from_iterable(outgoing)), part.until_ns)
+            if room is not None:
+                room.tidy()
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
 

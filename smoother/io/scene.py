@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ _IDENTITY = wire.join(wire.message(1, wire.constants(0, 0, 0)), wire.message(2, 
 
 
 def drawings(
-    position: FloatArray, shade: IntArray, colors: Mapping[int, Color], frame_id: str, entity: str
+    position: FloatArray, shade: IntArray, colors: tuple[Color, ...], frame_id: str, entity: str
 ) -> Iterator[tuple[IntArray, wire.Template, Callable[[IntArray], dict[str, NDArray]]]]:
     """Rows that are drawn alike, the message that draws them, and its columns.
 
@@ -35,17 +36,18 @@ def drawings(
     frame_id, entity : of the scene entity; a frame without any joint deletes the entity.
     """
     has = np.isfinite(position).all(axis=2)
-    patterns, which = np.unique(np.where(has, shade, -1), axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        rows = np.flatnonzero(which.reshape(-1) == number)
+    for pattern, rows in wire.alike(np.where(has, shade, -1)):
 
         def columns(chosen: IntArray) -> dict[str, NDArray]:
             return {"position": position[chosen].reshape(len(chosen), -1)}
 
-        yield rows, _template(pattern.tolist(), colors, frame_id, entity), columns
+        yield rows, _template(pattern, colors, frame_id, entity), columns
 
 
-def _template(pattern: list[int], colors: Mapping[int, Color], frame_id: str, entity: str) -> wire.Template:
+@lru_cache(256)
+def _template(
+    pattern: tuple[int, ...], colors: tuple[Color, ...], frame_id: str, entity: str
+) -> wire.Template:
     present = [i for i, shade in enumerate(pattern) if shade >= 0]
     if not present:
         return wire.message(1, wire.timestamp(1, "stamp"), wire.text(3, entity))

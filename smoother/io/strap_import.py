@@ -106,7 +106,8 @@ def import_strap(
             for each in arms
         ]
         passed: Iterator[Run] = Container(source).runs(wanted)
-        output.write(outgoing, passed)
+        output.carry(passed)
+        output.write(outgoing)
     return cameras.found
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..recording import JOINTS, FloatArray, JointState
 from . import wire
-from .merge import Outgoing, Output
+from .merge import Encoded, Outgoing, Output
 from .streams import ArmFrames
 
 
@@ -27,7 +27,7 @@ def arm_with_strap(output: Output, arm: ArmFrames, covariance: FloatArray | None
         parts.append(wire.message(4, *own))
     template = wire.join(*parts)
 
-    def encode(part: slice) -> list[bytes]:
+    def encode(part: slice) -> Encoded:
         stamp = arm.stamp_ns[part]
         columns: dict[str, NDArray] = {
             "position": arm.position[part].reshape(-1, 3 * len(JOINTS)),

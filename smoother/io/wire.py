@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 #: Widths of padded varints: any 64-bit number, any 32-bit number, a flag or small enum.
 _WIDE, _MEDIUM, _BYTE = 10, 5, 1
+#: Room that is left before each message for the head of its record in the file.
+HEAD_BYTES = 31
 
 
 @dataclass(frozen=True)
@@ -37,28 +39,42 @@ class Template:
     data: bytes
     slots: tuple[Slot, ...] = ()
 
-    def encode(self, rows: int, columns: Mapping[str, NDArray]) -> list[bytes]:
+    def encode(self, rows: int, columns: Mapping[str, NDArray]) -> NDArray[np.uint8]:
         """Wire form of `rows` messages.
 
         Parameters
         ----------
         rows : how many messages.
         columns : by the slots' names, (rows,) or (rows, k); stamps as int64 ns.
+
+        Returns
+        -------
+        (rows, HEAD_BYTES + size) bytes, a row a message, behind zeros for its head.
         """
-        if not self.data:
-            return [b""] * rows
-        block = np.tile(np.frombuffer(self.data, np.uint8), (rows, 1))
+        block = np.tile(np.frombuffer(bytes(HEAD_BYTES) + self.data, np.uint8), (rows, 1))
         for slot in self.slots:
             values = columns[slot.column]
             if slot.width:
                 part = values if values.ndim == 1 else values[:, slot.first]
-                _put_varint(block, slot.offset, slot.width, part)
+                _put_varint(block, HEAD_BYTES + slot.offset, slot.width, part)
                 continue
             wanted = values.reshape(rows, -1)[:, slot.first : slot.first + slot.count]
             raw = np.ascontiguousarray(wanted, dtype="<f8").view(np.uint8)
-            block[:, slot.offset : slot.offset + 8 * slot.count] = raw
-        buffer, size = block.tobytes(), block.shape[1]
-        return [buffer[start : start + size] for start in range(0, rows * size, size)]
+            first = HEAD_BYTES + slot.offset
+            block[:, first : first + 8 * slot.count] = raw
+        return block
+
+
+def alike(codes: NDArray[np.integer]) -> list[tuple[tuple[int, ...], NDArray[np.int64]]]:
+    """Rows (n, k) of codes from -1 to 254 that are the same: what they are, and their numbers (m,)."""
+    if not len(codes):
+        return []
+    weights = 256 ** np.arange(codes.shape[1], dtype=np.int64)
+    keys = (codes.astype(np.int64) + 1) @ weights
+    order = np.argsort(keys, kind="stable")
+    firsts = np.flatnonzero(np.diff(keys[order], prepend=keys[order[0]] - 1))
+    rows = np.split(order, firsts[1:])
+    return [(tuple(codes[mine[0]].tolist()), mine) for mine in rows]
 
 
 def _put_varint(block: NDArray[np.uint8], offset: int, width: int, values: NDArray) -> None:
