@@ -71,7 +71,7 @@ def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tupl
         raise RecordingError(
             f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
         )
-    _check_units(kept, source)
+    _check_units(kept, source, room)
     return kept, notes
 
 
@@ -97,7 +97,7 @@ def clean_arm(arm: ArmFrames, source: str, room: Room | None = None) -> tuple[Ar
         notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
         state[broken] = JointState.NOT_TRACKED
     position = _without(position, state == JointState.NOT_TRACKED, room)
-    _check_metres(position, state, arm.label, source)
+    _check_metres(position, state, arm.label, source, room)
     return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, room), position=position, state=state), notes
 
 
@@ -158,13 +158,12 @@ def _without(values: FloatArray, gone: BoolArray, room: Room) -> FloatArray:
     return out
 
 
-def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> None:
+def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str, room: Room) -> None:
     """Judged by an even sub-sample of a long recording's frames."""
-    some = sampled(len(position))
-    tracked = state[some] == JointState.TRACKED
+    tracked = sampled(state, room) == JointState.TRACKED
     if not tracked.any():
         return
-    far = float(np.median(np.linalg.norm(position[some][tracked], axis=1)))
+    far = float(np.median(np.linalg.norm(sampled(position, room)[tracked], axis=1)))
     if far > 100:
         raise RecordingError(
             f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
@@ -175,8 +174,11 @@ def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, sou
 def _keep(
     stamp_ns: IntArray, finite: BoolArray, topic: str, source: str, what: str
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    keep = finite.copy()
-    keep[finite] = increasing(stamp_ns[finite])
+    if finite.all():
+        keep = increasing(stamp_ns)
+    else:
+        keep = finite.copy()
+        keep[finite] = increasing(stamp_ns[finite])
     dropped, total = int((~keep).sum()), len(keep)
     if not dropped:
         return keep, []
@@ -194,9 +196,9 @@ def _keep(
     return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
 
 
-def _check_units(stream: ImuSamples, source: str) -> None:
-    some = sampled(len(stream.gyro))  # a long recording is judged by an even sub-sample
-    rate = np.linalg.norm(stream.gyro[some], axis=1)
+def _check_units(stream: ImuSamples, source: str, room: Room) -> None:
+    # A long recording is judged by an even sub-sample.
+    rate = np.linalg.norm(sampled(stream.gyro, room), axis=1)
     fast = float(np.percentile(rate, 99))
     if fast > _GYRO_LIMIT:
         raise RecordingError(
@@ -205,7 +207,7 @@ def _check_units(stream: ImuSamples, source: str) -> None:
         )
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
-    rest = float(np.median(np.linalg.norm(stream.acc[some][quiet], axis=1)))
+    rest = float(np.median(np.linalg.norm(sampled(stream.acc, room)[quiet], axis=1)))
     if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:

@@ -12,7 +12,7 @@ from ..room import Room
 #: Rows that are looked at together; keeps memory flat however long the column is.
 PASS_ROWS = 1 << 15
 #: Statistics of longer columns are taken of an even sub-sample of at least this many rows.
-_ENOUGH = 200_000
+_ENOUGH = 50_000
 
 
 class Column:
@@ -84,6 +84,11 @@ def passes(count: int, room: Room) -> Iterator[slice]:
             room.tidy()
 
 
-def sampled(count: int) -> slice:
-    """Rows for a statistic: all of up to 400,000, else every second, third, .. one."""
-    return slice(None, None, max(count // _ENOUGH, 1))
+def sampled(values: NDArray, room: Room) -> NDArray:
+    """Rows for a statistic: all of up to 100,000, else a copy of every second, third, .. one."""
+    step = max(len(values) // _ENOUGH, 1)
+    if step == 1:
+        return values
+    return np.concatenate(
+        [values[part][-part.start % step :: step].copy() for part in passes(len(values), room)]
+    )

@@ -94,7 +94,7 @@ class ImuDecoder(Decoder):
             return None
         stamp, delay, acc, gyro, mag = self.joined()
         has_mag = any(np.isfinite(mag[part]).any() for part in passes(len(mag), self.room))
-        shift = int(np.median(delay[sampled(len(delay))]))
+        shift = int(np.median(sampled(delay, self.room)))
         return ImuSamples(self.topic.name, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
 
 

@@ -27,6 +27,7 @@ class JointRows:
         self._room = room or Room()
         self._message = Column(self._room, (), np.int64)
         self._arm = Column(self._room, (), np.int64)
+        self._arms: set[int] = set()
         self._position = Column(self._room, (len(JOINTS), 3))
         self._state = Column(self._room, (len(JOINTS),), np.int8)
 
@@ -43,8 +44,10 @@ class JointRows:
         position : (n, 5, 3) m.
         """
         position[(state == JointState.NOT_TRACKED) | (state == UNSAID)] = np.nan
+        arm = body * len(SIDES) + side
+        self._arms.update(np.unique(arm).tolist())
+        self._arm.append(arm)
         self._message.append(message)
-        self._arm.append(body * len(SIDES) + side)
         self._state.append(state)
         self._position.append(position)
 
@@ -83,11 +86,13 @@ class JointRows:
         message, arm = self._message.done(), self._arm.done()
         position, state = self._position.done(), self._state.done()
         frame = message if number is None else number[message]
+        self._room.tidy()
+        alone = len(self._arms) == 1 and len(frame) == len(frames) and self._is_count(frame)
         found = []
-        for which in np.unique(arm):
-            body, side = divmod(int(which), len(SIDES))
-            if len(frame) == len(frames) and (arm == which).all() and _is_count(frame):
-                positions, states = position, np.where(state == UNSAID, np.int8(0), state)
+        for which in sorted(self._arms):
+            body, side = divmod(which, len(SIDES))
+            if alone:
+                positions, states = position, np.maximum(state, np.int8(0), out=state, where=state == UNSAID)
             else:
                 positions, states = self._scattered(frame, arm == which, position, state, len(frames))
             found.append(
@@ -113,6 +118,11 @@ class JointRows:
             positions[at[row], joint] = there[row, joint]
         return positions, states
 
+    def _is_count(self, number: IntArray) -> bool:
+        """Whether numbers (n,) are 0, 1, 2, .."""
+        parts = passes(len(number), self._room)
+        return all((number[part] == np.arange(part.start, part.stop)).all() for part in parts)
+
 
 def frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
     """Different stamps in the order in which they came first, and which of them each is (None: its own)."""
@@ -123,8 +133,3 @@ def frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
     rank = np.empty(len(unique), np.int64)
     rank[order] = np.arange(len(unique))
     return unique[order], rank[which]
-
-
-def _is_count(number: IntArray) -> bool:
-    """Whether numbers (n,) are 0, 1, 2, .."""
-    return bool(number[0] == 0 and (number[1:] - number[:-1] == 1).all())

@@ -265,8 +265,7 @@ class _CameraTable(_Table):
         self.decoder.feed(rows)
 
     def tracks(self, name: str, origin: int) -> JointTracks:
-        arms = self.decoder.arms()
-        stamp = self.decoder.stamp_ns()
+        stamp, arms = self.decoder.found()
         if not arms:
             nothing = np.full((len(stamp), len(JOINTS), 3), np.nan)
             return JointTracks(

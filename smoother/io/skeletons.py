@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..recording import JOINTS, CameraFrame, IntArray, JointState
 from ..room import Room
 from . import cdr, proto
+from .column import Column
 from .decode import in_order, proto_grouper
 from .joint_rows import SIDES, UNSAID, JointRows
 from .layout import Block, Grouper, Layout
@@ -42,8 +43,7 @@ class SkeletonDecoder:
 
     def __post_init__(self) -> None:
         self._rows = JointRows(self.room)
-        self._stamps: list[IntArray] = []
-        self._fed = 0
+        self._stamps = Column(self.room, (), np.int64)
 
     def feed(self, rows: Rows) -> None:
         """Take a batch of messages."""
@@ -55,11 +55,10 @@ class SkeletonDecoder:
         if not stamps:
             return
         read, stamp = in_order(stamps)
-        self._stamps.append(stamp)
         if arms:
             message, *columns = in_order(arms)
-            self._rows.add(np.searchsorted(read, message) + self._fed, *columns)
-        self._fed += len(read)
+            self._rows.add(np.searchsorted(read, message) + len(self._stamps), *columns)
+        self._stamps.append(stamp)
 
     def _arms(self, index: IntArray, block: Block, layout: Layout) -> list[tuple[NDArray, ...]]:
         """What messages of one layout say of each side."""
@@ -78,13 +77,14 @@ class SkeletonDecoder:
             position[:, joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
-    def stamp_ns(self) -> IntArray:
-        """Stamps of all messages, ns."""
-        return np.concatenate([np.empty(0, np.int64), *self._stamps])
+    def found(self) -> tuple[IntArray, list[ArmFrames]]:
+        """Stamps of all messages, ns, and all arms; asked for once."""
+        stamp_ns = self._stamps.done()
+        return stamp_ns, self._rows.arms(stamp_ns, self.topic.name, self.frame_id, self.camera_frame)
 
     def arms(self) -> list[ArmFrames]:
         """All arms found; asked for once."""
-        return self._rows.arms(self.stamp_ns(), self.topic.name, self.frame_id, self.camera_frame)
+        return self.found()[1]
 
 
 @dataclass
