@@ -1,0 +1,231 @@
+"""Speed, memory and exactness in one run, as ratios: `python -m tools.benchmark`.
+
+Simulates recordings (80 Hz IMU, 30 Hz camera, an occlusion of 2 s about every 10 s) and runs `unocclude
+smooth` on them, file to file, with nothing calibrated: how many times faster than real time, how much memory,
+how far off in the gaps; where the time goes and how each part grows with the length; and beside it, on the
+same recordings, one plain graph over the whole, `rts` and `linear-drift`. Let nothing else run meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from . import tables
+from .beside import METHODS, Beside, run_method, run_smooth
+from .exactness import exactness_of_file
+from .isolated import Stopped, isolated
+from .profile import READ, WRITE, profile
+from .recordings import Made, make
+from .whole import end_to_end, help_seconds
+
+MEASURES = ("whole", "parts", "rest", "beside")
+#: Numerical libraries on one thread, so that idle ones do not spin processor time away.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def main() -> None:
+    """Make the recordings one after the other, measure, print, and keep the figures."""
+    options = _options()
+    cores = options.processes or len(os.sched_getaffinity(0))
+    figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "parts": {}, "rest": [], "beside": {}}
+    print("\n".join(_heading(figures["machine"], options)), flush=True)
+    lengths_s: dict[float, float] = {}
+    figures["help_s"] = help_seconds()
+    with tempfile.TemporaryDirectory(dir=options.folder) as name:
+        for made in _recordings(Path(name), options):
+            lengths_s[made.minutes] = made.length_s
+            _measure(made, Path(name), options, cores, figures)
+    _print(figures, lengths_s, cores)
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=1, default=str) + "\n", encoding="utf-8")
+
+
+def _measure(
+    made: Made, folder: Path, options: argparse.Namespace, cores: int, figures: dict[str, Any]
+) -> None:
+    """Everything that is asked for of one recording, into the figures."""
+    result = folder / "out.mcap"
+    if "whole" in options.only:
+        _say(f"{made.minutes:g} min: the command")
+        figures["whole"] += _whole(made, result, options)
+    if "parts" in options.only:
+        _say(f"{made.minutes:g} min: its parts")
+        figures["parts"][made.minutes] = isolated(profile, made.path, result, options.processes, False).parts
+    if "rest" in options.only and made.minutes in options.rest:
+        _say(f"{made.minutes:g} min: its parts on one process, GTSAM listened to")
+        figures["rest"].append(_rest(made, result, cores, figures["whole"]))
+    if "beside" in options.only and made.minutes in options.beside:
+        figures["beside"][made.minutes] = _beside(made, folder / "told.pickle", options)
+
+
+def _print(figures: dict[str, Any], lengths_s: dict[float, float], cores: int) -> None:
+    lines = [f"`unocclude --help`: {figures['help_s']:.2f} s (aim: {tables.AIM_HELP_S:g})"]
+    if figures["whole"]:
+        lines += tables.whole(figures["whole"])
+    if figures["parts"]:
+        title = f"Where the command's time goes on {cores} processes"
+        lines += tables.growth(figures["parts"], lengths_s, title)
+    for each in figures["rest"]:
+        lines += tables.rest(each, cores)
+    for minutes, found in figures["beside"].items():
+        command_s = _command_s(minutes, figures["whole"])
+        lines += tables.beside(minutes, found, command_s, lengths_s[minutes])
+    print("\n".join(lines))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.benchmark",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--minutes", type=float, nargs="+", default=[1, 6, 30, 60], help="lengths")
+    parser.add_argument("--long", action="store_true", help="10 minutes and 6 hours as well")
+    parser.add_argument(
+        "--images", action="store_true", help="the same recordings once more with an image a frame"
+    )
+    parser.add_argument("--image-kb", type=float, default=10.0, help="size of an image")
+    parser.add_argument("--without-truth", action="store_true", help="leave the true motion out of the files")
+    parser.add_argument("--preset", default="white", help="errors of the simulation: white, realistic, clean")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=0, help="worker processes; 0 = one a core")
+    parser.add_argument("--only", nargs="+", choices=MEASURES, default=MEASURES, help="measure only this")
+    parser.add_argument(
+        "--rest", type=float, nargs="*", default=[6, 60], help="lengths to listen to on one process"
+    )
+    parser.add_argument("--beside", type=float, nargs="*", default=[6, 30], help="lengths for other methods")
+    parser.add_argument("--limit-s", type=float, default=600.0, help="stop another method after this")
+    parser.add_argument("--limit-gb", type=float, default=8.0, help="or at this much memory")
+    parser.add_argument("--folder", type=Path, help="where to put the recordings meanwhile")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
+    options = parser.parse_args()
+    if options.long:
+        options.minutes = [*options.minutes, 10.0, 360.0]
+    options.minutes = sorted({float(minutes) for minutes in options.minutes})
+    return options
+
+
+def _machine(cores: int) -> dict[str, Any]:
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
+        ]
+        cpu = names[0] if names else cpu
+    return {
+        "cpu": cpu,
+        "cores": cores,
+        "load_before": os.getloadavg()[0],
+        "python": platform.python_version(),
+        "gtsam": version("gtsam"),
+        "numpy": version("numpy"),
+    }
+
+
+def _heading(machine: dict[str, Any], options: argparse.Namespace) -> list[str]:
+    lines = [
+        f"{machine['cpu']}, {machine['cores']} processes; Python {machine['python']},"
+        f" GTSAM {machine['gtsam']}, NumPy {machine['numpy']}; preset {options.preset}, seed {options.seed},"
+        f" truth {'left out of' if options.without_truth else 'in'} the files"
+    ]
+    if machine["load_before"] > 0.3:
+        lines.append(
+            f"Other work runs here (load {machine['load_before']:.1f}): times are longer than they would be."
+        )
+    return lines
+
+
+def _recordings(folder: Path, options: argparse.Namespace) -> Iterator[Made]:
+    """One recording after the other, each taken away when the next one is made."""
+    image_kb = options.image_kb if options.images else None
+    for minutes in options.minutes:
+        made: Made = isolated(
+            make, folder, minutes, options.preset, options.seed, not options.without_truth, image_kb
+        )
+        yield made
+        for path in folder.iterdir():
+            path.unlink()
+
+
+def _whole(made: Made, result: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    found = []
+    for path in (made.path, made.with_images):
+        if path is None:
+            continue
+        run = end_to_end(path, result, options.processes)
+        exact = isolated(exactness_of_file, result, made.truth)
+        found.append(
+            {
+                "minutes": made.minutes,
+                "images": path is made.with_images,
+                "length_s": made.length_s,
+                "file_mb": path.stat().st_size / 1e6,
+                **asdict(run),
+                "exact": asdict(exact),
+            }
+        )
+    return found
+
+
+def _command_s(minutes: float, whole: list[dict[str, Any]]) -> float | None:
+    """Seconds of the command on the recording of this length, without images."""
+    return next((r["seconds"] for r in whole if r["minutes"] == minutes and not r["images"]), None)
+
+
+def _rest(made: Made, result: Path, cores: int, whole: list[dict[str, Any]]) -> dict[str, Any]:
+    spent = isolated(profile, made.path, result, 1, True, environment=ONE_THREAD)
+    end_to_end_s = _command_s(made.minutes, whole)
+    known = spent.parts.get(READ, 0.0) + spent.parts.get(WRITE, 0.0) + sum(spent.gtsam.values()) / cores
+    rest_s = float("nan") if end_to_end_s is None else end_to_end_s - known
+    return {
+        "minutes": made.minutes,
+        "end_to_end_s": end_to_end_s,
+        "rest_s": rest_s,
+        "rest_share": rest_s / known,
+        "spent": asdict(spent),
+    }
+
+
+def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, Any]:
+    _say(f"{made.minutes:g} min: `smooth` from memory to memory")
+    found: dict[str, Any] = {"smooth": asdict(isolated(run_smooth, made, options.processes, kept))}
+    for name in METHODS:
+        _say(f"{made.minutes:g} min: {name}")
+        try:
+            each: Beside = isolated(
+                run_method, made, name, kept, limit_s=options.limit_s, limit_gb=options.limit_gb
+            )
+            found[name] = asdict(each)
+        except Stopped as why:
+            found[name] = {
+                "stopped": str(why),
+                "own_s": why.seconds,
+                "all_s": why.seconds,
+                "cpu_s": why.seconds,
+                "peak_mb": why.peak_mb,
+                "exact": None,
+                "steps": {},
+            }
+        except RuntimeError as error:
+            found[name] = f"failed: {error}"
+    return found
+
+
+def _say(text: str) -> None:
+    """What is being measured, on stderr."""
+    print(f"  .. {text}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

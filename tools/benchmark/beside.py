@@ -1,0 +1,112 @@
+"""Other ways to the same answer, timed on the same recording: the plain graphs, `rts`, `linear-drift`.
+
+Each runs in a process of its own on what `smooth` found, as every peer does (`smoother.peers`): calibration,
+clock, gravity, which samples to believe, and the gaps. Finding that is in `smooth`'s time and not in theirs.
+Two times of each: its own (from scene to path), and with what it needs beside (orientation filter and
+alignment before, putting the answer together after). Neither reads nor writes a file.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smoother.config import Config
+from smoother.io import read_recording
+from smoother.peers.answer import answer
+from smoother.peers.registry import PEERS
+from smoother.peers.scene import Path as Answer
+from smoother.peers.scene import Scene
+from smoother.peers.told import scenes_of
+from smoother.smoothing import smooth
+
+from . import memory
+from .exactness import Exactness, apart_cm, exactness
+from .plain import GRAPHS, Timed, solve_plainly
+from .recordings import Made, read_truth
+
+PEERS_BESIDE = ("rts", "linear-drift")
+METHODS = (*(f"plain graph, {name}" for name in GRAPHS), *PEERS_BESIDE)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A method's time and errors.
+
+    Attributes
+    ----------
+    own_s, all_s : its own seconds, and with what it needs; of `smooth` both are the whole call, from a
+        recording in memory to a recovery in memory, self-calibration included.
+    cpu_s : processor seconds of `all_s`, workers' included where they have ended.
+    peak_mb : of the process that ran it, which holds recording and `smooth`'s answer too.
+    steps : seconds by step, and iterations, of a plain graph.
+    exact : errors in the gaps.
+    from_smooth_cm : rms distance from `smooth`'s answer in the gaps.
+    """
+
+    own_s: float
+    all_s: float
+    cpu_s: float
+    peak_mb: float
+    exact: Exactness
+    from_smooth_cm: float
+    steps: dict[str, float] = field(default_factory=dict)
+
+
+def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
+    """`smooth` from memory to memory; recording and answer are kept in a file for the others."""
+    recording = read_recording(made.path)
+    config = Config.model_validate({"windows": {"processes": processes}})
+    began, cpu = time.perf_counter(), _processor_s()
+    recovery = smooth(recording, None, config)
+    seconds, cpu = time.perf_counter() - began, _processor_s() - cpu
+    with kept.open("wb") as file:
+        pickle.dump((recording, recovery), file, protocol=5)
+    exact = exactness(recovery, read_truth(made.truth, recovery.origin_ns))
+    return Beside(seconds, seconds, cpu, memory.peak_mb(os.getpid()), exact, 0.0)
+
+
+def run_method(made: Made, name: str, kept: Path) -> Beside:
+    """One of `METHODS`, told what `smooth` found."""
+    with kept.open("rb") as file:
+        recording, told = pickle.load(file)
+    began, cpu = time.perf_counter(), _processor_s()
+    scenes = scenes_of(recording, told)
+    timed = Timed()
+    solving = time.perf_counter()
+    paths = [_path(scene, name, timed) for scene in scenes]
+    own_s = time.perf_counter() - solving
+    recovery = answer(recording, told, scenes, paths, name)
+    seconds, cpu = time.perf_counter() - began, _processor_s() - cpu
+    truth = read_truth(made.truth, recovery.origin_ns)
+    steps: dict[str, Any] = dict(timed.seconds)
+    if steps:
+        own_s = timed.total_s  # without the start values, which are the house's
+        steps |= {"iterations": timed.iterations, "nodes": timed.nodes}
+    inside = np.asarray(told.occluded)
+    return Beside(
+        own_s,
+        seconds,
+        cpu,
+        memory.peak_mb(os.getpid()),
+        exactness(recovery, truth, inside),
+        apart_cm(recovery.position[inside], told.position[inside]),
+        steps,
+    )
+
+
+def _path(scene: Scene, name: str, timed: Timed) -> Answer:
+    if name in PEERS:
+        return PEERS[name].peer({})(scene)
+    return solve_plainly(scene, name.removeprefix("plain graph, "), timed)
+
+
+def _processor_s() -> float:
+    """Processor seconds of this process and of those it started that have ended."""
+    return sum(os.times()[:4])

@@ -1,0 +1,181 @@
+"""What was measured as text: one function a table, each gives lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from .profile import PARTS, READ, WRITE
+
+#: What the project aims at; printed beside.
+AIM_TIMES_REAL = 100.0
+AIM_PEAK_MB = 250.0
+AIM_HELP_S = 0.3
+AIM_REST_SHARE = 0.5
+AIM_PLAIN = {6.0: 8.0, 30.0: 20.0}
+#: Functions of the rest that are listed.
+FUNCTIONS = 15
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A title, column heads and rows; the first column to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in (columns, *rows)) for i in range(len(columns))]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [
+            text.ljust(w) if i == 0 else text.rjust(w)
+            for i, (text, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        return "  " + "  ".join(cells).rstrip()
+
+    return ["", title, line(columns), *(line(row) for row in rows)]
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """Digits after the point; "-" where there is no number."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def whole(runs: list[dict[str, Any]]) -> list[str]:
+    """End to end, memory and exactness by length."""
+    rows = [
+        (
+            f"{run['minutes']:g} min{', images' if run['images'] else ''}",
+            number(run["file_mb"]),
+            number(run["length_s"] / run["seconds"], 0),
+            number(run["seconds"]),
+            number(60.0 * run["cpu_s"] / run["length_s"], 2),
+            number(run["main_mb"] or None, 0),
+            number(run["worker_mb"] or None, 0),
+            str(run["workers"]),
+            str(run["exact"]["gaps"]),
+            number(run["exact"]["rms_cm"], 2),
+            number(run["exact"]["max_cm"], 2),
+            number(run["exact"]["rms_deg"], 2),
+            number(100.0 * run["exact"]["inside_95"], 1),
+        )
+        for run in runs
+    ]
+    columns = (
+        "`unocclude smooth`",
+        "file MB",
+        "x real time",
+        "s",
+        "CPU s a min",
+        "peak MB",
+        "worker MB",
+        "workers",
+        "gaps",
+        "rms cm",
+        "max cm",
+        "rms deg",
+        "95 % holds",
+    )
+    title = (
+        f"End to end, file to file, program start included (aim: {AIM_TIMES_REAL:.0f} x at 60 min,"
+        f" {AIM_PEAK_MB:.0f} MB a process at any length); errors in the gaps against the simulated motion.\n"
+        "Peak: VmHWM of the main process and of the largest worker, libraries and mapped pages included."
+    )
+    return table(title, columns, rows)
+
+
+def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], title: str) -> list[str]:
+    """Seconds a minute of recording by part and length: level where a part is linear."""
+    names = [*PARTS, *dict.fromkeys(n for parts in spent.values() for n in parts if n not in PARTS)]
+    lengths = list(spent)
+    rows = []
+    for name in names:
+        values = [60.0 * spent[m].get(name, 0.0) / lengths_s[m] for m in lengths]
+        if any(values):
+            rows.append((name, *(number(v, 3) for v in values), _grows(values)))
+    totals = [60.0 * sum(spent[m].values()) / lengths_s[m] for m in lengths]
+    rows.append(("all", *(number(v, 3) for v in totals), _grows(totals)))
+    head = f"{title}, in seconds a minute of recording (level = linear in length)"
+    return table(head, ("part", *(f"{m:g} min" for m in lengths), "last / one before"), rows)
+
+
+def _grows(values: list[float]) -> str:
+    return number(values[-1] / values[-2], 2) if len(values) > 1 and values[-2] > 0 else "-"
+
+
+def rest(measured: dict[str, Any], cores: int) -> list[str]:
+    """What the command takes beyond reading, writing and GTSAM's own time."""
+    m, spent = measured, measured["spent"]
+    gtsam = sum(spent["gtsam"].values())
+    lines = [
+        "",
+        f"Beyond file and GTSAM, {m['minutes']:g} min"
+        " (GTSAM: processor seconds of its optimisers and marginals on one process)",
+        f"  read {number(spent['parts'].get(READ), 2)} s + write {number(spent['parts'].get(WRITE), 2)} s,"
+        f" GTSAM {'  '.join(f'{kind} {number(s, 2)} s' for kind, s in spent['gtsam'].items())},"
+        f" / {cores} cores = {number(gtsam / cores, 2)} s",
+        f"  end to end {number(m['end_to_end_s'], 2)} s: rest {number(m['rest_s'], 2)} s,"
+        f" {number(m['rest_share'], 2)} of reading, writing and GTSAM together (aim: {AIM_REST_SHARE:g})",
+        f"  on one process, CPU: all {number(spent['cpu_s'], 1)} s, GTSAM"
+        f" {number(100 * gtsam / spent['cpu_s'], 0)} %; outside GTSAM, by function:",
+    ]
+    most = sorted(spent["functions"].items(), key=lambda each: -each[1])[:FUNCTIONS]
+    lines += [f"    {number(100 * s / spent['cpu_s'], 1):>5} %  {name}" for name, s in most]
+    if spent["missing"]:
+        lines.append(f"  not found, so their time is in the part around them: {', '.join(spent['missing'])}")
+    return lines
+
+
+def beside(minutes: float, found: dict[str, Any], command_s: float | None, length_s: float) -> list[str]:
+    """Other methods on one recording."""
+    ours = found["smooth"]["own_s"]
+    rows = []
+    for name, each in found.items():
+        if isinstance(each, str):
+            rows.append((name, each, *[""] * 10))
+            continue
+        own, exact = each["own_s"], each["exact"]
+        sign = "> " if each.get("stopped") else ""
+        rows.append(
+            (
+                name,
+                sign + number(own, 2),
+                sign + number(each["all_s"], 2),
+                sign + number(each["cpu_s"], 2),
+                number(length_s / own, 0) if not sign else f"< {number(length_s / own, 0)}",
+                "" if name == "smooth" else sign + number(own / ours, 2),
+                "" if name == "smooth" or command_s is None else sign + number(own / command_s, 2),
+                number(each["peak_mb"], 0),
+                number(exact["rms_cm"], 2) if exact else "-",
+                number(exact["max_cm"], 2) if exact else "-",
+                number(100.0 * exact["inside_95"], 1) if exact else "-",
+                "" if name == "smooth" or not exact else number(each["from_smooth_cm"], 2),
+            )
+        )
+    columns = (
+        f"{minutes:g} min",
+        "own s",
+        "with needs s",
+        "CPU s",
+        "x real time",
+        "smooth is faster x",
+        "command is faster x",
+        "peak MB",
+        "rms cm",
+        "max cm",
+        "95 % holds",
+        "from smooth cm",
+    )
+    aim = AIM_PLAIN.get(minutes)
+    title = (
+        "Beside other ways, from a recording in memory to an answer in memory; all but `smooth` are told"
+        " what it found"
+        + (f" (aim: {aim:g} x faster than the plain graph)" if aim else "")
+        + ".\n`smooth` runs on all processes, self-calibration included; the command also starts, reads and"
+        " writes."
+    )
+    lines = table(title, columns, rows)
+    for name, each in found.items():
+        if isinstance(each, dict) and each.get("steps"):
+            steps = {k: v for k, v in each["steps"].items() if k not in ("iterations", "nodes")}
+            lines.append(
+                f"  {name}: {each['steps']['nodes']} nodes, {each['steps']['iterations']} iterations; "
+                + ", ".join(f"{step} {number(s, 2)} s" for step, s in steps.items())
+            )
+    return lines
