@@ -1,26 +1,24 @@
-"""The `Recovery` of a recording from the joined motions of its stretches."""
+"""The answer at the samples of a section, from the joined motion of its windows."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .arrays import interpolate, rotate_covariance, skew
 from .calibration import ArmCalibration
-from .config import Config
-from .join import Motion, at_times
-from .notes import notes_on
+from .join import BLEND_HALF_S, Motion, at_times
 from .occlusion import occluded_at
 from .pieces import Piece
 from .plan import Stretch
 from .prepare import lever_of
-from .recording import JOINTS, FloatArray, Recording
-from .result import FrameResiduals, Gap, Recovery
-from .screen import REASONS
+from .recording import JOINTS, BoolArray, FloatArray
+from .result import Gap
 from .selfcal import Knowledge
-from .window import Message
 
 #: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
 COMMON_BIAS_SHARE = 1.0
@@ -32,87 +30,92 @@ UNKNOWN_RAD = 1.0
 LINEAR_RAD = 0.2
 
 
-def assemble(
-    recording: Recording,
+@dataclass(frozen=True)
+class SectionAnswer:
+    """The answer at the samples of one section, and a little beyond its borders so that neighbours blend.
+
+    Attributes
+    ----------
+    samples : rows of the recording's IMU.
+    occluded, position, quaternion, velocity, pose_covariance, velocity_covariance, joints,
+    joint_covariance : at them, see `Recovery`.
+    border_s : where the section begins, s; -inf at the beginning of a stretch.
+    gaps : the occluded stretches that reach into the section.
+    frames : rows of the camera's frames that are the section's own.
+    residual, used, reason : at them, see `FrameResiduals`.
+    gravity : (3,) mean, m/s^2 in {K}.
+    """
+
+    samples: slice
+    occluded: BoolArray
+    position: FloatArray
+    quaternion: FloatArray
+    velocity: FloatArray
+    pose_covariance: FloatArray
+    velocity_covariance: FloatArray
+    joints: dict[str, FloatArray]
+    joint_covariance: dict[str, FloatArray]
+    border_s: float
+    gaps: tuple[Gap, ...]
+    frames: slice
+    residual: FloatArray
+    used: BoolArray
+    reason: NDArray[np.uint8]
+    gravity: FloatArray
+
+
+def answer_of(
+    imu_t: FloatArray,
+    first_sample: int,
+    piece: Piece,
+    stretch: Stretch,
+    motion: Motion,
     calibration: ArmCalibration,
-    config: Config,
     known: Knowledge,
-    pieces: list[Piece],
-    stretches: list[Stretch],
-    motions: list[Motion],
-    messages: list[Message],
-) -> Recovery:
-    """The answer at every IMU sample; nan where no stretch has one."""
+    names: Sequence[str],
+) -> SectionAnswer:
+    """The answer of a section from its joined motion.
+
+    Parameters
+    ----------
+    imu_t : (n,) the IMU's stamps, s; the first is the recording's sample `first_sample`.
+    names : joints to answer for.
+    """
     clock = known.clocks[0]
-    frame_t = recording.arm.t_s + clock.at(recording.arm.t_s)
-    used = np.zeros((len(recording.arm), len(JOINTS)), dtype=bool)
-    reason = np.zeros(used.shape, np.uint8)
-    for piece in pieces:
-        used[piece.frames], reason[piece.frames] = piece.accepted, piece.reason
-    imu_t, count = recording.imu.t_s, len(recording.imu)
-    position, velocity = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
-    quaternion = np.full((count, 4), np.nan)
-    pose, velocity_covariance = np.full((count, 6, 6), np.nan), np.full((count, 3, 3), np.nan)
-    occluded = np.ones(count, dtype=bool)
-    names = [joint for joint in JOINTS if joint in recording.arm.present and joint != "strap"]
-    joints = {joint: np.full((count, 3), np.nan) for joint in names}
-    joint_covariance = {joint: np.full((count, 3, 3), np.nan) for joint in names}
-    residual = np.full((len(recording.arm), 5, 3), np.nan)
-    gaps: list[Gap] = []
-    for stretch, motion in zip(stretches, motions, strict=True):
-        rows = np.flatnonzero((imu_t >= motion.t[0]) & (imu_t <= motion.t[-1]))
-        t = imu_t[rows]
-        states = at_times(motion, stretch.signal, t)
-        position[rows], velocity[rows] = states.p, states.v
-        quaternion[rows] = Rotation.from_matrix(states.R).as_quat()[:, [3, 0, 1, 2]]
-        pose[rows] = widen_turns(interpolate(motion.t, motion.pose_covariance, t))
-        pose[rows, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
-        # a clock that is off by a moment moves the whole path along itself
-        pose[rows, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
-        velocity_covariance[rows] = interpolate(motion.t, motion.velocity_covariance, t)
-        occluded[rows] = occluded_at(t, stretch.gaps)
-        gaps.extend(stretch.gaps)
-        for joint in names:
-            place, covariance = _joint(joint, states.R, states.p, pose[rows], calibration, motion, t)
-            joints[joint][rows], joint_covariance[joint][rows] = place, covariance
-        if known.mounting_unknown:  # joints that are seen are known all the same
-            pose[rows] += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
-        own = frame_residuals(recording.arm.position, frame_t, stretch, motion, calibration)
-        residual = np.where(np.isfinite(own), own, residual)
-    down = np.mean([motion.gravity.mean(axis=0) for motion in motions], axis=0)
-    return Recovery(
-        method="graph",
-        t_s=imu_t,
-        occluded=occluded,
-        position=position,
-        quaternion=quaternion,
-        velocity=velocity,
+    start_s = max(motion.t[0], stretch.start_s - BLEND_HALF_S)
+    end_s = min(motion.t[-1], stretch.end_s + BLEND_HALF_S)
+    first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
+    t = imu_t[first:last]
+    states = at_times(motion, stretch.signal, t)
+    pose = widen_turns(interpolate(motion.t, motion.pose_covariance, t))
+    pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
+    # a clock that is off by a moment moves the whole path along itself
+    pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
+    joints = {joint: _joint(joint, states.R, states.p, pose, calibration, motion, t) for joint in names}
+    if known.mounting_unknown:  # joints that are seen are known all the same
+        pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
+    frame_t = piece.frame_t + clock.at(piece.frame_t)
+    own = slice(*np.searchsorted(frame_t, [piece.core_start_s, piece.core_end_s]).tolist())
+    seen = piece.position[own] + known.bias.found_m  # as the camera said it
+    return SectionAnswer(
+        samples=slice(first_sample + int(first), first_sample + int(last)),
+        occluded=occluded_at(t, stretch.gaps),
+        position=states.p,
+        quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
+        velocity=states.v,
         pose_covariance=pose,
-        velocity_covariance=velocity_covariance,
-        joints=joints,
-        joint_covariance=joint_covariance,
-        gaps=tuple(gaps),
-        calibration=calibration,
-        gravity_direction=down / np.linalg.norm(down),
-        clock_offset_s=clock.mean_s,
-        clock_offset_sigma_s=clock.sigma_s,
-        arm=replace(recording.arm, t_s=frame_t),
-        residuals=FrameResiduals(frame_t, residual, used, reason, REASONS),
-        origin_ns=recording.origin_ns,
-        side=recording.side,
-        name=recording.name,
-        notes=notes_on(recording, pieces, known, tuple(gaps)),
-        config=config.model_dump(exclude={"windows": {"processes"}}),  # the answer is the same on any number
-        figures={
-            "camera_sigma_m": {joint: noise.sample_m for joint, noise in known.noise.items()},
-            "camera_effective_sigma_m": {joint: noise.effective_m for joint, noise in known.noise.items()},
-            "joint_bias_m": {
-                joint: known.bias.found_m[JOINTS.index(joint)].tolist() for joint in known.bias.joints
-            },
-            "joint_bias_sigma_m": known.bias.sigma_m,
-            "accelerometer_bias": np.mean([m.shared.mean[:3] for m in messages], axis=0).tolist(),
-            "gyroscope_bias": np.mean([m.shared.mean[3:6] for m in messages], axis=0).tolist(),
-        },
+        velocity_covariance=interpolate(motion.t, motion.velocity_covariance, t),
+        joints={joint: place for joint, (place, _) in joints.items()},
+        joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
+        border_s=piece.core_start_s,
+        gaps=tuple(
+            gap for gap in stretch.gaps if gap.end_s > stretch.start_s and gap.start_s < stretch.end_s
+        ),
+        frames=slice(piece.frames.start + own.start, piece.frames.start + own.stop),
+        residual=frame_residuals(seen, frame_t[own], stretch, motion, calibration),
+        used=piece.accepted[own],
+        reason=piece.reason[own],
+        gravity=motion.gravity.mean(axis=0),
     )
 
 
@@ -150,7 +153,8 @@ def _joint(
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
     if joint == "shoulder":
-        assert motion.shoulder is not None and motion.shoulder_covariance is not None
+        if motion.shoulder is None or motion.shoulder_covariance is None:
+            return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
         return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
     if lever_of(calibration, joint) is None:
         return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)

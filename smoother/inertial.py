@@ -41,6 +41,7 @@ class InertialSignal:
     """
 
     def __init__(self, imu: ImuStream) -> None:
+        self._imu = imu
         half = 0.5 * float(np.median(np.diff(imu.t_s)))
         middle = 0.5 * (imu.t_s[1:] + imu.t_s[:-1])
         self.edges = np.concatenate(([imu.t_s[0] - half], middle, [imu.t_s[-1] + half]))
@@ -49,6 +50,9 @@ class InertialSignal:
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
         self._integral = CubicSpline(self.edges, integral)
         self._rough = np.concatenate(([0.0], np.cumsum((_roughness(imu) * np.diff(self.edges)) ** 2)))
+
+    def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
+        return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
 
     @property
     def start_s(self) -> float:

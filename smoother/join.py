@@ -58,9 +58,9 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
         own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == n)
         rows = offset + own
         # share of this window against what stands there already (the window before)
-        share = _share(window.t[own], window.core_start_s)
+        share = share_after(window.t[own], window.core_start_s)
         share[~filled[rows]] = 1.0
-        step = _turn_to(R[rows], solution.states.R[own], filled[rows])
+        step = turn_to(R[rows], solution.states.R[own], filled[rows])
         base = np.where(filled[rows, None, None], R[rows], solution.states.R[own])
         R[rows] = base @ Rotation.from_rotvec(share[:, None] * step).as_matrix()
         for target, value in (
@@ -78,15 +78,15 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
             ),
         ):
             if value is not None:
-                _mix(target, rows, value[own], share)
+                mix(target, rows, value[own], share)
         for joint, values in levers.items():
             lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
-            _mix(values, rows, np.tile(lever, (len(own), 1)), share)
+            mix(values, rows, np.tile(lever, (len(own), 1)), share)
         if has_shoulder:
             knots, covariance = _shoulder_at_nodes(window, solution)
-            _mix(shoulder, rows, knots[own], share)
+            mix(shoulder, rows, knots[own], share)
             if covariance is not None:
-                _mix(shoulder_covariance, rows, covariance[own], share)
+                mix(shoulder_covariance, rows, covariance[own], share)
         filled[rows] = True
     return Motion(
         t,
@@ -107,13 +107,13 @@ def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:
     return np.flatnonzero((window.t >= start) & (window.t <= end))
 
 
-def _share(t: FloatArray, border_s: float) -> FloatArray:
+def share_after(t: FloatArray, border_s: float) -> FloatArray:
     """0 before the blend, 1 after it, smooth between."""
     u = np.clip((t - border_s + BLEND_HALF_S) / (2 * BLEND_HALF_S), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
-def _turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArray:
+def turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArray:
     """Rotation vector from R to the target, zero where nothing stands yet."""
     step = np.zeros((len(R), 3))
     if filled.any():
@@ -121,7 +121,8 @@ def _turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArra
     return step
 
 
-def _mix(target: FloatArray, rows: np.ndarray, value: FloatArray, share: FloatArray) -> None:
+def mix(target: FloatArray, rows: np.ndarray, value: FloatArray, share: FloatArray) -> None:
+    """Move the target's rows (k,) towards the values (k, ...) by the share (k,) of the way."""
     weight = share.reshape(-1, *([1] * (value.ndim - 1)))
     target[rows] = (1.0 - weight) * target[rows] + weight * value
 

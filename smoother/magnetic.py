@@ -11,7 +11,7 @@ block of some seconds).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,7 +51,7 @@ NEAR_S = 0.05
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """The field over a block of a window.
 
     Attributes
@@ -104,64 +104,89 @@ class Magnetometer:
         return replace(recovery, notes=(*recovery.notes, self.note), figures={**recovery.figures, **figures})
 
 
-def with_magnetometer(
-    imu: ImuStream, first: list[list[Window]], answers: list[list[Solution]], second: Iterable[Window]
-) -> tuple[Iterable[Window], Magnetometer]:
-    """The second pass's windows with a calibrated magnetometer in them, where it agrees with the first pass.
+#: A recording without one.
+NO_MAGNETOMETER = Magnetometer(np.full(3, np.nan))
 
-    Parameters
+
+@dataclass(frozen=True)
+class Observed:
+    """What the magnetometer read in a window of the first pass.
+
+    Attributes
     ----------
-    first, answers : windows of the first pass and their solutions with covariance, by stretch.
-    second : the same windows for the second pass, one after the other; their nodes are among those of the
-        first, or new.
+    t_s : (n,) nodes, s.
+    in_K : (n, 3) the field; nan where there is no sample.
+    R_K_A : (n, 3, 3) the attitude, and its covariance (n, 3, 3) rad^2 in {K}.
     """
-    if imu.mag is None or not imu.mag_calibrated:
-        return second, _without("")
+
+    t_s: FloatArray
+    in_K: FloatArray
+    R_K_A: FloatArray
+    attitude_covariance: FloatArray
+
+    @property
+    def strength(self) -> FloatArray:
+        """(n,) of the field."""
+        return np.linalg.norm(self.in_K, axis=1)
+
+
+def takes_part(imu: ImuStream) -> bool:
+    """Whether there is a calibrated magnetometer."""
+    return imu.mag is not None and imu.mag_calibrated
+
+
+def observe(imu: ImuStream, window: Window, solution: Solution) -> Observed:
+    """What a window's solution, with covariance, makes of the magnetometer's samples."""
+    assert imu.mag is not None and solution.pose_covariance is not None
     have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
-    if len(have) < 2:
-        return second, _without("it has no samples")
-    before, after = [w for each in first for w in each], list(second)
-    solutions = [answer for each in answers for answer in each]
-    fields = [_in_camera(have, window, answer) for window, answer in zip(before, solutions, strict=True)]
-    strengths = np.concatenate([np.linalg.norm(field, axis=1) for field in fields])
-    if not np.isfinite(strengths).any():
-        return after, _without("it has no samples while the arm was solved")
-    strength = float(np.nanmedian(strengths))
+    in_K = np.full((len(window.t), 3), np.nan) if len(have) < 2 else _in_camera(have, window, solution)
+    return Observed(window.t, in_K, solution.states.R, solution.pose_covariance[:, 3:, 3:])
+
+
+def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer]:
+    """The field's strength over all windows; nan, and why, where it cannot be used."""
+    known = np.concatenate([each[np.isfinite(each)] for each in strengths])
+    if not len(known):
+        return float("nan"), _without("it has no samples while the arm was solved")
+    strength = float(np.median(known))
     if not abs(strength - 1.0) < STRENGTH_ELSEWHERE:
-        return after, _without(
+        return float("nan"), _without(
             f"the field is {strength:.2f} times as strong as where it was calibrated; a magnet is near, or"
             " the calibration is not of this sensor"
         )
-    blocks = [
-        block
-        for k, (window, answer, field) in enumerate(zip(before, solutions, fields, strict=True))
-        for block in _blocks(k, window, answer, field, strength, after[k].t)
-    ]
+    return strength, NO_MAGNETOMETER
+
+
+def decide(blocks: Sequence[Block]) -> tuple[dict[int, FieldSight], Magnetometer]:
+    """What each window of the second pass is told, by its number, and what became of the magnetometer."""
     calm = [block for block in blocks if block.share >= SHARE_NEEDED]
     if len(blocks) < BLOCKS_NEEDED:
-        return after, _without("the recording is too short to learn the field's direction from it")
+        return {}, _without("the recording is too short to learn the field's direction from it")
     if len(calm) < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
-        return after, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
+        return {}, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
     direction, covariance, sigma, good = _agree(blocks, calm)
     if good.sum() < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
-        return after, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
+        return {}, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
     common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
     kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
-    told = [_told(k, window, kept, direction, sigma, common) for k, window in enumerate(after)]
+    told: dict[int, list[Block]] = {}
+    for block in kept:
+        told.setdefault(block.window, []).append(block)
     believed = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
     note = f"the magnetometer takes part, the field's direction believed to {believed:.1f} degrees"
     if len(kept) < len(blocks):
         note += (
             f"; it was left out in {len(blocks) - len(kept)} of {len(blocks)} places, as it disagrees there"
         )
-    return told, Magnetometer(direction, sigma, len(blocks), len(kept), note)
+    sights = {window: _sight(own, direction, sigma, common) for window, own in told.items()}
+    return sights, Magnetometer(direction, sigma, len(blocks), len(kept), note)
 
 
 def _without(reason: str) -> Magnetometer:
     return Magnetometer(np.full(3, np.nan), note=reason and f"the magnetometer was left out: {reason}")
 
 
-def _agree(blocks: list[_Block], calm: list[_Block]) -> tuple[FloatArray, FloatArray, float, BoolArray]:
+def _agree(blocks: Sequence[Block], calm: list[Block]) -> tuple[FloatArray, FloatArray, float, BoolArray]:
     """The field's direction that most blocks agree on, and which do.
 
     Least squares over the windows, each with the attitude's covariance that its first solution states: the
@@ -209,7 +234,7 @@ def _agree(blocks: list[_Block], calm: list[_Block]) -> tuple[FloatArray, FloatA
     return direction, covariance, sigma, good
 
 
-def _far_from_bad(blocks: list[_Block], calm: list[_Block], good: BoolArray) -> BoolArray:
+def _far_from_bad(blocks: Sequence[Block], calm: list[Block], good: BoolArray) -> BoolArray:
     """Which of the calm blocks have no block beside them that was left out."""
     kept = {id(block) for block, is_good in zip(calm, good, strict=True) if is_good}
     bad = np.array([block.t_s for block in blocks if id(block) not in kept])
@@ -234,44 +259,38 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
     return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
 
 
-def _blocks(
-    number: int,
-    window: Window,
-    solution: Solution,
-    field: FloatArray,
-    strength: float,
-    later_t: FloatArray,
-) -> Iterator[_Block]:
-    """Means over blocks of the window, of the samples with the field's usual strength.
+def blocks_of(number: int, seen: Observed, strength: float, later_t: FloatArray) -> Iterator[Block]:
+    """Means over blocks of a window, of the samples with the field's usual strength.
 
     Parameters
     ----------
+    number : the window's.
     later_t : nodes of the second pass, s; a block without a node of both passes is left out.
     """
+    t = seen.t_s
     with np.errstate(invalid="ignore"):
-        good = np.abs(np.linalg.norm(field, axis=1) / strength - 1.0) < STRENGTH_OFF
-    assert solution.pose_covariance is not None
-    count = max(round(float(window.t[-1] - window.t[0]) / BLOCK_S), 1)
-    edges = np.linspace(window.t[0], window.t[-1], count + 1)
-    of = np.clip(np.searchsorted(edges, window.t, side="right") - 1, 0, count - 1)
-    later = np.clip(np.searchsorted(later_t, window.t - SAME_S), 0, len(later_t) - 1)
-    same = np.abs(later_t[later] - window.t) < SAME_S
+        good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF
+    count = max(round(float(t[-1] - t[0]) / BLOCK_S), 1)
+    edges = np.linspace(t[0], t[-1], count + 1)
+    of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
+    later = np.clip(np.searchsorted(later_t, t - SAME_S), 0, len(later_t) - 1)
+    same = np.abs(later_t[later] - t) < SAME_S
     for k in range(count):
         rows = np.flatnonzero(of == k)
         shared = rows[same[rows]]
         if not len(shared):
             continue
         share = float(good[rows].mean())
-        mean = field[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
+        mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
         node = shared[len(shared) // 2]
-        yield _Block(
+        yield Block(
             number,
             int(later[node]),
-            float(window.t[node]),
+            float(t[node]),
             mean,
-            solution.states.R[node].T @ mean,
+            seen.R_K_A[node].T @ mean,
             share,
-            solution.pose_covariance[node, 3:, 3:],
+            seen.attitude_covariance[node],
         )
 
 
@@ -285,17 +304,11 @@ def middle_direction(vectors: FloatArray) -> FloatArray:
     return np.asarray(middle / np.linalg.norm(middle))
 
 
-def _told(
-    number: int, window: Window, blocks: list[_Block], direction: FloatArray, sigma: float, common: float
-) -> Window:
-    """A window with its blocks; together they know the direction no better than the recording does."""
-    own = [block for block in blocks if block.window == number]
-    if not own:
-        return window
-    sight = FieldSight(
+def _sight(own: list[Block], direction: FloatArray, sigma: float, common: float) -> FieldSight:
+    """A window's blocks; together they know the direction no better than the recording does."""
+    return FieldSight(
         node=np.array([block.node for block in own]),
         in_A=np.array([block.in_A / np.linalg.norm(block.in_A) for block in own]),
         in_K=direction,
         sigma_rad=float(np.sqrt(max(sigma, FACTOR_SIGMA_RAD) ** 2 + len(own) * common**2)),
     )
-    return replace(window, field=sight)

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from .pieces import Piece
+from .clock import stamps_made_up
 from .recording import Recording
-from .result import Gap
+from .result import FrameResiduals, Gap
 from .selfcal import Knowledge
 from .timing import split_at_pauses
 
@@ -19,15 +19,15 @@ DRIFT_S = 0.005
 
 
 def notes_on(
-    recording: Recording, pieces: list[Piece], known: Knowledge, gaps: tuple[Gap, ...]
+    recording: Recording, known: Knowledge, residuals: FrameResiduals, gaps: tuple[Gap, ...]
 ) -> tuple[str, ...]:
     """Sentences on pauses, clocks, samples set aside and open gaps."""
     return (
         *recording.notes,
         *_pauses(recording),
-        *_clock(pieces, known),
+        *_clock(recording, known),
         *_mounting(known),
-        *_set_aside(pieces),
+        *_set_aside(residuals),
         *_open_gaps(gaps),
     )
 
@@ -42,9 +42,9 @@ def _pauses(recording: Recording) -> list[str]:
     ]
 
 
-def _clock(pieces: list[Piece], known: Knowledge) -> list[str]:
+def _clock(recording: Recording, known: Knowledge) -> list[str]:
     clock, notes = known.clocks[0], []
-    if any(piece.made_up for piece in pieces):
+    if stamps_made_up(recording.arm.t_s):
         notes.append(
             "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
             " up, dropped frames are hidden, and fast movement is known less well"
@@ -64,11 +64,11 @@ def _mounting(known: Knowledge) -> list[str]:
     ]
 
 
-def _set_aside(pieces: list[Piece]) -> list[str]:
-    count = sum(int(np.count_nonzero(piece.reason)) for piece in pieces)
+def _set_aside(residuals: FrameResiduals) -> list[str]:
+    count = int(np.count_nonzero(residuals.reason))
     if not count:
         return []
-    tracked = count + sum(int(piece.accepted.sum()) for piece in pieces)
+    tracked = count + int(np.count_nonzero(residuals.used))
     return [f"{count} of {tracked} tracked samples of the camera were not believed and set aside"]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .clock import LARGEST_OFFSET_S, stamps_made_up
 from .inertial import InertialSignal
 from .occlusion import accepted_samples, joints_needed
-from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, Recording
+from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointTracks, Recording
 from .start import InertialAttitude, inertial_attitude
 from .timing import split_at_pauses, steady
 
@@ -36,6 +36,7 @@ class Piece:
     needed : accepted forearm joints that make a frame visible.
     frames : rows of the recording's frames.
     start_s, end_s : the part to look at, on the IMU's clock.
+    core_start_s, core_end_s : the part of it to answer for; the rest is there for its sake.
     recording : which recording of several.
     made_up : the camera's stamps were made up (`clock.stamps_made_up`).
     down_sigma_rad : how well `down` is known, an axis; None = roughly.
@@ -55,6 +56,8 @@ class Piece:
     recording: int = 0
     made_up: bool = False
     down_sigma_rad: float | None = None
+    core_start_s: float = -np.inf
+    core_end_s: float = np.inf
 
     def between(self, start_s: float, end_s: float) -> Piece:
         """The same piece, of which only a part (IMU clock) is looked at, with the frames around it."""
@@ -73,6 +76,28 @@ class Piece:
         )
 
 
+@dataclass(frozen=True)
+class Traits:
+    """What holds for all pieces of a recording; see `Piece`."""
+
+    down: FloatArray
+    down_sigma_rad: float | None
+    needed: int
+    made_up: bool
+    recording: int = 0
+
+
+def traits_of(recording: Recording, number: int = 0) -> Traits:
+    """The traits of a recording; `number`: which of several."""
+    return Traits(
+        down=down_hint(recording),
+        down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
+        needed=joints_needed(recording.arm),
+        made_up=stamps_made_up(recording.arm.t_s),
+        recording=number,
+    )
+
+
 def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Piece]:
     """The pieces of a recording that hold at least two frames with a forearm joint.
 
@@ -81,8 +106,7 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
     slack_s : clock offset that frames at the ends are kept for, s.
     number : which recording of several.
     """
-    accepted = accepted_samples(recording.arm)
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    traits = traits_of(recording, number)
     pieces = []
     for samples in split_at_pauses(recording.imu):
         imu = recording.imu.select(samples)
@@ -90,28 +114,43 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
             continue
         first, last = np.searchsorted(recording.arm.t_s, [imu.t_s[0] - slack_s, imu.t_s[-1] + slack_s])
         frames = slice(int(first), int(last))
-        if accepted[frames][:, forearm].any(axis=1).sum() < 2:
-            continue
-        signal = InertialSignal(replace(imu, t_s=steady(imu.t_s)))
-        pieces.append(
-            Piece(
-                signal=signal,
-                attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
-                frame_t=recording.arm.t_s[frames],
-                position=recording.arm.position[frames],
-                accepted=accepted[frames],
-                reason=np.zeros(accepted[frames].shape, np.uint8),
-                down=down_hint(recording),
-                needed=joints_needed(recording.arm),
-                frames=frames,
-                start_s=float(imu.t_s[0]),
-                end_s=float(imu.t_s[-1]),
-                recording=number,
-                made_up=stamps_made_up(recording.arm.t_s),
-                down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
-            )
-        )
+        piece = make_piece(imu, steady(imu.t_s), recording.arm.select(frames), frames, traits)
+        if piece is not None:
+            pieces.append(piece)
     return pieces
+
+
+def make_piece(
+    imu: ImuStream, steady_t: FloatArray, arm: JointTracks, frames: slice, traits: Traits
+) -> Piece | None:
+    """One piece with its inertial attitude; None without two frames with a forearm joint.
+
+    Parameters
+    ----------
+    imu : samples without a pause; `steady_t` (n,) their steadied times (`timing.steady`).
+    arm : its frames, which are the rows `frames` of the recording's.
+    """
+    accepted = accepted_samples(arm)
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    if accepted[:, forearm].any(axis=1).sum() < 2:
+        return None
+    signal = InertialSignal(replace(imu, t_s=steady_t))
+    return Piece(
+        signal=signal,
+        attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
+        frame_t=arm.t_s,
+        position=arm.position,
+        accepted=accepted,
+        reason=np.zeros(accepted.shape, np.uint8),
+        down=traits.down,
+        needed=traits.needed,
+        frames=frames,
+        start_s=float(imu.t_s[0]),
+        end_s=float(imu.t_s[-1]),
+        recording=traits.recording,
+        made_up=traits.made_up,
+        down_sigma_rad=traits.down_sigma_rad,
+    )
 
 
 def down_hint(recording: Recording) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -44,6 +44,7 @@ class Stretch:
     liveliness : (n,) how much the sensor's acceleration varies, m/s^2.
     attitude, attitude_covariance : (n, 3, 3) orientations from the inertial filter and the alignment,
         and their covariance, rad^2 in {K}: the weak prior.
+    start_s, end_s : the part that is answered for; nodes beyond are there for its sake.
     """
 
     signal: InertialSignal
@@ -58,14 +59,16 @@ class Stretch:
     liveliness: FloatArray
     attitude: FloatArray
     attitude_covariance: FloatArray
+    start_s: float
+    end_s: float
 
 
 def cut_times(stretch: Stretch, length_s: float) -> list[float]:
     """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
-    t0, t1 = float(stretch.t[0]), float(stretch.t[-1])
+    t0, t1 = max(float(stretch.t[0]), stretch.start_s), min(float(stretch.t[-1]), stretch.end_s)
     visible = []
     last = t0
-    for gap in stretch.gaps:
+    for gap in (gap for gap in stretch.gaps if gap.end_s > t0 and gap.start_s < t1):
         visible.append((last, gap.start_s))
         last = gap.end_s
     visible.append((last, t1))
@@ -83,7 +86,7 @@ def cut_times(stretch: Stretch, length_s: float) -> list[float]:
 
 def cut(
     stretch: Stretch,
-    priors: list[Priors] | Priors,
+    priors: Sequence[Priors],
     noise: Noise,
     borders: list[float],
     margin_s: float,
@@ -94,13 +97,12 @@ def cut(
 
     Parameters
     ----------
+    priors : of each window.
     sharing : how many windows share the attitude prior, of all stretches.
     """
     for index, (a, b) in enumerate(pairwise(borders)):
-        lo = int(np.searchsorted(stretch.t, a - margin_s, side="left"))
-        hi = int(np.searchsorted(stretch.t, b + margin_s, side="right"))
-        rows = slice(lo, hi)
-        prior = priors if isinstance(priors, Priors) else priors[index]
+        rows = window_nodes(stretch.t, borders, index, margin_s)
+        lo, hi, prior = rows.start, rows.stop, priors[index]
         t = stretch.t[rows]
         start = States(stretch.start.R[rows], stretch.start.p[rows], stretch.start.v[rows])
         attitude_node = _best_node(stretch.attitude_covariance[rows])
@@ -122,6 +124,15 @@ def cut(
             noise=noise,
             gravity_magnitude=gravity_magnitude,
         )
+
+
+def window_nodes(t: FloatArray, borders: list[float], index: int, margin_s: float) -> slice:
+    """Nodes of a window with its margins; the first and the last reach to the ends."""
+    lo, hi = (
+        np.searchsorted(t, borders[index] - margin_s),
+        np.searchsorted(t, borders[index + 1] + margin_s, "right"),
+    )
+    return slice(0 if index == 0 else int(lo), len(t) if index == len(borders) - 2 else int(hi))
 
 
 def _best_node(covariance: FloatArray) -> int:

@@ -1,21 +1,19 @@
-"""Windows solved side by side in processes, or here when there are few."""
+"""Jobs done side by side in processes, or here when there is little to do."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from types import ModuleType, TracebackType
+from typing import TypeVar
 
-from .solve import solve
-from .window import Solution, Window
-
-#: With fewer nodes than this in all, starting processes costs more than it saves.
-WORTH_NODES = 4000
+#: With fewer frames than this in all, starting processes costs more than it saves.
+WORTH_FRAMES = 4000
 
 
 @contextmanager
@@ -37,19 +35,24 @@ def _wake() -> None:
     """Nothing: a worker that has run it has loaded its libraries."""
 
 
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+
 class Pool:
-    """Solves windows in order; use as a context manager.
+    """Does jobs side by side and answers in order; use as a context manager.
 
     Parameters
     ----------
     processes : worker processes, 0 = one a core.
-    nodes : nodes of the whole job; a small one is solved here.
+    frames : camera frames of the whole job; a small one is done here.
     """
 
-    def __init__(self, processes: int, nodes: int) -> None:
+    def __init__(self, processes: int, frames: int) -> None:
         count = processes or os.cpu_count() or 1
         self._executor: ProcessPoolExecutor | None = None
-        if count > 1 and nodes > WORTH_NODES:
+        self._ahead = 2 * count
+        if count > 1 and frames > WORTH_FRAMES:
             # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(count, mp_context=context)
@@ -66,24 +69,19 @@ class Pool:
         if self._executor is not None:
             self._executor.shutdown(wait=error is None, cancel_futures=True)
 
-    def solve(
-        self,
-        windows: Iterable[Window],
-        with_covariance: bool,
-        done: Callable[[int], None],
-        with_offset: bool = False,
-    ) -> list[Solution]:
-        """Solve every window (see `solve.solve`); `done` hears how many are finished.
+    def map(self, job: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
+        """The job's answers in the order of the items, of which no more are taken than keep all busy.
 
-        Windows that are made one by one are solved while the next ones are made.
+        Items that are made one by one are worked on while the next ones are made.
         """
-        job = partial(solve, with_covariance=with_covariance, with_offset=with_offset)
-        results: Iterator[Solution] = map(job, windows)
-        if self._executor is not None:
+        if self._executor is None:
+            yield from map(job, items)
+            return
+        waiting: deque[Future[Answer]] = deque()
+        for item in items:
             with blank_main():
-                results = self._executor.map(job, windows)
-        solutions = []
-        for solution in results:
-            solutions.append(solution)
-            done(len(solutions))
-        return solutions
+                waiting.append(self._executor.submit(job, item))
+            if len(waiting) > self._ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

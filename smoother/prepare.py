@@ -10,6 +10,7 @@ from .occlusion import enough_joints, find_gaps
 from .pieces import Piece
 from .plan import Stretch
 from .recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from .result import Gap
 from .start import (
     Alignment,
     VectorPairs,
@@ -27,7 +28,7 @@ GRAVITY = 9.81
 
 
 def prepare(
-    piece: Piece, calibration: ArmCalibration, clock: Clock, sigma_m: FloatArray
+    piece: Piece, calibration: ArmCalibration, clock: Clock, sigma_m: FloatArray, margin_s: float
 ) -> tuple[Stretch, Alignment] | None:
     """Nodes and start values of a piece.
 
@@ -35,11 +36,12 @@ def prepare(
     ----------
     clock : takes the camera's times to the IMU's.
     sigma_m : (5,) noise of the camera's joints, m an axis.
+    margin_s : nodes reach so far beyond the part that is answered for.
 
     Returns
     -------
     The stretch and the alignment of its inertial frame to the camera; None where the camera saw
-    nothing of the forearm in it.
+    nothing of the forearm near enough.
     """
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     frame_t = piece.frame_t + clock.at(piece.frame_t)
@@ -50,15 +52,19 @@ def prepare(
         return None
     seen = frame_t[measured]
     start_s, end_s = max(piece.start_s, seen[0] - REACH_S), min(piece.end_s, seen[-1] + REACH_S)
-    if end_s - start_s < 0.1:
+    core_start_s, core_end_s = max(start_s, piece.core_start_s), min(end_s, piece.core_end_s)
+    if core_end_s - core_start_s < 0.1:
         return None
     visible = enough_joints(accepted, piece.needed)
+    rows = np.flatnonzero(inside)
+    gaps = find_gaps(frame_t[rows], visible[rows], start_s, end_s)
     kept = np.flatnonzero(measured)[thin(seen)]
     owner = kept[gather(frame_t[kept], visible[kept])]
     t = fill(frame_t[np.unique(owner)], start_s, end_s)
+    first, last = reach(core_start_s, core_end_s, gaps, margin_s)
+    t = t[(t >= first) & (t <= last)]
     alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
     R = (alignment.at(t) * piece.attitude.at(t)).as_matrix()
-    rows = np.flatnonzero(inside)
     frame_node = np.full(len(frame_t), -1)
     node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)
     frame_node[kept] = np.where(np.abs(t[node] - frame_t[owner]) < 1e-9, node, -1)
@@ -73,12 +79,25 @@ def prepare(
         position=piece.position[rows],
         accepted=accepted[rows],
         sigma_m=np.tile(sigma_m, (len(rows), 1)),
-        gaps=find_gaps(frame_t[rows], visible[rows], start_s, end_s),
+        gaps=gaps,
         liveliness=liveliness(piece.signal, piece.attitude, t),
         attitude=R,
         attitude_covariance=alignment.covariance[nearest],
+        start_s=core_start_s,
+        end_s=core_end_s,
     )
     return stretch, alignment
+
+
+def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
+    """What has to be solved for a part's sake: its margins, and beyond a gap that an end of it lies in."""
+    first, last = start_s - margin_s, end_s + margin_s
+    for gap in gaps:
+        if gap.start_s <= start_s <= gap.end_s:
+            first = min(first, gap.start_s - margin_s)
+        if gap.start_s <= end_s <= gap.end_s:
+            last = max(last, gap.end_s + margin_s)
+    return first, last
 
 
 def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:

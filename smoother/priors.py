@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from .calibration import ArmCalibration, Length, LeverArm
 from .config import Config
 from .pieces import Piece
 from .plan import Stretch
-from .recording import JOINTS, ImuStream
+from .recording import JOINTS, FloatArray, ImuStream
 from .shared import Gaussian, Layout, axes_across
 from .start import Alignment
 from .window import Noise, Priors
@@ -23,36 +23,55 @@ LEAST_DENSITY_SHARE = 0.3
 LARGEST_FLEX_M = 0.04
 
 
-def first_priors(
-    stretches: list[Stretch],
-    alignments: list[Alignment],
-    pieces: list[Piece],
-    calibration: ArmCalibration,
-    config: Config,
-) -> Priors:
-    """The same priors for every window of a first pass."""
+@dataclass(frozen=True)
+class Start:
+    """What start values say of the shared quantities.
+
+    Attributes
+    ----------
+    down : (3,) direction of gravity in {K}, and how well it is known, rad.
+    gyroscope_bias : (3,) rad/s.
+    has_shoulder : the camera saw the shoulder.
+    """
+
+    down: FloatArray
+    down_sigma_rad: float
+    gyroscope_bias: FloatArray
+    has_shoulder: bool
+
+
+def start_of(stretches: list[Stretch], alignments: list[Alignment], pieces: list[Piece]) -> Start:
+    """Start values from the longest of the stretches."""
     longest = int(np.argmax([len(stretch.t) for stretch in stretches]))
     down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
-    known_sigma_rad = pieces[longest].down_sigma_rad
-    if known_sigma_rad is not None:  # a base IMU knows it better than the arm's motion
+    sigma_rad = pieces[longest].down_sigma_rad
+    if sigma_rad is not None:  # a base IMU knows it better than the arm's motion
         down = pieces[longest].down
-    down_sigma_rad = GRAVITY_SIGMA_RAD if known_sigma_rad is None else known_sigma_rad
-    seen_shoulder = any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches)
+    return Start(
+        down=down,
+        down_sigma_rad=GRAVITY_SIGMA_RAD if sigma_rad is None else sigma_rad,
+        gyroscope_bias=pieces[longest].attitude.gyroscope_bias,
+        has_shoulder=any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches),
+    )
+
+
+def first_priors(start: Start, calibration: ArmCalibration, config: Config) -> Priors:
+    """The same priors for every window of a first pass."""
     layout = Layout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
-        has_upper_arm=seen_shoulder and "elbow" in calibration.lever_arms,
-        gravity_axes=axes_across(down),
+        has_upper_arm=start.has_shoulder and "elbow" in calibration.lever_arms,
+        gravity_axes=axes_across(start.down),
     )
     mean, variance = np.zeros(layout.size), np.ones(layout.size)
     mean[:3] = 0.0 if calibration.accelerometer_bias is None else calibration.accelerometer_bias
-    mean[3:6] = pieces[longest].attitude.gyroscope_bias
+    mean[3:6] = start.gyroscope_bias
     variance[:3], variance[3:6] = (
         config.imu.accelerometer_bias_sigma**2,
         config.imu.gyroscope_bias_sigma**2,
     )
-    variance[layout.gravity] = down_sigma_rad**2
+    variance[layout.gravity] = start.down_sigma_rad**2
     if layout.has_upper_arm:
-        known = calibration.upper_arm or upper_arm_seen(pieces, config)
+        known = calibration.upper_arm or Length(config.arm.upper_arm_m, config.arm.upper_arm_sigma_m)
         mean[layout.upper_arm], variance[layout.upper_arm] = known.value_m, known.sigma_m**2
     for joint in layout.joints:
         lever = calibration.lever_arms[joint]

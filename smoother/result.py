@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
 from .pages import let_go
-from .recording import JOINTS, BoolArray, FloatArray, JointTracks
+from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BLOCK = 8192
@@ -131,8 +131,8 @@ class Recovery:
     def __len__(self) -> int:
         return len(self.t_s)
 
-    def rows(self, rows: slice) -> Recovery:
-        """The recovery of some of the samples; frames, gaps and all else stay whole. Copies nothing."""
+    def rows(self, rows: slice | IntArray) -> Recovery:
+        """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
         return replace(
             self,
             t_s=self.t_s[rows],
@@ -155,6 +155,12 @@ class Recovery:
             yield self.rows(slice(max(start - overlap, 0), start + BLOCK))
             self.let_go()
 
+    def frames(self) -> Iterator[JointTracks]:
+        """All camera frames, some thousand at a time, like `blocks`."""
+        for start in range(0, len(self.arm), BLOCK):
+            yield self.arm.select(slice(start, start + BLOCK))
+            let_go(self.arm.t_s, self.arm.position)
+
     def let_go(self) -> None:
         """Let the memory of columns that are kept in files go; they stay what they are."""
         columns = (self.t_s, self.occluded, self.position, self.quaternion, self.velocity)
@@ -162,14 +168,32 @@ class Recovery:
         let_go(*self.joints.values(), *self.joint_covariance.values(), self.arm.t_s, self.arm.position)
 
     @property
+    def answered(self) -> BoolArray:
+        """(N,) whether there is a position."""
+        return self._of_each(lambda block: np.isfinite(block.position).all(axis=1), bool)
+
+    @property
     def sigma_m(self) -> FloatArray:
         """(N, 3) standard deviation of the IMU's position, m an axis of {K}."""
         return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
 
     @property
+    def worst_sigma_m(self) -> FloatArray:
+        """(N,) standard deviation of the IMU's position on its worst axis, m."""
+        return self._of_each(lambda block: block.sigma_m.max(axis=1), float)
+
+    @property
     def sigma_deg(self) -> FloatArray:
         """(N,) square root of the trace of the orientation covariance, degrees."""
         return np.degrees(np.sqrt(np.trace(self.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))
+
+    def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
+        """(N,) a value of each sample, with little more than itself in memory."""
+        values, start = np.empty(len(self), kind), 0
+        for block in self.blocks():
+            values[start : start + len(block)] = value(block)
+            start += len(block)
+        return values
 
     def to_arrays(self) -> dict[str, FloatArray | BoolArray]:
         """Everything a notebook needs, by the column families of the CSV export.

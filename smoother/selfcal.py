@@ -9,10 +9,11 @@ the camera's noise measured from the residuals, and the clock offset moved along
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import partial
 
 import numpy as np
 
+from .blocks import choose_blocks
 from .calibration import ArmCalibration, LeverArm
 from .clock import Clock, ClockFit, constant
 from .config import Config
@@ -25,16 +26,22 @@ from .pieces import Piece
 from .plan import Stretch, cut, cut_times
 from .pool import Pool
 from .prepare import GRAVITY, pairs, prepare
-from .priors import calibration_from, first_priors, noise_of, upper_arm_flex, upper_arm_seen
+from .priors import (
+    Start,
+    calibration_from,
+    first_priors,
+    noise_of,
+    start_of,
+    upper_arm_flex,
+    upper_arm_seen,
+)
 from .recording import JOINTS, FloatArray
 from .residuals import JointNoise, joint_noise, sigma_by_joint
 from .screen import by_attitude
+from .solve import solve
 from .start import align
 from .window import Solution, Window
 
-#: Blocks that the calibration looks at: so long each, and so much in all, s.
-BLOCK_S = 20.0
-BLOCKS_S = 80.0
 ROUNDS = 4
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)
@@ -60,6 +67,7 @@ class Knowledge:
         nan where it was given or not looked for.
     flex_m : how far from constant the upper arm's length is, m.
     bias : the camera's constant errors, joint by joint.
+    begin : start values of the shared quantities.
     """
 
     calibration: ArmCalibration
@@ -69,6 +77,7 @@ class Knowledge:
     sigma_m: FloatArray
     flex_m: float
     bias: JointBias
+    begin: Start
     direction_spread_rad: float = float("nan")
 
     @property
@@ -107,28 +116,35 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     )
     bias, seen = JointBias(), blocks
     motions: dict[int, Motion] = {}
+    margin_s = config.windows.margin_s
     for _ in range(ROUNDS):
         ready = [
             (piece, each)
             for piece in blocks
-            if (each := prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m)) is not None
+            if (each := prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m, margin_s))
+            is not None
         ]
         if not ready:
             raise CalibrationError("at no time do the IMU and a visible forearm come together")
         stretches = [started(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)]
-        prior = first_priors(
-            stretches, [each[1] for _, each in ready], [piece for piece, _ in ready], calibration, config
-        )
+        begin = start_of(stretches, [each[1] for _, each in ready], [piece for piece, _ in ready])
+        prior = first_priors(begin, calibration, config)
         windows: list[Window] = []
         owner: list[int] = []
         borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
         sharing = sum(len(border) - 1 for border in borders)
         for (piece, _), stretch, border in zip(ready, stretches, borders, strict=True):
             windows += cut(
-                stretch, prior, noise_of(config, flex_m), border, config.windows.margin_s, GRAVITY, sharing
+                stretch,
+                [prior] * (len(border) - 1),
+                noise_of(config, flex_m),
+                border,
+                margin_s,
+                GRAVITY,
+                sharing,
             )
             owner += [piece.recording] * (len(border) - 1)
-        answers = pool.solve(windows, False, lambda share: None, with_offset=True)
+        answers = list(pool.map(partial(solve, with_covariance=False, with_offset=True), windows))
         motions = _motions(stretches, borders, windows, answers)
         found = calibration_from(
             combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
@@ -148,7 +164,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         calibration = _recentred(found, given, known)
         if moved < SETTLED_M:
             break
-    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, spread)
+    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, begin, spread)
 
 
 def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> Piece:
@@ -206,29 +222,3 @@ def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibrati
     if upper_arm is None and found.upper_arm is not None and start.upper_arm is not None:
         upper_arm = replace(found.upper_arm, sigma_m=start.upper_arm.sigma_m)
     return replace(start, lever_arms=levers, upper_arm=upper_arm)
-
-
-def choose_blocks(pieces: list[Piece]) -> list[Piece]:
-    """Parts of the recordings that tell most: forearm visible and turning, spread over the whole."""
-    total = sum(piece.end_s - piece.start_s for piece in pieces)
-    if total <= 1.5 * BLOCKS_S:
-        return pieces
-    blocks: list[tuple[float, Piece]] = []
-    for piece in pieces:
-        count = max(round((piece.end_s - piece.start_s) / BLOCK_S), 1)
-        edges = np.linspace(piece.start_s, piece.end_s, count + 1)
-        blocks += [(_worth(piece.between(a, b)), piece.between(a, b)) for a, b in pairwise(edges)]
-    wanted = max(int(BLOCKS_S / BLOCK_S), 1)
-    groups = np.array_split(np.arange(len(blocks)), min(wanted, len(blocks)))
-    return [blocks[max(group, key=lambda k: blocks[k][0])][1] for group in groups]
-
-
-def _worth(piece: Piece) -> float:
-    """Visible time (s) times how much the sensor turns (rad/s, up to 1)."""
-    forearm = piece.accepted[:, 1:].sum(axis=1) >= piece.needed
-    seen = piece.frame_t[forearm & (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)]
-    if len(seen) < 3:
-        return 0.0
-    edges = np.arange(piece.start_s, piece.end_s, 0.1)
-    turning = np.linalg.norm(piece.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return float(len(seen) * np.median(np.diff(seen)) * np.minimum(turning, 1.0).mean())

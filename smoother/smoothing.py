@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from functools import partial
 
-import numpy as np
-
-from .assemble import assemble, frame_residuals
+from .blocks import blocks_of
 from .calibration import ArmCalibration
-from .clock import LARGEST_OFFSET_S, Clock
 from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
-from .join import Motion, join
-from .magnetic import with_magnetometer
-from .pieces import Piece, take_apart
-from .plan import Stretch, cut, cut_times
+from .magnetic import NO_MAGNETOMETER, Block, Magnetometer, decide, takes_part, usual_strength
+from .passes import FirstAnswer, Kept, SecondAnswer, Task, field_blocks, first_pass, second_pass
 from .pool import Pool
-from .prepare import GRAVITY, prepare
 from .priors import calibration_from, first_priors, noise_of, with_measured_noise
-from .recording import FOREARM_JOINTS, Recording
+from .recording import FOREARM_JOINTS, JOINTS, FloatArray, Recording
 from .result import Recovery
-from .screen import by_camera, by_residual
-from .selfcal import Knowledge, screen_attitude, self_calibrate, started
-from .window import Noise, Priors, Solution, Window
+from .room import Room
+from .screen import by_camera
+from .sections import Sections
+from .selfcal import Knowledge, self_calibrate
+from .stitch import Stitch
+from .window import FieldSight, Message, Priors
 
 Progress = Callable[[float, str], None]
 
@@ -34,8 +31,13 @@ def smooth(
     calibration: ArmCalibration | None = None,
     config: Config | None = None,
     progress: Progress | None = None,
+    room: Room | None = None,
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
+
+    The recording is worked on in sections of about a minute, side by side in processes: each is solved once
+    alone for what all sections share, then again with what the others found. The answer does not depend on
+    the number of processes.
 
     Parameters
     ----------
@@ -43,6 +45,7 @@ def smooth(
     calibration : lever arms and upper-arm length; not needed where `strap` is the only forearm joint.
     config : settings; the defaults where None.
     progress : called with a fraction (0..1) and a word for the step.
+    room : where what grows with the recording's length lives; in memory where None.
 
     Returns
     -------
@@ -56,116 +59,125 @@ def smooth(
     """
     config = with_measured_noise(config or Config(), recording.imu)
     calibration = calibration or ArmCalibration(side=recording.side)
-    say = progress or (lambda fraction, text: None)
+    say, room = progress or (lambda fraction, text: None), room or Room()
     _check(recording)
 
     with Pool(config.windows.processes, len(recording.arm)) as pool:
-        pieces = [by_camera(piece) for piece in take_apart(recording, slack_s=LARGEST_OFFSET_S)]
-        if not pieces:
-            raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
         # clocks, and what the calibration lacks
         say(0.0, "calibrating")
-        known = self_calibrate(pieces, calibration, config, pool)
-        clock = known.clocks[0]
-        # what is occluded, start values
-        pieces = [screen_attitude(piece, known.start, clock) for piece in known.bias.corrected(pieces)]
-        ready = [
-            (piece, each)
-            for piece in pieces
-            if (each := prepare(piece, known.start, clock, known.sigma_m)) is not None
-        ]
-        if not ready:
+        blocks = [by_camera(block) for block in blocks_of(recording)]
+        if not blocks:
+            raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+        known = self_calibrate(blocks, calibration, config, pool)
+        room.tidy()
+        # every section alone: what they share
+        sections = Sections(recording, known.clocks[0])
+        task = _task(recording, known, config, sections)
+        first = _First(pool, sections, task, room, lambda share: say(0.2 + 0.35 * share, "first pass"))
+        if not first.messages:
             raise SolveError(f"{recording.name}: too little of what the camera saw can be believed")
-        stretches = [each[0] for _, each in ready]
-        alignments = [each[1] for _, each in ready]
-        # windows, graphs, solve: a first pass for what they share, a second with what the first one found
-        prior = first_priors(stretches, alignments, [piece for piece, _ in ready], known.start, config)
-        noise = noise_of(config, known.flex_m)
-        borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
-        cuts: Iterable[Window] = _cut(
-            stretches, borders, [prior] * sum(len(b) - 1 for b in borders), config, noise
+        told = tell(first.messages, task.prior)
+        found = calibration_from(
+            combine(first.messages, task.prior), task.prior.layout, known.start, known.bias.sigma_m
         )
-        first, answers = _solve(
-            pool,
-            cuts,
-            borders,
-            recording.imu.mag_calibrated,  # it is judged by what the first pass knows of the attitude
-            lambda share: say(0.2 + 0.35 * share, "first pass"),
+        # a calibrated magnetometer, where it agrees with them
+        fields, magnetometer = first.magnetometer(found)
+        # every section again, told what the others found
+        stitch = Stitch(recording, task.joints, room)
+        jobs = (
+            (kept, told[a:b], {k - a: fields[k] for k in range(a, b) if k in fields})
+            for kept, a, b in first.taken()
         )
-        heard = [answer.message for each in answers for answer in each]
-        told = tell(heard, prior)
-        found = calibration_from(combine(heard, prior), prior.layout, known.start, known.bias.sigma_m)
-        better = []
-        for (piece, _), stretch, windows, solutions in zip(ready, stretches, first, answers, strict=True):
-            motion = join(stretch.t, windows, solutions)
-            believed, stretch = _believe(piece, stretch, motion, known, found, clock)
-            pieces = [believed if each is piece else each for each in pieces]
-            better.append(stretch)
-        cuts = _cut(better, borders, told, config, noise)
-        # a calibrated magnetometer, where it agrees with the first pass
-        cuts, magnetometer = with_magnetometer(recording.imu, first, answers, cuts)
-        second, answers = _solve(
-            pool, cuts, borders, True, lambda share: say(0.55 + 0.4 * share, "recovering")
-        )
-    # join
-    motions = [
-        join(stretch.t, windows, solutions)
-        for stretch, windows, solutions in zip(better, second, answers, strict=True)
-    ]
-    messages = [answer.message for each in answers for answer in each]
+        second = partial(_second, found=found, task=task)
+        for count, answer in enumerate(pool.map(second, jobs)):
+            stitch.add(answer.answer, answer.messages)
+            room.tidy()
+            say(0.55 + 0.4 * (count + 1) / len(first.kept), "recovering")
+    recovery = magnetometer.noted(stitch.recovery(found, config, known))
     say(1.0, "done")
-    return magnetometer.noted(assemble(recording, found, config, known, pieces, better, motions, messages))
+    return recovery
 
 
-def _believe(
-    piece: Piece, stretch: Stretch, motion: Motion, known: Knowledge, found: ArmCalibration, clock: Clock
-) -> tuple[Piece, Stretch]:
-    """The piece without samples that the first pass contradicts, and its stretch with better start values."""
-    frame_t = piece.frame_t + clock.at(piece.frame_t)
-    residual = frame_residuals(piece.position, frame_t, stretch, motion, found)
-    believed = by_residual(piece, residual, known.noise)
-    again = prepare(believed, known.start, clock, known.sigma_m) if believed is not piece else None
-    if again is None:
-        return piece, replace(stretch, start=motion.states)
-    return believed, started(again[0], motion)
+def _second(
+    job: tuple[Kept, list[Priors], dict[int, FieldSight]], found: ArmCalibration, task: Task
+) -> SecondAnswer:
+    kept, told, fields = job
+    return second_pass(kept, told, found, fields, task)
+
+
+class _First:
+    """The first pass over all sections: what they say, and what the second pass needs of each.
+
+    Attributes
+    ----------
+    messages : of all windows in the order of time.
+    kept : a handle of the room a section.
+    """
+
+    def __init__(
+        self, pool: Pool, sections: Sections, task: Task, room: Room, say: Callable[[float], None]
+    ) -> None:
+        self._pool, self._task, self._room = pool, task, room
+        self.kept: list[object] = []
+        self.messages: list[Message] = []
+        self._strengths: list[FloatArray] = []
+        self._first_window = [0]
+        answers: Iterator[FirstAnswer | None] = pool.map(partial(first_pass, task=task), sections)
+        for count, answer in enumerate(answers):
+            if answer is not None:
+                self.kept.append(room.keep(answer.kept))
+                self.messages += answer.messages
+                self._strengths += answer.strengths
+                self._first_window.append(len(self.messages))
+            room.tidy()
+            say((count + 1) / len(sections.all))
+
+    def taken(self) -> Iterator[tuple[Kept, int, int]]:
+        """Each section, its first window's number and the next section's, once."""
+        for handle, a, b in zip(self.kept, self._first_window, self._first_window[1:], strict=False):
+            kept = self._room.take(handle)
+            assert isinstance(kept, Kept)
+            yield kept, a, b
+
+    def magnetometer(self, found: ArmCalibration) -> tuple[dict[int, FieldSight], Magnetometer]:
+        """What a calibrated magnetometer adds, by window, and what became of it."""
+        if not self._task.magnetometer:
+            return {}, NO_MAGNETOMETER
+        strength, reason = usual_strength(self._strengths)
+        if not strength > 0:
+            return {}, reason
+        job = partial(_field, strength=strength, found=found, task=self._task)
+        blocks: list[Block] = []
+        kept = []
+        for each, more in self._pool.map(job, self.taken()):
+            kept.append(self._room.keep(each))
+            blocks += more
+            self._room.tidy()
+        self.kept = kept
+        return decide(blocks)
+
+
+def _field(
+    job: tuple[Kept, int, int], strength: float, found: ArmCalibration, task: Task
+) -> tuple[Kept, list[Block]]:
+    kept, first_window, _ = job
+    return field_blocks(kept, first_window, strength, found, task)
+
+
+def _task(recording: Recording, known: Knowledge, config: Config, sections: Sections) -> Task:
+    windows = sum(max(round(each.length_s / config.windows.length_s), 1) for each in sections.all)
+    present = recording.arm.present
+    return Task(
+        known=known,
+        config=config,
+        prior=first_priors(known.begin, known.start, config),
+        noise=noise_of(config, known.flex_m),
+        sharing=windows,
+        joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
+        magnetometer=takes_part(recording.imu),
+    )
 
 
 def _check(recording: Recording) -> None:
     if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
-
-
-def _cut(
-    stretches: list[Stretch],
-    borders: list[list[float]],
-    priors: list[Priors],
-    config: Config,
-    noise: Noise,
-) -> Iterator[Window]:
-    """The windows of all stretches one after the other; `priors` in the same order."""
-    told = iter(priors)
-    for stretch, border in zip(stretches, borders, strict=True):
-        mine = [next(told) for _ in border[1:]]
-        yield from cut(stretch, mine, noise, border, config.windows.margin_s, GRAVITY, len(priors))
-
-
-def _solve(
-    pool: Pool,
-    windows: Iterable[Window],
-    borders: list[list[float]],
-    with_covariance: bool,
-    say: Callable[[float], None],
-) -> tuple[list[list[Window]], list[list[Solution]]]:
-    """Solve the windows of all stretches together; windows and solutions by stretch."""
-    made: list[Window] = []
-
-    def kept() -> Iterator[Window]:
-        for window in windows:
-            made.append(window)
-            yield window
-
-    total = sum(len(border) - 1 for border in borders)
-    solved = pool.solve(kept(), with_covariance, lambda count: say(count / total))
-    ends = np.cumsum([len(border) - 1 for border in borders])
-    parts = [slice(end - len(border) + 1, end) for end, border in zip(ends, borders, strict=True)]
-    return [made[part] for part in parts], [solved[part] for part in parts]

@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-import smoother.pool
+import smoother.solve
 from smoother import Config, Recovery, smooth
 from smoother.calibration import ArmCalibration
 from smoother.evaluation import Validation, validate
@@ -73,16 +73,16 @@ class Job:
 
 
 def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
-    """Every window that `smooth` solves, pass by pass, by listening at the pool."""
+    """Every window that `smooth` solves, pass by pass, by listening at the solver."""
     heard: list[Job] = []
-    solve = smoother.pool.solve
+    solve = smoother.solve.solve
 
-    def listen(window: Window, with_covariance: bool, with_offset: bool) -> Solution:
+    def listen(window: Window, with_covariance: bool, with_offset: bool = False) -> Solution:
         solution = solve(window, with_covariance, with_offset)
         heard.append(Job(window, with_covariance, solution))
         return solution
 
-    with patch.object(smoother.pool, "solve", listen):
+    with patch("smoother.passes.solve", listen), patch("smoother.selfcal.solve", listen):
         smooth(replace(recording, truth=None), calibration, config)
     return heard
 

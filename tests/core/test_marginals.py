@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, V, X
 
-import smoother.pool
+import smoother.passes
 from smoother.config import Config, Windows
 from smoother.graph import build
 from smoother.marginals import _Dense
@@ -20,13 +20,13 @@ from smoother.window import Window
 def test_dense_and_gtsam_agree(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Same linear system, two eliminations: to rounding of a condition number of about 1e10."""
     seen: list[Window] = []
-    real = smoother.pool.solve
+    real = smoother.passes.solve
 
     def listen(window: Window, **wanted: bool) -> object:
         seen.append(window)
         return real(window, **wanted)
 
-    monkeypatch.setattr(smoother.pool, "solve", listen)
+    monkeypatch.setattr(smoother.passes, "solve", listen)
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=6.0), seed=3)
     smooth(replace(made.recording, truth=None), made.calibration, Config(windows=Windows(processes=1)))
     graph, values = build(seen[-1])

@@ -1,4 +1,4 @@
-"""Windows side by side in processes: the same answer, byte for byte."""
+"""Sections side by side in processes: the same answer, byte for byte."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from .scenes import point
 
 
 def recover(processes: int) -> Recovery:
-    made = point(5, duration_s=20.0)
+    made = point(5, duration_s=130.0)  # two sections
     config = Config.model_validate({"windows": {"processes": processes}})
     return smooth(replace(made.recording, truth=None), made.calibration, config)
 
 
 def test_two_processes_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = recover(1)
-    monkeypatch.setattr(smoother.pool, "WORTH_NODES", 10)
+    monkeypatch.setattr(smoother.pool, "WORTH_FRAMES", 10)
     with Pool(2, 100) as pool:
         assert pool._executor is not None  # the threshold is what decides
     together = recover(2)
@@ -53,7 +53,7 @@ from smoother import Config, smooth
 from smoother.simulation import PointSimulation, simulate_point
 
 print("begun")
-smoother.pool.WORTH_NODES = 10
+smoother.pool.WORTH_FRAMES = 10
 recording = replace(simulate_point(PointSimulation(duration_s=12.0), 5).recording, truth=None)
 recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 2}}))
 print("recovered", len(recovery))

@@ -1,0 +1,185 @@
+"""What is done with a section, twice: alone, for what all sections share; then told what the others found.
+
+Both run in worker processes. What the second pass needs of the first is kept in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from .assemble import SectionAnswer, answer_of, frame_residuals
+from .calibration import ArmCalibration
+from .config import Config
+from .join import Motion, join
+from .magnetic import Block, Observed, blocks_of, observe
+from .pieces import Piece
+from .plan import Stretch, cut, cut_times, window_nodes
+from .prepare import GRAVITY, prepare
+from .recording import FloatArray
+from .screen import by_camera, by_residual
+from .sections import SectionData
+from .selfcal import Knowledge, screen_attitude, started
+from .solve import solve
+from .window import FieldSight, Message, Noise, Priors, Window
+
+
+@dataclass(frozen=True)
+class Task:
+    """What holds for all sections.
+
+    Attributes
+    ----------
+    known : from the self-calibration.
+    config : settings.
+    prior : what every window of the first pass is told.
+    noise : densities and losses.
+    sharing : how many windows share the attitude prior, about.
+    joints : to answer for.
+    magnetometer : there is a calibrated one.
+    """
+
+    known: Knowledge
+    config: Config
+    prior: Priors
+    noise: Noise
+    sharing: int
+    joints: tuple[str, ...]
+    magnetometer: bool
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What the second pass needs of a section.
+
+    Attributes
+    ----------
+    imu_t : the IMU's stamps, of which the first is the recording's sample `first_sample`.
+    piece, stretch, borders, motion : samples, nodes, where windows begin and end, and the motion found.
+    seen : what the magnetometer read, a window each; empty without one.
+    believed : samples that the first pass contradicts were set aside already.
+    """
+
+    imu_t: FloatArray
+    first_sample: int
+    piece: Piece
+    stretch: Stretch
+    borders: list[float]
+    motion: Motion
+    seen: tuple[Observed, ...]
+    believed: bool = False
+
+
+@dataclass(frozen=True)
+class FirstAnswer:
+    """What a section says to all: a message a window, and the field's strength where it was read."""
+
+    kept: Kept
+    messages: list[Message]
+    strengths: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
+class SecondAnswer:
+    """The section's answer, and its windows' messages."""
+
+    answer: SectionAnswer
+    messages: list[Message]
+
+
+def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
+    """Solve a section by itself; None where the camera saw too little of the forearm.
+
+    Raises
+    ------
+    SolveError
+        A window leaves something free; the text names the time.
+    """
+    piece = data.piece()
+    if piece is None:
+        return None
+    known, config = task.known, task.config
+    clock = known.clocks[0]
+    (piece,) = known.bias.corrected([by_camera(piece)])
+    piece = screen_attitude(piece, known.start, clock)
+    ready = prepare(piece, known.start, clock, known.sigma_m, config.windows.margin_s)
+    if ready is None:
+        return None
+    stretch = ready[0]
+    borders = cut_times(stretch, config.windows.length_s)
+    windows = _windows(stretch, borders, [task.prior] * (len(borders) - 1), task)
+    solutions = [solve(window, with_covariance=task.magnetometer) for window in windows]
+    seen = tuple(
+        observe(data.imu, window, solution)
+        for window, solution in zip(windows, solutions, strict=True)
+        if task.magnetometer  # it is judged by what the first pass knows of the attitude
+    )
+    motion = join(stretch.t, windows, solutions)
+    kept = Kept(data.imu.t_s, data.section.samples.start, piece, stretch, borders, motion, seen)
+    return FirstAnswer(kept, [each.message for each in solutions], tuple(each.strength for each in seen))
+
+
+def second_pass(
+    kept: Kept,
+    told: Sequence[Priors],
+    found: ArmCalibration,
+    fields: Mapping[int, FieldSight],
+    task: Task,
+) -> SecondAnswer:
+    """Solve a section again with what all others found.
+
+    Parameters
+    ----------
+    told : the windows' priors.
+    found : the arm's calibration as all sections together have it.
+    fields : what the magnetometer adds, by the window's number in the section.
+    """
+    kept = believe(kept, found, task)
+    windows = [
+        replace(window, field=fields[number]) if number in fields else window
+        for number, window in enumerate(_windows(kept.stretch, kept.borders, told, task))
+    ]
+    solutions = [solve(window, with_covariance=True) for window in windows]
+    motion = join(kept.stretch.t, windows, solutions)
+    answer = answer_of(
+        kept.imu_t, kept.first_sample, kept.piece, kept.stretch, motion, found, task.known, task.joints
+    )
+    return SecondAnswer(answer, [each.message for each in solutions])
+
+
+def believe(kept: Kept, found: ArmCalibration, task: Task) -> Kept:
+    """Without samples that the first pass contradicts, and with better start values."""
+    if kept.believed:
+        return kept
+    piece, stretch, motion, known = kept.piece, kept.stretch, kept.motion, task.known
+    clock = known.clocks[0]
+    residual = frame_residuals(
+        piece.position, piece.frame_t + clock.at(piece.frame_t), stretch, motion, found
+    )
+    believed = by_residual(piece, residual, known.noise)
+    margin_s = task.config.windows.margin_s
+    again = None
+    if believed is not piece:
+        again = prepare(believed, known.start, clock, known.sigma_m, margin_s)
+    if again is None:
+        return replace(kept, stretch=replace(stretch, start=motion.states), believed=True)
+    return replace(kept, piece=believed, stretch=started(again[0], motion), believed=True)
+
+
+def field_blocks(
+    kept: Kept, first_window: int, strength: float, found: ArmCalibration, task: Task
+) -> tuple[Kept, list[Block]]:
+    """Where the magnetometer could take part in the second pass; windows are numbered from `first_window`."""
+    kept = believe(kept, found, task)
+    t, margin_s = kept.stretch.t, task.config.windows.margin_s
+    blocks: list[Block] = []
+    for number, seen in enumerate(kept.seen):
+        rows = window_nodes(t, kept.borders, number, margin_s)
+        blocks += blocks_of(first_window + number, seen, strength, t[rows])
+    return replace(kept, seen=()), blocks
+
+
+def _windows(stretch: Stretch, borders: list[float], priors: Sequence[Priors], task: Task) -> list[Window]:
+    return list(
+        cut(stretch, priors, task.noise, borders, task.config.windows.margin_s, GRAVITY, task.sharing)
+    )
