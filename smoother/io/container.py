@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -22,28 +22,17 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from ..recording import IntArray
-from .layout import cut_out
 from .messages import Message, Rows, Run, Topic
+from .records import HEAD, MESSAGE, find
 
 _MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-#: A message record up to its payload.
-_RECORD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log", "<u8"),
-        ("publish", "<u8"),
-    ]
-)
 _CHUNK = struct.Struct("<QQQI")
 #: Messages outside chunks are gathered to blocks of this size.
 _GATHER = 1 << 20
 #: Chunks said to be larger than this are not believed.
 _CHUNK_LIMIT = 1 << 31
+#: Space for chunks up to this size is taken on their word.
+_AT_ONCE = 1 << 28
 
 
 class Container:
@@ -72,8 +61,8 @@ class Container:
         All messages are counted in their topic; payloads of topics that are not wanted are passed over.
         Topics come in the order of their first message in the chunk.
         """
-        for block in self._blocks():
-            heads, start, stop, number = self._messages_in(block)
+        for block, index in self._blocks():
+            heads, start, stop, number = self._messages_in(block, index)
             found: dict[int, Rows] = {}
             for position, mine in _by_number(number):
                 topic, log_ns = self.topics[position], heads["log"][mine]
@@ -105,8 +94,8 @@ class Container:
         """Yield the messages of wanted topics a chunk at a time, in the file's order."""
         topics: list[Topic] = []
         numbers: dict[int, int] = {}  # by position in `topics` of the file; -1: not wanted
-        for block in self._blocks():
-            heads, start, stop, number = self._messages_in(block)
+        for block, index in self._blocks():
+            heads, start, stop, number = self._messages_in(block, index)
             of_run = np.full(len(self.topics), -1, np.int64)
             for position, _ in _by_number(number):
                 if position not in numbers:
@@ -125,37 +114,22 @@ class Container:
                 )
                 yield Run(topics, topic_of, sequence, log_ns, publish_ns, data)
 
-    def _messages_in(self, block: bytes) -> tuple[NDArray, IntArray, IntArray, IntArray]:
+    def _messages_in(
+        self, block: bytes, index: Sequence[bytes]
+    ) -> tuple[NDArray, IntArray, IntArray, IntArray]:
         """Heads of a block's messages, where their payloads start and stop, the positions of their topics."""
-        places, late = self._walk(block)
-        heads = cut_out(block, places, _RECORD.itemsize).reshape(-1).view(_RECORD)
+        found = find(block, index)
+        self._cut |= found.is_cut
+        place, heads = found.place, found.heads
+        defined = [(self._define(d.opcode, block[d.start : d.stop]), d.start) for d in found.definitions]
         number = self._numbers[heads["channel"]]
-        for channel, place in late:  # messages before their channel's record are not known to be of it
-            number[(heads["channel"] == channel) & (places < place)] = -1
+        for channel, start in defined:  # messages before their channel's record are not known to be of it
+            if channel is not None:
+                number[(heads["channel"] == channel) & (place < start)] = -1
         if (number < 0).any():
             known = number >= 0
-            heads, places, number = heads[known], places[known], number[known]
-        return heads, places + _RECORD.itemsize, places + 9 + heads["length"].astype(np.int64), number
-
-    def _walk(self, block: bytes) -> tuple[IntArray, list[tuple[int, int]]]:
-        """Where messages start; channels that are new, and where. Schemas and channels are taken in."""
-        places: list[int] = []
-        late: list[tuple[int, int]] = []
-        position, size, head, message = 0, len(block), _HEAD.unpack_from, int(Opcode.MESSAGE)
-        shortest, last, add = _MESSAGE.size, size - 9, places.append
-        while position <= last:
-            opcode, length = head(block, position)
-            end = position + 9 + length
-            if end > size:
-                self._cut = True
-                break
-            if opcode == message and length >= shortest:
-                add(position)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                channel = self._define(opcode, block[position + 9 : end])
-                late += [] if channel is None else [(channel, position)]
-            position = end
-        return np.array(places, np.int64), late
+            heads, place, number = heads[known], place[known], number[known]
+        return heads, place + MESSAGE.itemsize, place + HEAD.size + heads["length"].astype(np.int64), number
 
     def _define(self, opcode: int, content: bytes) -> int | None:
         """Take in a schema or a channel; the number of a channel that is new."""
@@ -184,8 +158,8 @@ class Container:
             self.topics.append(topic)
         return int(channel.id)
 
-    def _blocks(self) -> Iterator[bytes]:
-        """Yield runs of schema, channel and message records."""
+    def _blocks(self) -> Iterator[tuple[bytes, list[bytes]]]:
+        """Yield runs of schema, channel and message records, each with the index records behind it."""
         try:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
@@ -196,56 +170,65 @@ class Container:
         if self._cut:
             self._damaged("the file ends in the middle of the recording; everything before the cut was read")
 
-    def _records(self, file: IO[bytes], size: int) -> Iterator[bytes]:
+    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[bytes, list[bytes]]]:
         gathered = bytearray()
-        while True:
-            head = file.read(9)
-            if len(head) < 9:
-                self._cut = True
-                break
-            opcode, length = _HEAD.unpack(head)
+        waiting: list[bytes] = []  # a chunk whose index records are being read
+        index: list[bytes] = []
+        while not self._cut:
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
             left = size - file.tell()
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            if waiting and opcode == Opcode.MESSAGE_INDEX and length <= left:
+                index.append(file.read(length))
+                continue
+            if waiting:
+                yield waiting.pop(), index
+                index = []
+            if self._cut or opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 break
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
                 content = file.read(min(length, left))
                 if len(content) < length:
                     self._cut = True
-                    break
-                if opcode == Opcode.METADATA:
+                elif opcode == Opcode.METADATA:
                     self._metadata(content)
                 else:
                     gathered += head + content
                 if len(gathered) > _GATHER:
-                    yield bytes(gathered)
+                    yield bytes(gathered), []
                     gathered.clear()
             elif opcode == Opcode.CHUNK and length < _CHUNK_LIMIT:
                 if gathered:
-                    yield bytes(gathered)
+                    yield bytes(gathered), []
                     gathered.clear()
-                content = file.read(min(length, left))
-                self._cut |= len(content) < length
-                yield self._unpack(content, file.tell() - len(content))
-            elif length > left:
+                waiting.append(self._unpack(file, min(length, left), length))
+            elif length > left or not head[HEAD.size - 1 :]:
                 self._cut = True
-                break
             else:
                 file.seek(length, os.SEEK_CUR)
-            if self._cut:
-                break
+        if waiting:
+            yield waiting.pop(), []
         if gathered:
-            yield bytes(gathered)
+            yield bytes(gathered), []
 
-    def _unpack(self, content: bytes, offset: int) -> bytes:
-        """A chunk's records; of a chunk that is cut off or damaged, those before the place."""
+    def _unpack(self, file: IO[bytes], there: int, length: int) -> bytes:
+        """A chunk's records; of a chunk that is cut off or damaged, those before the place.
+
+        Parameters
+        ----------
+        there : so much of the chunk's length is in the file.
+        """
+        offset = file.tell()
+        content = memoryview(file.read(there))
+        self._cut |= len(content) < length
         if len(content) < _CHUNK.size + 4:
             return b""
         _, _, size, crc = _CHUNK.unpack_from(content)
-        (length,) = struct.unpack_from("<I", content, _CHUNK.size)
-        start = _CHUNK.size + 4 + length
-        compression = content[_CHUNK.size + 4 : start].decode("ascii", "replace")
+        (letters,) = struct.unpack_from("<I", content, _CHUNK.size)
+        start = _CHUNK.size + 4 + letters
+        compression = bytes(content[_CHUNK.size + 4 : start]).decode("ascii", "replace")
         packed = content[start + 8 :]
-        data = _decompress(compression, packed, self.path)
+        data = _at_once(compression, packed, size) or _decompress(compression, packed, self.path)
         if len(data) < size and not self._cut:
             self._damaged(f"the chunk at byte {offset} is damaged; {len(data)} of its {size} bytes were read")
         elif crc and len(data) == size and zlib.crc32(data) != crc:
@@ -282,11 +265,25 @@ def _by_number(number: IntArray) -> list[tuple[int, IntArray]]:
     return sorted(there, key=lambda each: int(each[1][0]))
 
 
-def _decompress(compression: str, packed: bytes, path: Path) -> bytes:
+def _at_once(compression: str, packed: memoryview, size: int) -> bytes | None:
+    """A zstd chunk that states its own size, as the chunk does: twice as fast; None for others."""
+    if compression != "zstd" or not 0 < size < _AT_ONCE:
+        return None
+    import zstandard
+
+    try:
+        if zstandard.get_frame_parameters(packed).content_size != size:
+            return None
+        return zstandard.ZstdDecompressor().decompress(packed)
+    except zstandard.ZstdError:
+        return None
+
+
+def _decompress(compression: str, packed: memoryview, path: Path) -> bytes:
     """All that can be had of a chunk, block by block, up to its end or to where it is broken."""
     make, failures = _decompressor(compression, path)
     if make is None:
-        return packed
+        return bytes(packed)
     try:
         return bytes(make().decompress(packed))
     except failures:
