@@ -83,34 +83,49 @@ def gather_from(recovery: Recovery) -> Evidence:
     known = recovery.calibration
     direction = None if known is None else known.forearm_direction
     frames = _frames_of(recovery)
-    t, q = recovery.t_s, recovery.quaternion
-    if len(t) < 2:
+    if len(recovery) < 2:
         return Evidence(0.0, frames, float("nan"), float("nan"))
-    dt = np.diff(t)
+    square, time = 0.0, 0.0
+    angle, visible = np.zeros(len(recovery)), np.zeros(len(recovery) - 1, bool)
+    at = 0
+    for block in recovery.blocks(overlap=1):
+        turn, seen = _turns(block)
+        dt = np.diff(block.t_s)
+        square += float(np.sum(turn[seen] ** 2 / dt[seen, None]))
+        time += float(dt[seen].sum())
+        visible[at : at + len(dt)] = seen
+        if direction is not None:
+            angle[at + 1 : at + 1 + len(dt)] = turn @ direction
+        at += len(dt)
+    axial = float("nan")
+    if direction is not None:
+        axial = _axial(recovery.t_s, np.cumsum(angle, out=angle), visible)
+    return Evidence(time, frames, float(np.sqrt(square / time)) if time > 0 else float("nan"), axial)
+
+
+def _turns(recovery: Recovery) -> tuple[FloatArray, BoolArray]:
+    """Rotation vectors (N - 1, 3) in {A} from sample to sample, zero without an answer; which were seen."""
+    q = recovery.quaternion
     good: BoolArray = np.all(np.isfinite(q), axis=1)
-    turn = np.zeros((len(dt), 3))
-    both = good[1:] & good[:-1] & (dt > 0)
+    both = good[1:] & good[:-1] & (np.diff(recovery.t_s) > 0)
+    turn = np.zeros((len(both), 3))
     if both.any():
         before = Rotation.from_quat(q[:-1][both], scalar_first=True)
         turn[both] = (before.inv() * Rotation.from_quat(q[1:][both], scalar_first=True)).as_rotvec()
-    seen = both & ~(recovery.occluded[1:] | recovery.occluded[:-1])
-    time = float(dt[seen].sum())
-    axial = float("nan")
-    if direction is not None:
-        axial = _axial(t, np.append(0.0, np.cumsum(turn @ direction)), seen)
-    rate = np.sqrt(np.sum(turn[seen] ** 2 / dt[seen, None]) / time) if time > 0 else np.nan
-    return Evidence(time, frames, float(rate), axial)
+    return turn, both & ~(recovery.occluded[1:] | recovery.occluded[:-1])
 
 
 def _frames_of(recovery: Recovery) -> dict[str, int]:
     """Camera samples by joint that took part; those tracked where the method keeps no residuals."""
     if recovery.residuals is not None:
-        used = recovery.residuals.used
+        parts = (block.used for block in recovery.residuals.blocks())
     else:
-        used = np.stack([recovery.arm.tracked(joint) for joint in JOINTS], axis=1)
-    frames = {joint: int(used[:, column].sum()) for column, joint in enumerate(JOINTS)}
-    both = used[:, [JOINTS.index("shoulder"), JOINTS.index("elbow")]].all(axis=1)
-    return frames | {"upper_arm": int(both.sum())}
+        parts = (np.stack([f.tracked(joint) for joint in JOINTS], axis=1) for f in recovery.frames())
+    counts, both = np.zeros(len(JOINTS), np.int64), 0
+    for used in parts:
+        counts += np.count_nonzero(used, axis=0)
+        both += int(used[:, [JOINTS.index("shoulder"), JOINTS.index("elbow")]].all(axis=1).sum())
+    return dict(zip(JOINTS, counts.tolist(), strict=True)) | {"upper_arm": both}
 
 
 def _count(piece: Piece, *joints: str) -> int:
@@ -137,11 +152,14 @@ def _visible(piece: Piece, t: FloatArray) -> BoolArray:
 
 def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:
     """Largest range of an angle (n + 1,) over visible cells (n,) within one stretch, rad."""
-    middle = 0.5 * (angle[1:] + angle[:-1])[seen]
-    when = 0.5 * (t[1:] + t[:-1])[seen]
     best = 0.0
     for start in np.arange(t[0], t[-1], 0.5 * STRETCH_S):
-        part = middle[(when >= start) & (when < start + STRETCH_S)]
-        if len(part):
-            best = max(best, float(np.ptp(part)))
+        end = start + STRETCH_S
+        first, last = np.searchsorted(t, start) - 1, np.searchsorted(t, end) + 1
+        near = slice(max(int(first), 0), int(last))  # a cell more on either side
+        when = 0.5 * (t[near][1:] + t[near][:-1])
+        middle = 0.5 * (angle[near][1:] + angle[near][:-1])
+        inside = seen[near.start : near.start + len(when)] & (when >= start) & (when < end)
+        if inside.any():
+            best = max(best, float(np.ptp(middle[inside])))
     return best

@@ -87,7 +87,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | 
     recording : what it was made of; tells how far the clock wandered.
     """
     arm = recovery.calibration
-    if arm is None or not np.isfinite(recovery.quaternion).any():
+    if arm is None or not any(np.isfinite(block.quaternion).any() for block in recovery.blocks()):
         return None
     given = recovery.figures.get(GIVEN, ())
     assert isinstance(given, tuple | list)

@@ -170,7 +170,7 @@ class Recovery:
     @property
     def answered(self) -> BoolArray:
         """(N,) whether there is a position."""
-        return self._of_each(lambda block: np.isfinite(block.position).all(axis=1), bool)
+        return self._of_each(lambda block: np.asarray(np.isfinite(block.position).all(axis=1)), bool)
 
     @property
     def sigma_m(self) -> FloatArray:
@@ -189,7 +189,8 @@ class Recovery:
 
     def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
         """(N,) a value of each sample, with little more than itself in memory."""
-        values, start = np.empty(len(self), kind), 0
+        values: NDArray = np.empty(len(self), kind)
+        start = 0
         for block in self.blocks():
             values[start : start + len(block)] = value(block)
             start += len(block)

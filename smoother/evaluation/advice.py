@@ -16,8 +16,8 @@ from calib.words import (
     is_point,
 )
 
-from ..recording import FloatArray
-from ..result import Recovery
+from ..recording import BoolArray, FloatArray
+from ..result import Gap, Recovery
 from .rejected import rejected
 from .summary import GapSummary, gap_summaries
 
@@ -164,17 +164,14 @@ def _clock(found: Found | None) -> list[str]:
 
 
 def _shoulder(recovery: Recovery) -> list[str]:
-    arm = recovery.arm
-    seen = arm.tracked("shoulder")
+    seen = _tracked(recovery, "shoulder")
     if not seen.any():
         return (
             ["Keep the shoulder in view: it and the upper arm's length say how far away the elbow can be."]
-            if arm.tracked("elbow").any() and recovery.gaps
+            if _tracked(recovery, "elbow").any() and recovery.gaps
             else []
         )
-    hidden = np.zeros(len(arm), dtype=bool)
-    for gap in recovery.gaps:
-        hidden |= (arm.t_s > gap.start_s) & (arm.t_s < gap.end_s)
+    hidden = _inside(recovery.arm.t_s, recovery.gaps)
     if hidden.sum() < 5 or seen[hidden].mean() >= SHOULDER_SHARE:
         return []
     return [
@@ -183,13 +180,31 @@ def _shoulder(recovery: Recovery) -> list[str]:
     ]
 
 
+def _tracked(recovery: Recovery, joint: str) -> BoolArray:
+    """(F,) frames in which a joint is tracked."""
+    parts = [frames.tracked(joint) for frames in recovery.frames()]
+    return np.concatenate(parts) if parts else np.zeros(0, bool)
+
+
+def _inside(t_s: FloatArray, gaps: Iterable[Gap]) -> BoolArray:
+    """(F,) times, in rising order, inside a gap."""
+    inside = np.zeros(len(t_s), bool)
+    for gap in gaps:
+        start, stop = np.searchsorted(t_s, gap.start_s, "right"), np.searchsorted(t_s, gap.end_s, "left")
+        inside[start:stop] = True
+    return inside
+
+
 def _towards_the_camera(recovery: Recovery) -> list[str]:
     if not {"elbow", "wrist"} <= recovery.joints.keys():
         return []
-    pointing = towards_the_camera(recovery.joints["elbow"], recovery.joints["wrist"])
-    seen = ~recovery.occluded & np.isfinite(pointing)
-    share = float((pointing[seen] < RAY_DEG).mean()) if seen.any() else 0.0
-    frames = max(int(recovery.arm.tracked("wrist").sum()), 1)
+    seen = along = 0
+    for block in recovery.blocks():
+        pointing = towards_the_camera(block.joints["elbow"], block.joints["wrist"])
+        pointing = pointing[~block.occluded & np.isfinite(pointing)]
+        seen, along = seen + len(pointing), along + int((pointing < RAY_DEG).sum())
+    share = along / max(seen, 1)
+    frames = max(int(_tracked(recovery, "wrist").sum()), 1)
     lost = sum(
         row.count for row in rejected(recovery) if row.reason == "viewing ray" and row.joint == "wrist"
     )
@@ -249,8 +264,9 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
     """Part of all tracked samples."""
     if recovery.residuals is None:
         return 0.0
-    tracked = recovery.residuals.used | (recovery.residuals.reason != 0)
-    return sum(counts) / max(int(tracked.sum()), 1)
+    blocks = recovery.residuals.blocks()
+    tracked = sum(int(np.count_nonzero(block.used | (block.reason != 0))) for block in blocks)
+    return sum(counts) / max(tracked, 1)
 
 
 def _rates(recovery: Recovery) -> list[str]:

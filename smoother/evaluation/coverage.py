@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS, FloatArray, IntArray
 from ..result import Recovery
 from .metrics import squared_sigmas
 
@@ -15,6 +15,8 @@ from .metrics import squared_sigmas
 LEVELS = np.linspace(0.02, 0.98, 49)
 #: Bins of stated sigma, and the least of samples in one.
 BINS, FEWEST = 10, 30
+#: Most samples of a joint that are looked at, evenly spaced over the recording.
+MOST = 50_000
 
 
 @dataclass(frozen=True)
@@ -67,15 +69,14 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
 
     The part of a joint's covariance that is there all the time (lever arms, what the camera's joints have in
     common) is one error for all samples, which shows in no residual, and is left out. Constant errors that
-    were found of the joints are taken off. Joints whose noise is not stated are left
-    out; there is none for methods that keep no residuals.
+    were found of the joints are taken off. Joints whose noise is not stated are left out; there is none for
+    methods that keep no residuals. Of long recordings `MOST` samples a joint are taken.
     """
     kept = recovery.residuals
     noise = recovery.figures.get("camera_sigma_m")
     if kept is None or not isinstance(noise, dict) or len(recovery) < 1:
         return {}
     bias = recovery.figures.get("joint_bias_m")
-    nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s), 0, len(recovery) - 1)
     found = {}
     for joint, sigma_m in noise.items():
         spread = recovery.joint_covariance.get(joint)
@@ -84,12 +85,19 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         if spread is None:
             continue
         column = JOINTS.index(joint)
-        used = kept.used[:, column]
+        used = _evenly(np.flatnonzero(kept.used[:, column]), MOST)
         off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
-        own = spread[nearest[used]]
+        nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s[used]), 0, len(recovery) - 1)
+        own = spread[nearest]
         variance = np.einsum("nii->n", own) / 3.0
         shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
         # rather by a factor than by a difference: what is left is a covariance for certain
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
         found[joint] = stated_and_actual(kept.residual[used, column] - off, covariance)
+        recovery.let_go()
     return {joint: each for joint, each in found.items() if len(each.squared)}
+
+
+def _evenly(index: IntArray, most: int) -> IntArray:
+    """At most so many of some rows."""
+    return index if len(index) <= most else index[np.linspace(0, len(index) - 1, most).round().astype(int)]

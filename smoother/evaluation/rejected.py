@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import JOINTS
+from ..recording import JOINTS, FloatArray
 from ..result import Recovery
 
 
@@ -48,16 +48,36 @@ def rejected(recovery: Recovery) -> list[Rejected]:
     kept = recovery.residuals
     if kept is None:
         return []
-    totals = np.bincount(kept.reason.reshape(-1), minlength=len(kept.reasons))
-    codes = [code for code in range(1, len(totals)) if totals[code]]
-    tracked = np.count_nonzero(kept.used | (kept.reason != 0), axis=0)
+    at: dict[tuple[int, int], _Seen] = {}
+    tracked = np.zeros(len(JOINTS), np.int64)
+    for block in kept.blocks():
+        tracked += np.count_nonzero(block.used | (block.reason != 0), axis=0)
+        for code in np.unique(block.reason[block.reason != 0]).tolist():
+            for column in np.flatnonzero((block.reason == code).any(axis=0)).tolist():
+                seen = at.setdefault((code, column), _Seen())
+                seen.add(block.t_s[block.reason[:, column] == code])
+    totals = {code: sum(seen.count for (each, _), seen in at.items() if each == code) for code, _ in at}
     rows = []
-    for code in sorted(codes, key=lambda code: (-totals[code], kept.reasons[code])):
+    for code in sorted(totals, key=lambda code: (-totals[code], kept.reasons[code])):
         name, _, why = kept.reasons[code].partition(": ")
         for column, joint in enumerate(JOINTS):
-            at = kept.t_s[kept.reason[:, column] == code]
-            if not len(at):
-                continue
-            share = len(at) / int(tracked[column])
-            rows.append(Rejected(name, why, joint, len(at), share, float(at[0]), float(at[-1])))
+            if (code, column) in at:
+                seen = at[code, column]
+                share = seen.count / int(tracked[column])
+                rows.append(Rejected(name, why, joint, seen.count, share, seen.first_s, seen.last_s))
     return rows
+
+
+@dataclass
+class _Seen:
+    """How often something was met, and when."""
+
+    count: int = 0
+    first_s: float = float("nan")
+    last_s: float = float("nan")
+
+    def add(self, t_s: FloatArray) -> None:
+        """More of it, later."""
+        self.first_s = self.first_s if self.count else float(t_s[0])
+        self.last_s = float(t_s[-1])
+        self.count += len(t_s)

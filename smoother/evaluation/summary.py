@@ -43,31 +43,27 @@ class GapSummary:
 
 def gap_summaries(recovery: Recovery) -> list[GapSummary]:
     """The recovery's gaps, in order of time, with how sure it is in each."""
-    sigma_m, sigma_deg = worst_sigma_m(recovery), recovery.sigma_deg
-    has_answer: BoolArray = np.all(np.isfinite(recovery.position), axis=1)
+    starts = np.searchsorted(recovery.t_s, [gap.start_s for gap in recovery.gaps], "left")
+    stops = np.searchsorted(recovery.t_s, [gap.end_s for gap in recovery.gaps], "right")
     summaries = []
-    for gap in recovery.gaps:
-        inside = (recovery.t_s >= gap.start_s) & (recovery.t_s <= gap.end_s)
-        answered = float(has_answer[inside].mean()) if inside.any() else 0.0
-        summaries.append(GapSummary(gap, _largest(sigma_m[inside]), _largest(sigma_deg[inside]), answered))
+    for gap, start, stop in zip(recovery.gaps, starts.tolist(), stops.tolist(), strict=True):
+        inside = recovery.rows(slice(start, stop))
+        answered = float(inside.answered.mean()) if len(inside) else 0.0
+        sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
+        summaries.append(GapSummary(gap, sigma_m, sigma_deg, answered))
     return summaries
-
-
-def worst_sigma_m(recovery: Recovery) -> np.ndarray:
-    """(N,) standard deviation of the IMU's position on its worst axis, m."""
-    return recovery.sigma_m.max(axis=1) if len(recovery) else np.zeros(0)
 
 
 def recovery_figures(recovery: Recovery) -> dict[str, object]:
     """The figures of a recovery as plain values, as `smooth --json` writes them."""
-    sigma = worst_sigma_m(recovery)
+    sigma = recovery.worst_sigma_m
     t = recovery.t_s
     return {
         "method": recovery.method,
         "recording": recovery.name,
         "side": recovery.side,
         "samples": len(recovery),
-        "answered": int(np.isfinite(recovery.position).all(axis=1).sum()),
+        "answered": int(recovery.answered.sum()),
         "duration_s": float(t[-1] - t[0]) if len(t) else 0.0,
         "rate_hz": float(1.0 / np.median(np.diff(t))) if len(t) > 1 else None,
         "occluded_samples": int(recovery.occluded.sum()),
@@ -89,12 +85,14 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
 
 def _sigmas(sigma: np.ndarray, chosen: BoolArray) -> dict[str, float | None]:
     values = sigma[chosen & np.isfinite(sigma)]
-    return {"median": float(np.median(values)) if len(values) else None, "max": _largest(values)}
+    largest = _largest(values)
+    median = float(np.median(values, overwrite_input=True)) if len(values) else None
+    return {"median": median, "max": largest}
 
 
 def _largest(values: np.ndarray) -> float | None:
-    values = values[np.isfinite(values)]
-    return float(values.max()) if len(values) else None
+    found = np.max(values, initial=-np.inf, where=np.isfinite(values))
+    return float(found) if np.isfinite(found) else None
 
 
 def _calibration(recovery: Recovery) -> dict[str, object] | None:

@@ -17,10 +17,9 @@ def usable(recovery: Recovery) -> BoolArray:
     Without a limit every answer counts. With one, the standard deviation of the position has to be below
     it on every axis; an answer that states none is not known to be.
     """
-    answered: BoolArray = np.asarray(np.isfinite(recovery.position).all(axis=1))
     limit = recovery.figures.get(LIMIT)
     if not isinstance(limit, int | float):
-        return answered
+        return recovery.answered
     with np.errstate(invalid="ignore"):
-        certain: BoolArray = np.asarray((recovery.sigma_m <= limit).all(axis=1))
-    return answered & certain
+        certain: BoolArray = recovery.worst_sigma_m <= limit  # nan where one axis is
+    return recovery.answered & certain

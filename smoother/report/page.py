@@ -27,7 +27,7 @@ from .compared import compared
 from .mount import mount
 from .path3d import flat_views, path_in_space
 from .points import points
-from .thin import MOST_POINTS
+from .thin import MOST_POINTS, thin
 from .traces import angles, coordinates, residuals, uncertainty
 from .trust import against_truth, honesty, honesty_words, timeline
 from .words import summary
@@ -95,6 +95,7 @@ def _sections(
     if len(recovery):
         yield f"<h2>For the next recording</h2>{_list(advice(recovery, found))}"
         yield from _figures(recovery, truth, frame)
+        recovery.let_go()
     yield f"<h2>Gaps</h2>{_GAPS}{tables.gaps(recovery)}"
     if validation is not None:
         heading = escape(validation.title("Errors against the reference"))
@@ -119,6 +120,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             f" The recording is long: of its {len(recovery)} samples about {MOST_POINTS} are drawn,"
             " closer together in the gaps."
         )
+    recovery = recovery.rows(thin(recovery.occluded))
     reference = " The dashed black line is the reference." if truth is not None else ""
     arms = " The thick lines are the arm (shoulder, elbow, wrist, hand) at a few instants."
     directions = ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FloatArray, JointTracks, Truth
+from ..recording import FloatArray, Truth
 from ..result import Recovery
+from .thin import thin
 
 SENSOR = "sensor"
+#: Most camera samples of a point that are drawn.
+MOST_DOTS = 3000
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class Point:
     ----------
     name : "sensor" (the IMU on the forearm) or a joint.
     position, sigma : (N, 3) m in {K} at the recovery's times.
-    camera_t_s, camera : (F,), (F, 3) what the camera tracked, on the IMU's clock.
+    camera_t_s, camera : (F,), (F, 3) what the camera tracked, on the IMU's clock; some thousand of it.
     truth_t_s, truth : (M,), (M, 3) the reference, empty without one.
     """
 
@@ -36,7 +39,7 @@ class Point:
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
     """The points to show, the one that the camera sees best first."""
     found = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
-    sensor = _point(SENSOR, recovery.position, recovery.sigma_m, recovery.arm, "strap", truth, None)
+    sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, None)
     seen = [point for point in found if len(point.camera)]
     return [*seen[:1], sensor, *seen[1:2]]
 
@@ -46,21 +49,24 @@ def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:
     sigma = np.full((len(recovery), 3), np.nan)
     if covariance is not None:
         sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    return _point(name, recovery.joints[name], sigma, recovery.arm, name, truth, name)
+    return _point(name, recovery, recovery.joints[name], sigma, name, truth, name)
 
 
 def _point(
     name: str,
+    recovery: Recovery,
     position: FloatArray,
     sigma: FloatArray,
-    arm: JointTracks,
     joint: str,
     truth: Truth | None,
     truth_joint: str | None,
 ) -> Point:
-    tracked = arm.tracked(joint)
+    arm = recovery.arm
+    tracked = [part.tracked(joint) for part in recovery.frames()]
+    frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
+    frames = frames[thin(np.zeros(len(frames), bool), MOST_DOTS)]
     reference = np.zeros((0, 3))
     if truth is not None:
         reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
     truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
-    return Point(name, position, sigma, arm.t_s[tracked], arm.joint(joint)[tracked], truth_t, reference)
+    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], truth_t, reference)

@@ -65,7 +65,7 @@ def overview(recovery: Recovery) -> str:
         ("samples of the forearm sensor", len(recovery)),
         ("sample rate, Hz", figures["rate_hz"]),
         ("samples without the camera", recovery.occluded.sum()),
-        ("samples without an answer", len(recovery) - int(np.isfinite(recovery.position).all(axis=1).sum())),
+        ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
         ("position, standard deviation while seen (median), cm", _cm(sigma["visible"]["median"])),
         ("position, standard deviation in gaps (median), cm", _cm(sigma["occluded"]["median"])),
         ("position, standard deviation in gaps (largest), cm", _cm(sigma["occluded"]["max"])),
@@ -85,7 +85,7 @@ def _too_uncertain(recovery: Recovery) -> str | None:
     limit = recovery.figures.get(LIMIT)
     if limit is None:
         return None
-    unsure = int(np.isfinite(recovery.position).all(axis=1).sum() - usable(recovery).sum())
+    unsure = int(recovery.answered.sum() - usable(recovery).sum())
     return f"{unsure} (above {100 * float(str(limit)):g} cm)"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from ..recording import BoolArray, FloatArray, IntArray
 
@@ -26,7 +27,7 @@ def thin(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
     count = len(important)
     if count <= most:
         return np.arange(count)
-    wide = np.convolve(important, np.ones(21), mode="same") > 0  # with their edges
+    wide = binary_dilation(important, np.ones(21))  # with their edges
     inside, outside = np.flatnonzero(wide), np.flatnonzero(~wide)
     budget_inside = min(len(inside), int(GAP_SHARE * most))
     ends = np.array([0, count - 1])

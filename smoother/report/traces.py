@@ -6,9 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ..evaluation.summary import worst_sigma_m
 from ..evaluation.validate import sample_errors
-from ..recording import JOINTS, CameraFrame, FloatArray, Truth
+from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
 from .look import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
 from .points import Point
@@ -59,15 +58,10 @@ def _coordinate(
         )
     ]
     if len(point.camera):
-        kept = thin(np.zeros(len(point.camera), bool), 3000)
         dots = {"color": CAMERA, "size": 3}
         traces.append(
             go.Scatter(
-                x=point.camera_t_s[kept],
-                y=point.camera[kept, axis],
-                name="camera",
-                mode="markers",
-                marker=dots,
+                x=point.camera_t_s, y=point.camera[:, axis], name="camera", mode="markers", marker=dots
             )
         )
     for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
@@ -128,7 +122,7 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
     """Stated uncertainty over time and, with a truth, the error beside it; None without either."""
-    sigma_cm, sigma_deg = 100 * worst_sigma_m(recovery), recovery.sigma_deg
+    sigma_cm, sigma_deg = 100 * recovery.worst_sigma_m, recovery.sigma_deg
     errors = None if truth is None else sample_errors(recovery, truth)
     if not np.isfinite(sigma_cm).any() and errors is None:
         return None
@@ -160,13 +154,14 @@ def residuals(recovery: Recovery) -> go.Figure | None:
     kept = recovery.residuals
     if kept is None:
         return None
-    distance_cm = 100 * np.linalg.norm(kept.residual, axis=2)
-    drawn = [i for i, _ in enumerate(JOINTS) if np.isfinite(distance_cm[:, i]).any()]
+    parts = [np.isfinite(block.residual).all(axis=2) for block in kept.blocks()]
+    answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
+    drawn = np.flatnonzero(answered.any(axis=0)).tolist()
     if not drawn:
         return None
     figure = make_subplots(rows=len(drawn), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     for row, i in enumerate(drawn, start=1):
-        for trace in _residual(kept, distance_cm[:, i], i):
+        for trace in _residual(kept, answered[:, i], i):
             figure.add_trace(trace, row=row, col=1)
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
@@ -175,19 +170,21 @@ def residuals(recovery: Recovery) -> go.Figure | None:
     return dress(figure, 160 + 120 * len(drawn))
 
 
-def _residual(kept: FrameResiduals, distance_cm: FloatArray, joint: int) -> list[go.Scatter]:
-    used = kept.used[:, joint] & np.isfinite(distance_cm)
-    aside = ~kept.used[:, joint] & np.isfinite(distance_cm) & (kept.reason[:, joint] != 0)
-    index = np.flatnonzero(used)
+def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
+    def distance_cm(index: IntArray) -> FloatArray:
+        return 100 * np.linalg.norm(kept.residual[index, joint], axis=1)
+
+    aside = ~kept.used[:, joint] & answered & (kept.reason[:, joint] != 0)
+    index = np.flatnonzero(kept.used[:, joint] & answered)
     index = index[thin(np.zeros(len(index), bool), 3000)]
     dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
     traces = [
-        go.Scatter(x=kept.t_s[index], y=distance_cm[index], name=JOINTS[joint], mode="markers", marker=dots)
+        go.Scatter(x=kept.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots)
     ]
     index = np.flatnonzero(aside)
     index = index[thin(np.zeros(len(index), bool), 1000)]
     if len(index):
-        cross = _cross("set aside", kept.t_s[index], distance_cm[index])
+        cross = _cross("set aside", kept.t_s[index], distance_cm(index))
         cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)
         traces.append(cross)
     return traces

@@ -1,0 +1,179 @@
+"""What is said of a recovery is found a block of samples at a time, and is what the whole at once says."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import make_recording, make_recovery
+from scipy.spatial.transform import Rotation
+
+from calib.evidence import STRETCH_S, gather_from
+from calib.found import found_in
+from smoother.evaluation.advice import advice
+from smoother.evaluation.rejected import rejected
+from smoother.evaluation.summary import gap_summaries, recovery_figures
+from smoother.io.usable import LIMIT, usable
+from smoother.recording import JOINTS
+from smoother.result import Gap, Recovery
+from smoother.screen import REASONS
+
+
+@pytest.fixture
+def recovery(monkeypatch: pytest.MonkeyPatch) -> Recovery:
+    """Gaps, holes in the answer, samples set aside; looked at in blocks that end anywhere."""
+    monkeypatch.setattr("smoother.result.BLOCK", 37)
+    rng = np.random.default_rng(3)
+    made = make_recovery(make_recording(40.0), error_m=0.01)
+    gaps = (Gap(0.0, 0.31, open_start=True), Gap(5.0, 7.0), Gap(7.5, 7.5125), Gap(22.222, 23.1))
+    t, count = made.t_s, len(made)
+    occluded = np.zeros(count, bool)
+    for gap in gaps:
+        occluded |= (t > gap.start_s) & (t < gap.end_s)
+    root = rng.normal(size=(count, 6, 6)) * 0.02
+    covariance = root @ root.transpose(0, 2, 1)
+    quaternion, position = made.quaternion.copy(), made.position.copy()
+    hole = (t > 6.5) & (t < 7.2)
+    for values in (quaternion, position, covariance):
+        values[hole] = np.nan
+    covariance[1000] = np.nan
+    kept = made.residuals
+    assert kept is not None
+    reason = np.where(rng.random(kept.used.shape) < 0.02, rng.integers(1, 5, kept.used.shape), 0)
+    kept = replace(kept, reason=reason.astype(np.uint8), reasons=REASONS, used=kept.used & (reason == 0))
+    return replace(
+        made,
+        occluded=occluded,
+        quaternion=quaternion,
+        position=position,
+        pose_covariance=covariance,
+        gaps=gaps,
+        residuals=kept,
+    )
+
+
+def sigmas(recovery: Recovery) -> tuple[np.ndarray, np.ndarray]:
+    variance = np.diagonal(recovery.pose_covariance, axis1=1, axis2=2)
+    return np.sqrt(variance[:, :3]).max(axis=1), np.degrees(np.sqrt(variance[:, 3:].sum(axis=1)))
+
+
+def test_gaps(recovery: Recovery) -> None:
+    sigma_m, sigma_deg = sigmas(recovery)
+    answered = np.isfinite(recovery.position).all(axis=1)
+    for gap, found in zip(recovery.gaps, gap_summaries(recovery), strict=True):
+        inside = (recovery.t_s >= gap.start_s) & (recovery.t_s <= gap.end_s)
+        assert found.gap is gap
+        assert found.sigma_max_m == np.nanmax(sigma_m[inside])
+        assert found.sigma_max_deg == pytest.approx(np.nanmax(sigma_deg[inside]), rel=1e-12)
+        assert found.answered == answered[inside].mean()
+    (nothing,) = gap_summaries(replace(recovery, gaps=(Gap(100.0, 101.0),)))
+    assert (nothing.sigma_max_m, nothing.sigma_max_deg, nothing.answered) == (None, None, 0.0)
+
+
+def test_figures(recovery: Recovery) -> None:
+    sigma_m, _ = sigmas(recovery)
+    figures = recovery_figures(recovery)
+    assert figures["answered"] == np.isfinite(recovery.position).all(axis=1).sum()
+    for name, chosen in (("visible", ~recovery.occluded), ("occluded", recovery.occluded)):
+        values = sigma_m[chosen & np.isfinite(sigma_m)]
+        assert figures["sigma_m"][name] == {"median": np.median(values), "max": values.max()}
+
+
+def test_usable(recovery: Recovery) -> None:
+    answered = np.isfinite(recovery.position).all(axis=1)
+    np.testing.assert_array_equal(usable(recovery), answered)
+    limited = replace(recovery, figures={LIMIT: 0.06})
+    expected = answered & (recovery.sigma_m <= 0.06).all(axis=1)
+    assert 0 < expected.sum() < answered.sum()
+    np.testing.assert_array_equal(usable(limited), expected)
+
+
+def test_rejected(recovery: Recovery) -> None:
+    kept = recovery.residuals
+    assert kept is not None
+    rows = rejected(recovery)
+    assert sum(row.count for row in rows) == np.count_nonzero(kept.reason)
+    for row in rows:
+        code = REASONS.index(f"{row.reason}: {row.why}")
+        column = JOINTS.index(row.joint)
+        at = kept.t_s[kept.reason[:, column] == code]
+        tracked = (kept.used[:, column] | (kept.reason[:, column] != 0)).sum()
+        assert (row.count, row.first_s, row.last_s) == (len(at), at[0], at[-1])
+        assert row.share == len(at) / tracked
+    totals = [int((kept.reason == REASONS.index(f"{row.reason}: {row.why}")).sum()) for row in rows]
+    assert totals == sorted(totals, reverse=True)
+
+
+def test_evidence(recovery: Recovery) -> None:
+    assert recovery.calibration is not None
+    found = gather_from(recovery)
+    t, q = recovery.t_s, recovery.quaternion
+    good = np.isfinite(q).all(axis=1)
+    both = good[1:] & good[:-1]
+    turn = np.zeros((len(t) - 1, 3))
+    first, second = (Rotation.from_quat(each[both], scalar_first=True) for each in (q[:-1], q[1:]))
+    turn[both] = (first.inv() * second).as_rotvec()
+    seen = both & ~recovery.occluded[1:] & ~recovery.occluded[:-1]
+    dt = np.diff(t)
+    assert found.visible_s == pytest.approx(dt[seen].sum(), rel=1e-12)
+    rate = np.sqrt(np.sum(np.sum(turn[seen] ** 2, axis=1) / dt[seen]) / dt[seen].sum())
+    assert found.turning_rad_s == pytest.approx(rate, rel=1e-12)
+    angle = np.append(0.0, np.cumsum(turn @ recovery.calibration.forearm_direction))
+    middle, when = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (t[1:] + t[:-1])
+    ranges = [
+        np.ptp(middle[part])
+        for start in np.arange(t[0], t[-1], STRETCH_S / 2)
+        if (part := seen & (when >= start) & (when < start + STRETCH_S)).any()
+    ]
+    assert found.axial_rad == pytest.approx(max(ranges), rel=1e-9)
+    assert recovery.residuals is not None
+    used = recovery.residuals.used
+    assert found.frames == {
+        **{joint: used[:, column].sum() for column, joint in enumerate(JOINTS)},
+        "upper_arm": used[:, [0, 1]].all(axis=1).sum(),
+    }
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_advice_does_not_depend_on_the_blocks(
+    recovery: Recovery, monkeypatch: pytest.MonkeyPatch, kept: bool
+) -> None:
+    state = recovery.arm.state.copy()
+    state[recovery.arm.t_s > 2.0, 0] = 0
+    recovery = replace(recovery, arm=replace(recovery.arm, state=state))
+    recovery = recovery if kept else replace(recovery, residuals=None)
+    said = advice(recovery, found_in(recovery))
+    assert any("shoulder in view while" in sentence for sentence in said)
+    monkeypatch.setattr("smoother.result.BLOCK", 10**6)
+    assert advice(recovery, found_in(recovery)) == said
+
+
+def test_the_page_of_a_long_recording_is_thinned_first(tmp_path: Path, recovery: Recovery) -> None:
+    from smoother.report import write_report
+    from smoother.report.thin import MOST_POINTS
+
+    times = 30
+    whole = {
+        name: np.concatenate([getattr(recovery, name)] * times)
+        for name in (
+            "occluded",
+            "position",
+            "quaternion",
+            "velocity",
+            "pose_covariance",
+            "velocity_covariance",
+        )
+    }
+    joints = {joint: np.concatenate([values] * times) for joint, values in recovery.joints.items()}
+    spread = {joint: np.concatenate([values] * times) for joint, values in recovery.joint_covariance.items()}
+    t = np.concatenate([recovery.t_s + 40.0 * k for k in range(times)])
+    long = replace(recovery, t_s=t, joints=joints, joint_covariance=spread, residuals=None, **whole)
+    write_report(long, tmp_path / "long.html")
+    write_report(recovery, tmp_path / "short.html")
+    page = (tmp_path / "long.html").read_text(encoding="utf-8")
+    assert f"of its {len(long)} samples about {MOST_POINTS} are drawn" in page
+    assert len(page) < 2_500_000 + (tmp_path / "short.html").stat().st_size
+    assert re.search(r"samples of the forearm sensor</td><td>96000<", page)
