@@ -28,11 +28,11 @@ from smoother.smoothing import smooth
 
 from . import memory
 from .exactness import Exactness, apart_cm, exactness
-from .plain import GRAPHS, Timed, solve_plainly
+from .plain import WAYS, Timed, solve_plainly
 from .recordings import Made, read_truth
 
 PEERS_BESIDE = ("rts", "linear-drift")
-METHODS = (*(f"plain graph, {name}" for name in GRAPHS), *PEERS_BESIDE)
+METHODS = (*(f"plain graph, {way}" for way in WAYS), *PEERS_BESIDE)
 
 
 @dataclass(frozen=True)

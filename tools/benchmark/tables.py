@@ -166,7 +166,7 @@ def beside(minutes: float, found: dict[str, Any], command_s: float | None, lengt
     title = (
         "Beside other ways, from a recording in memory to an answer in memory; all but `smooth` are told"
         " what it found"
-        + (f" (aim: {aim:g} x faster than the plain graph)" if aim else "")
+        + (f" (aim: {aim:g} x faster than a plain graph)" if aim else "")
         + ".\n`smooth` runs on all processes, self-calibration included; the command also starts, reads and"
         " writes."
     )
