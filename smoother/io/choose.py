@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import RecordingError
-from ..recording import JOINTS, FloatArray, JointState
+from ..recording import JOINTS, FloatArray, IntArray, JointState
 from ..room import Room
 from .bodies import join_bodies
+from .column import passes
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
@@ -20,6 +21,9 @@ _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", 
 _ENOUGH, _LEAD = 0.4, 0.1
 _MOTION_S = 0.3
 _LAG_S = 1.0
+_MOTION_FRAMES = 20_000
+#: Where no two joints tell a direction, the one seen most; of equals the first.
+_POINTS = ("wrist", "strap", "hand", "elbow")
 
 
 @dataclass
@@ -89,7 +93,7 @@ def choose(
         preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
         pairs = preferred or pairs
     if len(pairs) > 1:
-        pair, why = _by_motion(file, pairs)
+        pair, why = _by_motion(file, pairs, room or Room())
         notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")
     else:
         pair = pairs[0]
@@ -183,9 +187,9 @@ def _side(imu: ImuSamples, arm: ArmFrames) -> str:
 
 
 def _by_motion(
-    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]]
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], room: Room
 ) -> tuple[tuple[ImuSamples, ArmFrames], str]:
-    scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
+    scores = np.array([motion_agreement(imu, arm, room) for imu, arm in pairs])
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1]], 0.0)
     if best < _ENOUGH or best - second < _LEAD:
@@ -201,23 +205,27 @@ def _by_motion(
     return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
 
 
-def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
+def motion_agreement(imu: ImuSamples, arm: ArmFrames, room: Room | None = None) -> float:
     """How well an IMU's turning agrees with what the camera sees of an arm.
 
     The rotation over 0.3 s by the gyroscope is correlated with the turn of the elbow-to-wrist
     direction over the same time (with the way of the point, where only one is tracked), at the
-    best of the time shifts within a second.
+    best of the time shifts within a second. Of a long recording the arm's first 20,000 frames are taken.
+
+    Parameters
+    ----------
+    imu, arm : as recorded.
+    room : where they lie; None = in memory.
 
     Returns
     -------
     Correlation, -1 to 1; 0 where there is too little to compare.
     """
-    at, moved = _arm_motion(arm)
-    finite = np.isfinite(imu.gyro).all(axis=1)
-    stamp, gyro = imu.stamp_ns[finite], imu.gyro[finite]
-    order = np.argsort(stamp, kind="stable")
-    stamp, gyro = stamp[order], gyro[order]
-    if len(at) < 20 or len(stamp) < 20:
+    at, moved = _arm_motion(arm, room or Room())
+    if len(at) < 20:
+        return 0.0
+    stamp, gyro = _gyro_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
+    if len(stamp) < 20:
         return 0.0
     zero = int(stamp[0])
     t = (stamp - zero) / 1e9
@@ -238,27 +246,35 @@ def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
     return best
 
 
-def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
-    """Start times (ns) of spans of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
-
-    def tracked(joint: str) -> np.ndarray:
-        index = JOINTS.index(joint)
-        good = (arm.state[:, index] == JointState.TRACKED) & np.isfinite(arm.position[:, index]).all(axis=1)
-        return good
-
-    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    both = tracked("elbow") & tracked("wrist")
-    if both.sum() >= 20:
-        good = both
-        along = arm.position[:, wrist] - arm.position[:, elbow]
-        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
+    """Finite samples in the order of their stamps, up to the first after a time (all if stamps run back)."""
+    stamp, gyro = imu.stamp_ns, imu.gyro
+    if (stamp[1:] >= stamp[:-1]).all():
+        stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
+        stamp, gyro = stamp[:stop], gyro[:stop]
     else:
-        point = max(("wrist", "strap", "hand", "elbow"), key=lambda joint: tracked(joint).sum())
-        good = tracked(point)
-        along = arm.position[:, JOINTS.index(point)]
-    stamp, along = arm.stamp_ns[good], along[good]
-    order = np.argsort(stamp, kind="stable")[:20_000]
-    stamp, along = stamp[order], along[order]
+        order = np.argsort(stamp, kind="stable")
+        stamp, gyro = stamp[order], gyro[order]
+    finite = np.isfinite(gyro).all(axis=1)
+    return stamp[finite], gyro[finite]
+
+
+def _arm_motion(arm: ArmFrames, room: Room) -> tuple[FloatArray, FloatArray]:
+    """Start times (ns) of spans of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
+    tracked = arm.state == JointState.TRACKED
+    for part in passes(len(tracked), room):
+        tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
+    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+    both = tracked[:, elbow] & tracked[:, wrist]
+    is_pair = bool(both.sum() >= 20)
+    point = max((JOINTS.index(joint) for joint in _POINTS), key=lambda index: tracked[:, index].sum())
+    rows = np.flatnonzero(both if is_pair else tracked[:, point])
+    rows = rows[np.argsort(arm.stamp_ns[rows], kind="stable")[:_MOTION_FRAMES]]
+    stamp, seen = arm.stamp_ns[rows], arm.position[rows]
+    along = seen[:, point]
+    if is_pair:
+        along = seen[:, wrist] - seen[:, elbow]
+        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
     if len(stamp) < 2:
         return np.empty(0), np.empty(0)
     later = np.searchsorted(stamp, stamp + int(_MOTION_S * 1e9))
