@@ -5,17 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 from smoother.recording import ImuStream, Recording
+from smoother.room import Room
 
 from ..file import CalibrationFile
-from .sensor import sensor_of, sensors_in
+from .sensor import SensorCalibration, sensor_of, sensors_in
+
+#: Samples that are corrected together.
+_SAMPLES = 65536
 
 
-def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
-    """The recording with its IMUs corrected where the file knows them, and a note of it."""
-    imu, notes = _corrected(recording.imu, calibration)
+def corrected(recording: Recording, calibration: CalibrationFile, room: Room | None = None) -> Recording:
+    """The recording with its IMUs corrected where the file knows them, and a note of it.
+
+    `room` is where the corrected samples lie; in memory where None.
+    """
+    room = room or Room()
+    imu, notes = _corrected(recording.imu, calibration, room)
     base = recording.base_imu
     if base is not None:
-        base, more = _corrected(base, calibration)
+        base, more = _corrected(base, calibration, room)
         notes += more
     known = sensors_in(calibration)
     if known and not notes:
@@ -26,7 +34,7 @@ def corrected(recording: Recording, calibration: CalibrationFile) -> Recording:
     return replace(recording, imu=imu, base_imu=base, notes=(*recording.notes, *notes))
 
 
-def _corrected(imu: ImuStream, calibration: CalibrationFile) -> tuple[ImuStream, list[str]]:
+def _corrected(imu: ImuStream, calibration: CalibrationFile, room: Room) -> tuple[ImuStream, list[str]]:
     found = sensor_of(calibration, imu.name)
     if found is None:
         return imu, []
@@ -34,4 +42,18 @@ def _corrected(imu: ImuStream, calibration: CalibrationFile) -> tuple[ImuStream,
     said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
     if found.accelerometer_density is not None or found.gyroscope_density is not None:
         said += "; its measured noise is used"
-    return found.apply(imu), [f"{said} ({calibration.source})"]
+    return _applied(found, imu, room), [f"{said} ({calibration.source})"]
+
+
+def _applied(sensor: SensorCalibration, imu: ImuStream, room: Room) -> ImuStream:
+    """The corrected stream, some thousand samples at a time."""
+    acc, gyro = room.array((len(imu), 3)), room.array((len(imu), 3))
+    mag = None if imu.mag is None else room.array((len(imu), 3))
+    for start in range(0, len(imu), _SAMPLES):
+        rows = slice(start, start + _SAMPLES)
+        part = sensor.apply(imu.select(rows))
+        acc[rows], gyro[rows] = part.acc, part.gyro
+        if mag is not None:
+            mag[rows] = part.mag
+        room.tidy()
+    return replace(sensor.apply(imu.select(slice(0, 0))), t_s=imu.t_s, acc=acc, gyro=gyro, mag=mag)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..recording import Recording
     from ..result import Recovery
+    from ..room import Room
 
     Method = Callable[[Recording], Recovery]
     Progress = Callable[[float, str], None]
@@ -89,9 +90,14 @@ class SharedGraph:
     """
 
     def __init__(
-        self, calibration: ArmCalibration | None, config: Config, progress: Progress | None = None
+        self,
+        calibration: ArmCalibration | None,
+        config: Config,
+        progress: Progress | None = None,
+        room: Room | None = None,
     ) -> None:
         self._calibration, self._config, self._progress = calibration, config, progress
+        self._room = room
         self._recording: Recording | None = None
         self._answer: Recovery | UnoccludeError | None = None
 
@@ -109,7 +115,7 @@ class SharedGraph:
         from .. import smooth
 
         try:
-            return smooth(recording, self._calibration, self._config, self._progress)
+            return smooth(recording, self._calibration, self._config, self._progress, self._room)
         except UnoccludeError as error:
             return error
 
@@ -120,13 +126,15 @@ def make_methods(
     config: Config,
     settings: PeerSettings | None = None,
     progress: Progress | None = None,
+    room: Room | None = None,
 ) -> dict[str, Method]:
     """The chosen methods by name; the peers are told what the graph finds, which they share.
 
     Called in turn on the same recording object, the graph is solved once. Without a calibration the peers
-    get the one that the graph found; with one they get it, and the graph's clock.
+    get the one that the graph found; with one they get it, and the graph's clock. The graph's answer lies in
+    `room`, the peers' in memory.
     """
-    graph, settings = SharedGraph(calibration, config, progress), settings or PeerSettings()
+    graph, settings = SharedGraph(calibration, config, progress, room), settings or PeerSettings()
 
     def peer(name: str) -> Method:
         def run(recording: Recording) -> Recovery:

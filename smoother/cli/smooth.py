@@ -70,6 +70,7 @@ def smooth(
     from calib.found import with_given
 
     from ..io import write_recovery
+    from ..io.disk_room import DiskRoom
     from .config_file import read_config, with_processes
     from .limit import limit_sigma
 
@@ -81,25 +82,40 @@ def smooth(
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
-    recording, calibration = load_arm(
-        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
-    )
-    told = with_strap(calibration, recording) if solve_lever_arms else calibration
-    with progress_bar("recovering") as progress:
-        recovery = make_methods(names, told, config, settings, progress)[names[0]](recording)
-    recovery = with_given(recovery, calibration)
-    if solve_lever_arms:
-        recovery = with_strap_note(recovery)
-    recovery = limit_sigma(recovery, max_sigma_m)
-    write_recovery(
-        [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
-    )
-    if report is not None:
-        from ..report import write_report
+    with DiskRoom() as room:  # memory stays flat however long the recording is
+        recording, calibration = load_arm(
+            recording_file,
+            calibration_file,
+            imu=imu,
+            skeleton=skeleton,
+            side=one_side(side),
+            body=body,
+            room=room,
+            truth=False,
+        )
+        told = with_strap(calibration, recording) if solve_lever_arms else calibration
+        with progress_bar("recovering") as progress:
+            recover = make_methods(names, told, config, settings, progress, room)[names[0]]
+            recovery = recover(recording)
+        recovery = with_given(recovery, calibration)
+        if solve_lever_arms:
+            recovery = with_strap_note(recovery)
+        recovery = limit_sigma(recovery, max_sigma_m)
+        write_recovery(
+            [recovery],
+            output,
+            source=recording_file,
+            force=force,
+            passthrough_images=passthrough_images,
+            room=room,
+        )
+        if report is not None:
+            from ..report import write_report
 
-        write_report(recovery, report, recording=recording, force=force)
-    write_json(json_file, smooth_figures(recording, recovery), force)
-    print_recovery(recording, recovery)
+            write_report(recovery, report, recording=recording, force=force)
+        if json_file is not None:
+            write_json(json_file, smooth_figures(recording, recovery), force)
+        print_recovery(recording, recovery)
     say_written(output, report, json_file)
 
 
@@ -126,7 +142,7 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     """Print a recovery's gaps, what was found and set aside, and what must be known of it."""
     from calib.found import found_in
 
-    from ..evaluation.summary import gap_summaries, recovery_figures
+    from ..evaluation.summary import gap_summaries
     from .output import centimetres, print_table
 
     rows = [
@@ -139,10 +155,10 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
         )
         for summary in gap_summaries(recovery)
     ]
-    figures = recovery_figures(recovery)
+    duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
     say(
-        f"{recovery.name}: {figures['duration_s']:.1f} s, {len(recovery)} samples,"
-        f" {len(rows)} gaps, {figures['occluded_s']:.1f} s occluded"
+        f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
+        f" {len(rows)} gaps, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
     if rows:
         columns = ("gap starts, s", "length, s", "largest sigma, cm", "largest sigma, deg", "seen from")

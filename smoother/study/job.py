@@ -14,6 +14,7 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError
+from ..room import Room
 from .columns import DONE, FAILED, Row, figures_of
 from .fingerprint import Choice, file_hash, row_id, text_hash
 from .folder import StudyFolder
@@ -161,14 +162,21 @@ def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
 
 
 def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
+    from ..io.disk_room import DiskRoom
+
+    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
+        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
+    with DiskRoom() as room:
+        return _recover_in(room, job, folder, input_hash, before, began)
+
+
+def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
     from calib.found import with_given
 
     from ..io import write_recovery
     from ..io.arm_reading import read_arm
     from ..smoothing import smooth
 
-    if job.calibration and file_hash(job.calibration) != job.calibration_hash:
-        raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
     choice = job.choice
     recording, calibration = read_arm(
         job.source,
@@ -177,14 +185,22 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
         skeleton=choice.skeleton,
         side=choice.side,
         body=choice.body,
+        room=room,
+        truth=False,
     )
     windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = job.config.model_copy(update={"windows": windows})
-    recovery = with_given(smooth(recording, calibration, config), calibration)
+    recovery = with_given(smooth(recording, calibration, config, room=room), calibration)
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
-        write_recovery([recovery], staged, source=job.source, passthrough_images=choice.passthrough_images)
+        write_recovery(
+            [recovery],
+            staged,
+            source=job.source,
+            passthrough_images=choice.passthrough_images,
+            room=room,
+        )
         about = os.stat(staged)
         row = job.row(
             DONE,
