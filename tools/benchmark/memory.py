@@ -22,8 +22,19 @@ def peak_mb(pid: int) -> float:
     return 0.0
 
 
-def descendants(pid: int) -> set[int]:
-    """Processes that this one and its children started and that still run."""
+def workers_of(pid: int) -> set[int]:
+    """Processes that this one and its children started and that run, Python's own bookkeeper left out."""
+    return {each for each in _descendants(pid) if b"resource_tracker" not in _command_line(each)}
+
+
+def _command_line(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def _descendants(pid: int) -> set[int]:
     found: set[int] = set()
     try:
         for children in Path(f"/proc/{pid}/task").glob("*/children"):
@@ -31,5 +42,5 @@ def descendants(pid: int) -> set[int]:
     except OSError:  # gone, or no such system
         return found
     for child in list(found):
-        found |= descendants(child)
+        found |= _descendants(child)
     return found

@@ -14,6 +14,8 @@ AIM_PEAK_MB = 250.0
 AIM_HELP_S = 0.3
 AIM_REST_SHARE = 0.5
 AIM_PLAIN = {6.0: 8.0, 30.0: 20.0}
+#: Parts that take less than this, s a minute of recording, have no growth to speak of.
+LEAST_S = 0.002
 #: Functions of the rest that are listed.
 FUNCTIONS = 15
 
@@ -96,7 +98,8 @@ def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], 
 
 
 def _grows(values: list[float]) -> str:
-    return number(values[-1] / values[-2], 2) if len(values) > 1 and values[-2] > 0 else "-"
+    """The longest recording's seconds a minute against the next shorter one's; not of next to nothing."""
+    return number(values[-1] / values[-2], 2) if len(values) > 1 and values[-2] >= LEAST_S else "-"
 
 
 def rest(measured: dict[str, Any], cores: int) -> list[str]:

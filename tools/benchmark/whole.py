@@ -59,7 +59,7 @@ def end_to_end(source: Path, result: Path, processes: int) -> Run:
             if pid:
                 break
             main_mb = max(main_mb, memory.peak_mb(command.pid))
-            running = memory.descendants(command.pid)
+            running = memory.workers_of(command.pid)
             most = max(most, len(running))
             for worker in running:
                 workers[worker] = max(workers.get(worker, 0.0), memory.peak_mb(worker))
@@ -72,7 +72,7 @@ def end_to_end(source: Path, result: Path, processes: int) -> Run:
     return Run(seconds, usage.ru_utime + usage.ru_stime, main_mb, max(workers.values(), default=0.0), most)
 
 
-def help_seconds(runs: int = 5) -> float:
+def help_seconds(runs: int = 3) -> float:
     """The shortest of some runs of `unocclude --help`, s."""
     spent = []
     for _ in range(runs):
