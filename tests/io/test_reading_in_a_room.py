@@ -1,0 +1,293 @@
+"""Recordings read into files instead of memory: the same values, in flat memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_bags as ros
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from made_recordings import make, swing
+
+from smoother.io import column, disk_room, open_recording, read_recording, write_recording
+from smoother.io.arm_reading import read_arm
+from smoother.io.column import Column, passes, sampled
+from smoother.io.disk_room import DiskRoom
+from smoother.io.joint_rows import SIDES, UNSAID, JointRows
+from smoother.io.recording_writing import as_file
+from smoother.io.streams import ArmFrames, RecordingFile
+from smoother.recording import JOINTS, JointState
+from smoother.room import Room
+
+ZERO = 1_700_000_000 * 10**9
+
+
+@pytest.fixture
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every array on disk, every pass in many parts."""
+    monkeypatch.setattr(disk_room, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(column, "PASS_ROWS", 13)
+
+
+def assert_equal(found: object, expected: object) -> None:
+    """Everything the same, arrays bit by bit."""
+    if isinstance(expected, np.ndarray):
+        assert isinstance(found, np.ndarray) and found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+    elif is_dataclass(expected):
+        for each in fields(expected):
+            assert_equal(getattr(found, each.name), getattr(expected, each.name))
+    elif isinstance(expected, list | tuple):
+        assert isinstance(found, list | tuple) and len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            assert_equal(one, other)
+    elif isinstance(expected, dict):
+        assert isinstance(found, dict) and list(found) == list(expected)
+        for key, value in expected.items():
+            assert_equal(found[key], value)
+    else:
+        assert found == expected
+
+
+def plain(_: Path) -> RecordingFile:
+    return as_file(make())
+
+
+def two_arms(_: Path) -> RecordingFile:
+    return as_file([make(side="right"), make(rate=1.7, side="left")])
+
+
+def dropped_samples(_: Path) -> RecordingFile:
+    file = as_file(make(20))
+    imu, arm, poses = file.imus[0], file.arms[0], file.poses[0]
+    imu.acc[7], imu.gyro[300] = np.nan, np.inf
+    imu.stamp_ns[100] = imu.stamp_ns[99]
+    arm.stamp_ns[50] = arm.stamp_ns[48]
+    arm.position[20, 1] = np.nan
+    poses.stamp_ns[40:42] = poses.stamp_ns[39]
+    poses.position[60, 1] = np.nan
+    return file
+
+
+def renumbered_body(_: Path) -> RecordingFile:
+    file = as_file(make(20))
+    (arm,) = file.arms
+    frames = np.arange(len(arm.stamp_ns))
+
+    def only(keep: np.ndarray, body: int) -> ArmFrames:
+        position, state = arm.position.copy(), arm.state.copy()
+        state[~keep], position[~keep] = JointState.NOT_TRACKED, np.nan
+        return replace(arm, body=body, position=position, state=state)
+
+    file.arms = [only(frames < 200, 1), only(frames > 260, 4)]
+    return file
+
+
+def several_imus(_: Path) -> RecordingFile:
+    file = as_file(make(20))
+    imu = file.imus[0]
+    other = replace(imu, topic="/imu/b", frame_id="b", gyro=np.roll(imu.gyro, 300, axis=0))
+    file.imus = [replace(imu, topic="/imu/a", frame_id="a"), other]
+    file.arms = [replace(file.arms[0], side="")]
+    return file
+
+
+@pytest.mark.parametrize("made", [plain, two_arms, dropped_samples, renumbered_body, several_imus])
+@pytest.mark.usefixtures("small_parts")
+def test_a_room_on_disk_holds_the_same(made: object, tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    write_recording(made(tmp_path), path)  # type: ignore[operator]
+    side = "right" if made is two_arms else None
+    with DiskRoom() as room:
+        assert_equal(open_recording(path, room=room), open_recording(path))
+        assert_equal(read_recording(path, side=side, room=room), read_recording(path, side=side))
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_field_of_a_topic_of_its_own_and_markers(tmp_path: Path):
+    path = tmp_path / "ros.mcap"
+    t = np.arange(0, 6, 0.02)
+    gyro, (elbow, wrist, _) = swing(t)[2], swing(t)
+    with ros.Bag(path, chunk=4096) as bag:
+        for i, ns in enumerate((ZERO + np.rint(t * 1e9)).astype(int).tolist()):
+            bag.imu("/wrist/imu", ns, "wrist_link", np.array([0.1, 9.8, 0.2]), gyro[i], ns)
+            if i % 3 == 0:  # slower than the IMU, some time before it
+                field = {"header": ros.header(ns - 7_000_000, "wrist_link")}
+                field |= {"magnetic_field": ros.xyz(np.sin(np.arange(3.0) + i))}
+                field["magnetic_field_covariance"] = [0.0] * 9
+                bag.write("/wrist/mag", "sensor_msgs/msg/MagneticField", ros.FIELD, field, ns)
+            places = {} if 40 < i < 50 else {113: elbow[i], 114: wrist[i], 106: wrist[i]}
+            markers = {"markers": [ros.marker(ns, number, place) for number, place in places.items()]}
+            kind = "visualization_msgs/msg/MarkerArray"
+            bag.write("/body_tracking_data", kind, ros.marker_array(), markers, ns)
+    with DiskRoom() as room:
+        found = read_recording(path, side="right", room=room)
+    stamps = np.rint(t * 1e9)
+    have, values = stamps[::3] - 7_000_000, np.sin(np.arange(3.0) + 3 * np.arange(len(t[::3]))[:, None])
+    expected = np.stack([np.interp(stamps, have, values[:, k]) for k in range(3)], axis=1)
+    np.testing.assert_allclose(found.imu.mag, expected, atol=1e-12)  # times differ in their last digit
+    np.testing.assert_array_equal(found.arm.joint("wrist")[found.arm.tracked("wrist")][:40], wrist[:40])
+    assert not found.arm.tracked("wrist")[41:50].any()
+    assert_equal(found, read_recording(path, side="right"))
+
+
+def test_without_truth_all_else_is_the_same(tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    write_recording(make(), path)
+    found, whole = read_recording(path, truth=False), read_recording(path)
+    assert found.truth is None and whole.truth is not None
+    assert_equal(replace(found, truth=whole.truth), whole)
+    assert open_recording(path, truth=False).poses == []
+    with DiskRoom() as room:
+        assert_equal(read_arm(path, room=room, truth=False)[0], found)
+
+
+LONG = """
+import re, sys
+from pathlib import Path
+import numpy as np
+from smoother.io import read_recording
+from smoother.io.disk_room import DiskRoom
+
+def peak():
+    return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024
+
+short, long, truth = sys.argv[1:]
+with DiskRoom() as room:
+    read_recording(short, room=room)  # all that is imported on the way
+    begin = peak()
+    recording = read_recording(long, room=room, truth=truth == "True")
+    rows = len(recording.imu), len(recording.arm)
+print(peak() - begin, *rows)
+"""
+
+
+@pytest.fixture(scope="module")
+def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two hours at 80 Hz and 30 Hz, with truth: 86 MB of columns."""
+    folder = tmp_path_factory.mktemp("long")
+    file = as_file(make(20, origin_ns=ZERO))
+    (arm,), (imu, base), (poses,) = file.arms, file.imus, file.poses
+
+    def again(values: np.ndarray, count: int) -> np.ndarray:
+        return np.resize(values, (count, *values.shape[1:]))
+
+    samples, frames = 80 * 7200, 30 * 7200
+    stamp, seen = ZERO + np.arange(samples) * 12_500_000, ZERO + np.arange(frames) * 33_333_333
+    acc, gyro = again(imu.acc, samples), again(imu.gyro, samples)
+    file.imus = [replace(imu, stamp_ns=stamp, acc=acc, gyro=gyro, mag=None)]
+    file.arms = [
+        replace(arm, stamp_ns=seen, position=again(arm.position, frames), state=again(arm.state, frames))
+    ]
+    place, turn = again(poses.position, samples), again(poses.quaternion, samples)
+    joints = {name: again(values, samples) for name, values in poses.joints.items()}
+    file.poses = [replace(poses, stamp_ns=stamp, position=place, quaternion=turn, score=None, joints=joints)]
+    assert base.topic == "/imu/base"
+    write_recording(file, folder / "long.mcap")
+    write_recording(make(), folder / "short.mcap")
+    return folder
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("truth", [True, False])
+def test_memory_is_flat(long_recording: Path, truth: bool):
+    paths = [str(long_recording / name) for name in ("short.mcap", "long.mcap")]
+    done = subprocess.run(
+        [sys.executable, "-c", LONG, *paths, str(truth)], check=True, capture_output=True, text=True
+    )
+    grown, samples, frames = done.stdout.split()
+    assert (int(samples), int(frames)) == (80 * 7200, 30 * 7200)
+    assert float(grown) < 45  # MB; measured 20 to 25, in memory above 250
+
+
+# The pieces.
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.integers(0, 40), max_size=12), st.booleans(), st.integers(0, 12))
+@pytest.mark.usefixtures("small_parts")
+def test_columns_are_their_parts_put_together(sizes: list[int], on_disk: bool, blank: int):
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(size=(size, 2)) for size in sizes]
+    for part in parts[:blank]:
+        part[:] = np.nan
+    expected = np.concatenate([np.empty((0, 2)), *parts])
+    for optional in (False, True):
+        gathered = Column(DiskRoom() if on_disk else Room(), (2,), optional=optional)
+        for part in parts:
+            gathered.append(part)
+        assert len(gathered) == len(expected)
+        is_blank = optional and bool(np.isnan(expected).all())
+        assert gathered.is_blank == is_blank
+        np.testing.assert_array_equal(gathered.done(), expected[: 0 if is_blank else None])
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 60), st.integers(1, 9))
+def test_samples_are_even(count: int, enough: int):
+    values = np.arange(count)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(column, "PASS_ROWS", 7)
+        patch.setattr(column, "_ENOUGH", enough)
+        np.testing.assert_array_equal(sampled(values, Room()), values[:: max(count // enough, 1)])
+        assert [i for part in passes(count, Room()) for i in values[part]] == values.tolist()
+
+
+def joint_events() -> st.SearchStrategy[list[tuple[int, int, int, int, int]]]:
+    """Message, body, side, joint and state of joints, in the order in which messages came."""
+    event = st.tuples(
+        st.integers(0, 9), st.integers(0, 2), st.integers(0, 2), st.integers(0, 4), st.integers(0, 2)
+    )
+    return st.lists(event, max_size=60).map(lambda events: sorted(events, key=lambda event: event[0]))
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(joint_events(), arrays.arrays(np.int64, 10, elements=st.integers(0, 12)), st.booleans())
+@pytest.mark.usefixtures("small_parts")
+def test_arms_are_what_a_loop_over_joints_makes(
+    events: list[tuple[int, int, int, int, int]], stamps: np.ndarray, ordered: bool
+):
+    stamps = np.sort(stamps) if ordered else stamps
+    rows = JointRows(DiskRoom())
+    position = np.random.default_rng(0).normal(size=(len(events), 3))
+    half = len(events) // 2
+    half += sum(event[0] == events[half][0] for event in events[half:]) if events else 0  # whole messages
+    for part in (slice(0, half), slice(half, None)):
+        columns = [np.array(column, np.int64) for column in zip(*events[part], strict=True)]
+        if columns:
+            rows.add_joints(*columns, position[part])  # type: ignore[call-arg]
+    found = rows.arms(stamps, "/s", "k", None)
+    frames = list(dict.fromkeys(stamps.tolist()))
+    expected = dict(slow_arms(events, position, stamps.tolist(), frames))
+    assert [(arm.body, arm.side) for arm in found] == sorted(
+        expected, key=lambda k: (k[0], SIDES.index(k[1]))
+    )
+    for arm in found:
+        states, positions = expected[arm.body, arm.side]
+        assert arm.stamp_ns.tolist() == frames
+        np.testing.assert_array_equal(arm.state, states)
+        np.testing.assert_array_equal(arm.position, positions)
+
+
+def slow_arms(
+    events: list[tuple[int, int, int, int, int]], position: np.ndarray, stamps: list[int], frames: list[int]
+) -> Iterator[tuple[tuple[int, str], tuple[np.ndarray, np.ndarray]]]:
+    for body, side in {(event[1], event[2]) for event in events}:
+        states = np.zeros((len(frames), len(JOINTS)), np.int8)
+        positions = np.full((len(frames), len(JOINTS), 3), np.nan)
+        for event, place in zip(events, position, strict=True):
+            if event[1:3] == (body, side):
+                at = frames.index(stamps[event[0]]), event[3]
+                states[at], positions[at] = event[4], place if event[4] else np.nan
+        yield (body, SIDES[side]), (states, positions)
+
+
+def test_unsaid_is_no_state():
+    assert UNSAID not in set(JointState)
