@@ -17,6 +17,8 @@ from .recording import FloatArray, ImuStream
 
 #: Longest step of the fine integration, s.
 FINE_STEP_S = 1.0 / 240.0
+#: Intervals are done together when their step counts differ by less than this; the finer count counts.
+STEP_FACTOR = 1.42
 #: Longest stretch that one pair of equivalent samples stands for, s (see `Preintegration`).
 BLOCK_S = 0.036
 
@@ -113,20 +115,23 @@ def integrate_between(
     bias = np.broadcast_to(bias, (len(dt), 6))
     delta_R = np.tile(np.eye(3), (len(dt), 1, 1))
     delta_v, delta_p = np.zeros((len(dt), 3)), np.zeros((len(dt), 3))
-    steps = np.maximum(np.ceil(dt / FINE_STEP_S).astype(int), 1)
-    for count in np.unique(steps):  # intervals of equal step count go together
-        rows = np.flatnonzero(steps == count)
+    steps = np.ceil(dt / FINE_STEP_S - 1e-6)
+    group = np.maximum(np.ceil(np.log(np.maximum(steps, 1.0)) / np.log(STEP_FACTOR) - 1e-9), 0.0)
+    for each in np.unique(group):  # intervals of about equal step count go together
+        rows = np.flatnonzero(group == each)
+        count = int(np.ceil(STEP_FACTOR**each - 1e-9))
         h = dt[rows] / count
         edges = start_s[rows, None] + h[:, None] * np.arange(count + 1)
         rate = signal.mean(edges[:, :-1], edges[:, 1:]) - bias[rows, None]
+        turns = (0.5 * h[:, None, None] * rate[..., 3:]).reshape(-1, 3)
+        halves = Rotation.from_rotvec(turns).as_matrix().reshape(len(rows), count, 3, 3)
         R, v, p = np.tile(np.eye(3), (len(rows), 1, 1)), np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
         for k in range(count):
-            half = Rotation.from_rotvec(0.5 * h[:, None] * rate[:, k, 3:]).as_matrix()
-            middle = R @ half
+            middle = R @ halves[:, k]
             a = np.einsum("nij,nj->ni", middle, rate[:, k, :3])
             p += h[:, None] * v + 0.5 * h[:, None] ** 2 * a
             v += h[:, None] * a
-            R = middle @ half
+            R = middle @ halves[:, k]
         delta_R[rows], delta_v[rows], delta_p[rows] = R, v, p
     return Preintegration(delta_R, delta_v, delta_p, dt)
 

@@ -21,6 +21,7 @@ from .screen import by_camera, by_residual
 from .sections import SectionData
 from .selfcal import Knowledge, screen_attitude, started
 from .solve import solve
+from .start import Alignment
 from .window import FieldSight, Message, Noise, Priors, Window
 
 
@@ -55,7 +56,8 @@ class Kept:
     Attributes
     ----------
     imu_t : the IMU's stamps, of which the first is the recording's sample `first_sample`.
-    piece, stretch, borders, motion : samples, nodes, where windows begin and end, and the motion found.
+    piece, stretch, alignment, borders, motion : samples, nodes, the inertial frame's alignment, where windows
+        begin and end, and the motion found.
     seen : what the magnetometer read, a window each; empty without one.
     believed : samples that the first pass contradicts were set aside already.
     """
@@ -64,6 +66,7 @@ class Kept:
     first_sample: int
     piece: Piece
     stretch: Stretch
+    alignment: Alignment
     borders: list[float]
     motion: Motion
     seen: tuple[Observed, ...]
@@ -101,11 +104,11 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
     known, config = task.known, task.config
     clock = known.clocks[0]
     (piece,) = known.bias.corrected([by_camera(piece)])
-    piece = screen_attitude(piece, known.start, clock)
-    ready = prepare(piece, known.start, clock, known.sigma_m, config.windows.margin_s)
+    piece, alignment = screen_attitude(piece, known.start, clock)
+    ready = prepare(piece, known.start, clock, known.sigma_m, config.windows.margin_s, alignment)
     if ready is None:
         return None
-    stretch = ready[0]
+    stretch, alignment = ready
     borders = cut_times(stretch, config.windows.length_s)
     windows = _windows(stretch, borders, [task.prior] * (len(borders) - 1), task)
     solutions = [solve(window, with_covariance=task.magnetometer) for window in windows]
@@ -115,7 +118,7 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
         if task.magnetometer  # it is judged by what the first pass knows of the attitude
     )
     motion = join(stretch.t, windows, solutions)
-    kept = Kept(data.imu.t_s, data.section.samples.start, piece, stretch, borders, motion, seen)
+    kept = Kept(data.imu.t_s, data.section.samples.start, piece, stretch, alignment, borders, motion, seen)
     return FirstAnswer(kept, [each.message for each in solutions], tuple(each.strength for each in seen))
 
 
@@ -160,7 +163,7 @@ def believe(kept: Kept, found: ArmCalibration, task: Task) -> Kept:
     margin_s = task.config.windows.margin_s
     again = None
     if believed is not piece:
-        again = prepare(believed, known.start, clock, known.sigma_m, margin_s)
+        again = prepare(believed, known.start, clock, known.sigma_m, margin_s, kept.alignment)
     if again is None:
         return replace(kept, stretch=replace(stretch, start=motion.states), believed=True)
     return replace(kept, piece=believed, stretch=started(again[0], motion), believed=True)

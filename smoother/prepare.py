@@ -28,7 +28,12 @@ GRAVITY = 9.81
 
 
 def prepare(
-    piece: Piece, calibration: ArmCalibration, clock: Clock, sigma_m: FloatArray, margin_s: float
+    piece: Piece,
+    calibration: ArmCalibration,
+    clock: Clock,
+    sigma_m: FloatArray,
+    margin_s: float,
+    alignment: Alignment | None = None,
 ) -> tuple[Stretch, Alignment] | None:
     """Nodes and start values of a piece.
 
@@ -37,6 +42,7 @@ def prepare(
     clock : takes the camera's times to the IMU's.
     sigma_m : (5,) noise of the camera's joints, m an axis.
     margin_s : nodes reach so far beyond the part that is answered for.
+    alignment : of the inertial frame to the camera where it is known; found from the samples where None.
 
     Returns
     -------
@@ -63,7 +69,8 @@ def prepare(
     t = fill(frame_t[np.unique(owner)], start_s, end_s)
     first, last = reach(core_start_s, core_end_s, gaps, margin_s)
     t = t[(t >= first) & (t <= last)]
-    alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
+    if alignment is None:
+        alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
     R = (alignment.at(t) * piece.attitude.at(t)).as_matrix()
     frame_node = np.full(len(frame_t), -1)
     node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)

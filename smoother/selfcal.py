@@ -39,7 +39,7 @@ from .recording import JOINTS, FloatArray
 from .residuals import JointNoise, joint_noise, sigma_by_joint
 from .screen import by_attitude
 from .solve import solve
-from .start import align
+from .start import Alignment, align
 from .window import Solution, Window
 
 ROUNDS = 4
@@ -97,7 +97,7 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     blocks = choose_blocks(pieces)
     mounting = find_mounting(blocks, known)
     screened = [
-        screen_attitude(b, mounting.calibration, constant(mounting.offset_s[b.recording])) for b in blocks
+        screen_attitude(b, mounting.calibration, constant(mounting.offset_s[b.recording]))[0] for b in blocks
     ]
     lost = sum(int((old.accepted & ~new.accepted).sum()) for new, old in zip(screened, blocks, strict=True))
     if lost > WORTH_AGAIN * sum(int(block.accepted.sum()) for block in blocks):
@@ -167,16 +167,24 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, begin, spread)
 
 
-def screen_attitude(piece: Piece, calibration: ArmCalibration, clock: Clock) -> Piece:
-    """The piece without the frames whose forearm does not point where the inertial attitude says."""
+def screen_attitude(
+    piece: Piece, calibration: ArmCalibration, clock: Clock
+) -> tuple[Piece, Alignment | None]:
+    """The piece without the frames whose forearm does not point where the inertial attitude says.
+
+    Returns
+    -------
+    The piece, and the alignment that it was judged by where that is still good: nothing was set aside.
+    """
     along_A = calibration.forearm_direction
     if along_A is None:
-        return piece
+        return piece, None
     frame_t = piece.frame_t + clock.at(piece.frame_t)
     alignment = align(
         pairs(piece, frame_t, piece.accepted, calibration), piece.start_s, piece.end_s, piece.down
     )
-    return by_attitude(piece, frame_t, alignment, along_A)
+    screened = by_attitude(piece, frame_t, alignment, along_A)
+    return screened, alignment if screened is piece else None
 
 
 def started(stretch: Stretch, motion: Motion | None) -> Stretch:

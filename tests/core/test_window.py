@@ -31,7 +31,9 @@ class Pair:
 
     def __init__(self, window: Window) -> None:
         self.window = plain(window)
-        with patch.object(smoother.solve, "_some", lambda t, *_: np.arange(len(t))):  # nothing interpolated
+        with patch.object(
+            smoother.solve, "_some", lambda t, *_, **__: np.arange(len(t))
+        ):  # nothing interpolated
             self.fast: Solution = solve(self.window, with_covariance=True)
         self.slow: Answer = SlowWindow(self.window).solve()
 
