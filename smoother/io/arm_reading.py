@@ -69,7 +69,7 @@ def read_arm(
         room=room,
         truth=truth,
     )
-    recording = with_gravity(corrected(recording, calibration, room), calibration)
+    recording = with_gravity(corrected(recording, calibration, room), calibration, room)
     if not calibration.arms and _OF_SENSORS & set(calibration.tables):
         return recording, None
     return recording, calibration.arm(recording.side)

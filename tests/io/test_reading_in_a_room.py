@@ -15,15 +15,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_recordings import make, swing
+from mcap.writer import CompressionType, Writer
 
+from calib.world import apply
 from smoother.io import column, disk_room, open_recording, read_recording, write_recording
 from smoother.io.arm_reading import read_arm
 from smoother.io.column import Column, passes, sampled
+from smoother.io.container import Container
 from smoother.io.disk_room import DiskRoom
 from smoother.io.joint_rows import SIDES, UNSAID, JointRows
 from smoother.io.recording_writing import as_file
 from smoother.io.streams import ArmFrames, RecordingFile
-from smoother.recording import JOINTS, JointState
+from smoother.recording import JOINTS, ImuStream, JointState
 from smoother.room import Room
 
 ZERO = 1_700_000_000 * 10**9
@@ -205,6 +208,46 @@ def test_memory_is_flat(long_recording: Path, truth: bool):
     grown, samples, frames = done.stdout.split()
     assert (int(samples), int(frames)) == (80 * 7200, 30 * 7200)
     assert float(grown) < 45  # MB; measured 20 to 25, in memory above 250
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
+    """60 images of 1 MB among 6 s of samples, in chunks of 4 MB."""
+    path, image = tmp_path / "images.mcap", np.random.default_rng(0).bytes(1 << 20)
+    write_recording(make(6.0), tmp_path / "short.mcap")
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=4 << 20, compression=compression)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/CompressedImage", "ros2msg", b"")
+        images = writer.register_channel("/rgb", "cdr", schema)
+        ours: dict[str, int] = {}
+        for count, message in enumerate(Container(tmp_path / "short.mcap").messages()):
+            topic = message.topic
+            if topic.name not in ours:
+                schema = writer.register_schema(topic.schema, topic.schema_encoding, topic.schema_data)
+                ours[topic.name] = writer.register_channel(topic.name, topic.encoding, schema)
+            writer.add_message(ours[topic.name], message.log_ns, bytes(message.data), message.log_ns)
+            if count % 40 == 0 and count < 2400:
+                writer.add_message(images, message.log_ns, image, message.log_ns)
+        writer.finish()
+    command = [sys.executable, "-c", LONG, str(tmp_path / "short.mcap"), str(path), "False"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    grown, samples, _ = done.stdout.split()
+    assert int(samples) == 600
+    assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 10 to 28
+
+
+def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(apply, "_PART_S", 3)
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.uniform(0, 60, 4000))
+    t = t[(t < 20) | (t > 31)]  # seconds, and whole parts, without samples
+    acc = rng.normal(size=(len(t), 3))
+    seconds = np.floor(t - t[0])
+    expected = [acc[seconds == second].mean(axis=0) for second in np.unique(seconds)]
+    found = apply._means(ImuStream("base", t, acc, acc), Room())
+    np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
 
 
 # The pieces.
