@@ -127,19 +127,26 @@ def test_a_cut_file_gives_what_it_has(
     assert sum(map(len, rows.values())) == len(found)
 
 
-def records(messages: list[tuple[int, int]], definitions: set[int]) -> tuple[bytes, list[int]]:
-    """A chunk of messages (channel, size), with channel records before some; where messages begin."""
-    block, places = bytearray(), []
+def records(messages: list[tuple[int, int]], definitions: set[int]) -> tuple[bytes, list[int], list[int]]:
+    """A chunk of messages (channel, size), with channel records before some; where messages begin.
+
+    A message of size -1 is too short to be one; where those begin comes third.
+    """
+    block, places, short = bytearray(), [], []
     for number, (channel, size) in enumerate(messages):
         if number in definitions:
             name = f"/t{channel}".encode()
             content = struct.pack("<HHI", channel, 0, len(name)) + name + struct.pack("<II", 0, 0)
             block += struct.pack("<BQ", Opcode.CHANNEL, len(content)) + content
+        if size < 0:
+            short.append(len(block))
+            block += struct.pack("<BQ", Opcode.MESSAGE, 10) + bytes(10)
+            continue
         places.append(len(block))
         block += struct.pack("<BQHIQQ", Opcode.MESSAGE, 22 + size, channel, number, number, number)
         # Payloads that look like records themselves.
         block += (struct.pack("<BQHIQQ", Opcode.MESSAGE, 22, 1, 0, 0, 0) * 3)[:size]
-    return bytes(block), places
+    return bytes(block), places, short
 
 
 def index_of(places: list[int]) -> bytes:
@@ -147,27 +154,28 @@ def index_of(places: list[int]) -> bytes:
     return struct.pack("<HI", 0, len(entries)) + entries
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(
-    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 93)), max_size=25),
+    st.lists(st.tuples(st.integers(0, 3), st.integers(-1, 93)), max_size=25),
     st.sets(st.integers(0, 24)),
     st.data(),
 )
 def test_an_index_is_never_believed_against_the_records(
     messages: list[tuple[int, int]], definitions: set[int], data: st.DataObject
 ):
-    block, places = records(messages, definitions)
+    block, places, short = records(messages, definitions)
     walked = find(block, [])
     assert walked.place.tolist() == places
-    assert walked.heads["sequence"].tolist() == list(range(len(messages)))
+    assert walked.heads["sequence"].tolist() == [i for i, (_, size) in enumerate(messages) if size >= 0]
     assert len(walked.definitions) == len([i for i in definitions if i < len(messages)])
-    lies = data.draw(st.sampled_from(["none", "fewer", "other", "bytes", "cut", "twice"]))
+    lies = data.draw(st.sampled_from(["none", "fewer", "other", "bytes", "cut", "twice", "short"]))
     told, index = list(places), b""
     if lies == "fewer" and told:
         del told[data.draw(st.integers(0, len(told) - 1))]
     if lies in ("other", "twice"):
         told += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
         told += places[:1] if lies == "twice" else []
+    told += short if lies == "short" else []
     index = index_of(data.draw(st.permutations(told)))
     if lies == "bytes":
         index = index[: data.draw(st.integers(0, len(index)))]
@@ -180,7 +188,7 @@ def test_an_index_is_never_believed_against_the_records(
 
 
 def test_the_index_is_used_where_it_is_right(monkeypatch: pytest.MonkeyPatch):
-    block, places = records([(0, 50)] * 20, {0})
+    block, places, _ = records([(0, 50)] * 20, {0})
     sizes = []
     walk = find.__globals__["_walked"]
     monkeypatch.setitem(find.__globals__, "_walked", lambda *a: sizes.append(a[2] - a[1]) or walk(*a))
@@ -189,7 +197,7 @@ def test_the_index_is_used_where_it_is_right(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_messages_before_their_channel_are_of_nobody(tmp_path: Path):
-    block, _ = records([(0, 5), (1, 5), (0, 5), (1, 5)], {0, 2, 3})
+    block, *_ = records([(0, 5), (1, 5), (0, 5), (1, 5)], {0, 2, 3})
     chunk = struct.pack("<QQQII", 0, 3, len(block), 0, 0) + struct.pack("<Q", len(block)) + block
     path = tmp_path / "late.mcap"
     end = struct.pack("<BQI", Opcode.DATA_END, 4, 0)

@@ -207,7 +207,7 @@ def test_memory_is_flat(long_recording: Path, truth: bool):
     )
     grown, samples, frames = done.stdout.split()
     assert (int(samples), int(frames)) == (80 * 7200, 30 * 7200)
-    assert float(grown) < 45  # MB; measured 20 to 25, in memory above 250
+    assert float(grown) < 45  # MB; measured 17, in memory 275 and 106
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -235,7 +235,7 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     grown, samples, _ = done.stdout.split()
     assert int(samples) == 600
-    assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 10 to 28
+    assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 13 to 24
 
 
 def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
