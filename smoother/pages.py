@@ -7,6 +7,9 @@ import mmap
 import numpy as np
 from numpy.typing import NDArray
 
+#: Rows that are gathered together: each may bring pages beside its own.
+_TOGETHER = 256
+
 
 def let_go(*arrays: NDArray) -> None:
     """Let the pages of arrays that lie on shared maps of files leave the memory; all others stay.
@@ -18,6 +21,18 @@ def let_go(*arrays: NDArray) -> None:
     maps = {id(found): found for found in map(_map_of, arrays) if found is not None}
     for each in maps.values():
         each.madvise(mmap.MADV_DONTNEED)
+
+
+def gathered(array: NDArray, index: NDArray[np.int64]) -> NDArray:
+    """Some rows of an array; where they are spread over a whole file, it leaves the memory again."""
+    if _map_of(array) is None:
+        return array[index]
+    found = np.empty((len(index), *array.shape[1:]), array.dtype)
+    for start in range(0, len(index), _TOGETHER):
+        part = slice(start, start + _TOGETHER)
+        found[part] = array[index[part]]
+        let_go(array)
+    return found
 
 
 def _map_of(array: NDArray) -> mmap.mmap | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
-from .pages import let_go
+from .pages import gathered, let_go
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
@@ -133,17 +133,21 @@ class Recovery:
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
+
+        def part(column: NDArray) -> NDArray:
+            return column[rows] if isinstance(rows, slice) else gathered(column, rows)
+
         return replace(
             self,
-            t_s=self.t_s[rows],
-            occluded=self.occluded[rows],
-            position=self.position[rows],
-            quaternion=self.quaternion[rows],
-            velocity=self.velocity[rows],
-            pose_covariance=self.pose_covariance[rows],
-            velocity_covariance=self.velocity_covariance[rows],
-            joints={joint: values[rows] for joint, values in self.joints.items()},
-            joint_covariance={joint: values[rows] for joint, values in self.joint_covariance.items()},
+            t_s=part(self.t_s),
+            occluded=part(self.occluded),
+            position=part(self.position),
+            quaternion=part(self.quaternion),
+            velocity=part(self.velocity),
+            pose_covariance=part(self.pose_covariance),
+            velocity_covariance=part(self.velocity_covariance),
+            joints={joint: part(values) for joint, values in self.joints.items()},
+            joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
         )
 
     def blocks(self, overlap: int = 0) -> Iterator[Recovery]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from ..angles import wrapped_deg
 from ..recording import FloatArray
@@ -115,6 +114,8 @@ def icc_a1(
     ratings : (n, k): n subjects (here samples) by k raters.
     independent : number of independent subjects for the interval; n if None.
     """
+    from scipy.stats import f as f_distribution
+
     n, k = ratings.shape
     rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
     between_rows = k * ((rows - grand) ** 2).sum() / (n - 1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
+from ..pages import gathered
 from ..recording import JOINTS, FloatArray, IntArray
 from ..result import Recovery
 from .metrics import squared_sigmas
@@ -88,13 +89,12 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         used = _evenly(np.flatnonzero(kept.used[:, column]), MOST)
         off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
         nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s[used]), 0, len(recovery) - 1)
-        own = spread[nearest]
+        own = gathered(spread, nearest)
         variance = np.einsum("nii->n", own) / 3.0
         shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
         # rather by a factor than by a difference: what is left is a covariance for certain
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
-        found[joint] = stated_and_actual(kept.residual[used, column] - off, covariance)
-        recovery.let_go()
+        found[joint] = stated_and_actual(gathered(kept.residual[:, column], used) - off, covariance)
     return {joint: each for joint, each in found.items() if len(each.squared)}
 
 

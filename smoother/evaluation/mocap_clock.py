@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import correlate
 from scipy.spatial.transform import Rotation
 
 from ..errors import RecordingError
@@ -215,6 +214,8 @@ def _coarse(
 
 def _masked_correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pearson's correlation at every shift over the samples that both have, and their number."""
+    from scipy.signal import correlate
+
     known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
     a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
     # small numbers: what comes out of the Fourier transform must not drown in its rounding

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 from scipy.spatial.transform import Rotation
 
 from ..errors import RecordingError
@@ -230,6 +229,8 @@ def _continuous(quaternion: FloatArray) -> FloatArray:
 
 def _best_smooth(parts: list[FloatArray], period_s: float) -> list[FloatArray]:
     """Each stretch (n, d) smoothed with the window that predicts best; shorter stretches as they are."""
+    from scipy.signal import savgol_coeffs, savgol_filter
+
     best, least = parts, np.inf
     windows = sorted({2 * round(0.5 * length / period_s) + 1 for length in SMOOTH_S})
     windows = [window for window in windows if window >= 5]

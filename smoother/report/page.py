@@ -95,7 +95,6 @@ def _sections(
     if len(recovery):
         yield f"<h2>For the next recording</h2>{_list(advice(recovery, found))}"
         yield from _figures(recovery, truth, frame)
-        recovery.let_go()
     yield f"<h2>Gaps</h2>{_GAPS}{tables.gaps(recovery)}"
     if validation is not None:
         heading = escape(validation.title("Errors against the reference"))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..pages import gathered
 from ..recording import FloatArray, Truth
 from ..result import Recovery
 from .thin import thin
@@ -69,4 +70,6 @@ def _point(
     if truth is not None:
         reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
     truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
-    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], truth_t, reference)
+    return Point(
+        name, position, sigma, arm.t_s[frames], gathered(arm.joint(joint), frames), truth_t, reference
+    )

@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.validate import sample_errors
+from ..pages import gathered
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
 from .look import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
@@ -172,7 +173,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
 
 def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
     def distance_cm(index: IntArray) -> FloatArray:
-        return 100 * np.linalg.norm(kept.residual[index, joint], axis=1)
+        return 100 * np.linalg.norm(gathered(kept.residual[:, joint], index), axis=1)
 
     aside = ~kept.used[:, joint] & answered & (kept.reason[:, joint] != 0)
     index = np.flatnonzero(kept.used[:, joint] & answered)

@@ -126,7 +126,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
                 mode="markers",
                 marker={**tick, "line": {"width": 1.6}},
                 name=reason,
-                text=[text] * len(chosen),
+                text=text,
             )
         )
     shade(figure, recovery.gaps)
