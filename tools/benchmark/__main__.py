@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import sys
@@ -47,7 +48,7 @@ def main() -> None:
             _measure(made, Path(name), options, cores, figures)
     _print(figures, lengths_s, cores)
     if options.json:
-        options.json.write_text(json.dumps(figures, indent=1, default=str) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(_finite(figures), indent=1, default=str) + "\n", encoding="utf-8")
 
 
 def _measure(
@@ -212,7 +213,7 @@ def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, An
                 "stopped": str(why),
                 "own_s": why.seconds,
                 "all_s": why.seconds,
-                "cpu_s": why.seconds,
+                "cpu_s": None,
                 "peak_mb": why.peak_mb,
                 "exact": None,
                 "steps": {},
@@ -220,6 +221,15 @@ def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, An
         except RuntimeError as error:
             found[name] = f"failed: {error}"
     return found
+
+
+def _finite(value: Any) -> Any:
+    """The same with null where a number is not one: JSON has no nan."""
+    if isinstance(value, dict):
+        return {str(key): _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _say(text: str) -> None:

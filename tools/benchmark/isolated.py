@@ -48,12 +48,13 @@ def isolated(
     context = multiprocessing.get_context("spawn")
     mine, its = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(its, function, arguments))
-    began = time.monotonic()
     with _environment(environment or {}):
         process.start()
     its.close()
     assert process.pid is not None
     try:
+        mine.recv()  # it has loaded what it needs: the limit counts from here
+        began = time.monotonic()
         while not mine.poll(LOOK_S):
             taken_s, peak_mb = time.monotonic() - began, memory.peak_mb(process.pid)
             if taken_s > limit_s:
@@ -76,6 +77,7 @@ def isolated(
 
 
 def _run(pipe: Connection, function: Callable[..., Any], arguments: tuple[object, ...]) -> None:
+    pipe.send("began")
     try:
         answer = (True, function(*arguments))
     except Exception as error:

@@ -140,7 +140,7 @@ def beside(minutes: float, found: dict[str, Any], command_s: float | None, lengt
                 name,
                 sign + number(own, 2),
                 sign + number(each["all_s"], 2),
-                sign + number(each["cpu_s"], 2),
+                number(each["cpu_s"], 2),
                 number(length_s / own, 0) if not sign else f"< {number(length_s / own, 0)}",
                 "" if name == "smooth" else sign + number(own / ours, 2),
                 "" if name == "smooth" or command_s is None else sign + number(own / command_s, 2),
