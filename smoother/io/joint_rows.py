@@ -128,6 +128,9 @@ def frames_of(stamp_ns: IntArray) -> tuple[IntArray, IntArray | None]:
     """Different stamps in the order in which they came first, and which of them each is (None: its own)."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return stamp_ns, None
+    if (stamp_ns[1:] >= stamp_ns[:-1]).all():
+        is_new = np.append(True, stamp_ns[1:] != stamp_ns[:-1])
+        return stamp_ns[is_new], np.cumsum(is_new) - 1
     unique, first, which = np.unique(stamp_ns, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(unique), np.int64)

@@ -182,7 +182,7 @@ def select_recording(
     first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
     origin = min(first) // _SECOND * _SECOND
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
-    return Recording(
+    recording = Recording(
         imu=_imu_stream(forearm, origin, room),
         arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, room), arm.position, arm.state),
         side=choice.side,
@@ -194,6 +194,8 @@ def select_recording(
         name=file.name,
         notes=tuple(notes),
     )
+    room.tidy()
+    return recording
 
 
 def seconds(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
