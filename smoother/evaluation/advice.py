@@ -272,7 +272,7 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
 def _rates(recovery: Recovery) -> list[str]:
     said = []
     if len(recovery) > 1:
-        rate = float(1.0 / np.median(np.diff(recovery.t_s)))
+        rate = float(1.0 / np.median(np.diff(recovery.t_s), overwrite_input=True))
         if rate < 0.97 * SLOW_IMU_HZ:
             said.append(f"Set the sensor to 80 samples a second or more: it gave {rate:.0f}.")
     if recovery.arm.rate_hz < SLOW_CAMERA_HZ:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import BoolArray
+from ..recording import BoolArray, FloatArray
 from ..result import Gap, Recovery
 
 
@@ -56,8 +56,9 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
 
 def recovery_figures(recovery: Recovery) -> dict[str, object]:
     """The figures of a recovery as plain values, as `smooth --json` writes them."""
-    sigma = recovery.worst_sigma_m
     t = recovery.t_s
+    rate_hz = _rate(t)
+    sigma = recovery.worst_sigma_m
     return {
         "method": recovery.method,
         "recording": recovery.name,
@@ -65,7 +66,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "samples": len(recovery),
         "answered": int(recovery.answered.sum()),
         "duration_s": float(t[-1] - t[0]) if len(t) else 0.0,
-        "rate_hz": float(1.0 / np.median(np.diff(t))) if len(t) > 1 else None,
+        "rate_hz": rate_hz,
         "occluded_samples": int(recovery.occluded.sum()),
         "occluded_s": float(sum(gap.length_s for gap in recovery.gaps)),
         "gaps": [summary.to_dict() for summary in gap_summaries(recovery)],
@@ -81,6 +82,11 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "notes": list(recovery.notes),
         "config": recovery.config,
     }
+
+
+def _rate(t_s: FloatArray) -> float | None:
+    """Median rate, Hz; None for fewer than two samples."""
+    return float(1.0 / np.median(np.diff(t_s), overwrite_input=True)) if len(t_s) > 1 else None
 
 
 def _sigmas(sigma: np.ndarray, chosen: BoolArray) -> dict[str, float | None]:

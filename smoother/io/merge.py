@@ -19,7 +19,7 @@ from .messages import Run, Topic
 from .schemas import schema_data
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
-SLICE = 4096
+SLICE = 2048
 #: Messages carried over are written at the latest when they hold so many bytes.
 _HELD_BYTES = 1 << 23
 #: After all times.

@@ -42,6 +42,7 @@ class RecoveryStreams:
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.camera_joints = joints_there(recovery.arm.state)
         self.residual_joints = [] if recovery.residuals is None else _present(recovery.residuals)
+        self._residual_templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
 
     def axes(self) -> list[Axis]:
@@ -183,7 +184,10 @@ class RecoveryStreams:
             return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
 
         for pattern, rows in wire.alike(residuals.reason):
-            template = self._residual_template([residuals.reasons[code] for code in pattern])
+            if pattern not in self._residual_templates:
+                reasons = [residuals.reasons[code] for code in pattern]
+                self._residual_templates[pattern] = self._residual_template(reasons)
+            template = self._residual_templates[pattern]
             yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
 
     def _residual_template(self, reasons: list[str]) -> wire.Template:
