@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -26,6 +27,15 @@ _HEAD = np.dtype(
         ("publish", "<u8"),
     ]
 )
+
+
+class Records(NamedTuple):
+    """Messages with their heads, as they stand in a file: channel, log time (ns) and length of each (n,)."""
+
+    channel: IntArray
+    log_ns: IntArray
+    sizes: IntArray
+    records: list[bytes]
 
 
 class Batch:
@@ -58,23 +68,26 @@ class Batch:
                 counts[int(columns[0, 0])] += columns.shape[1]
         return counts
 
-    def sorted(self, numbers: Mapping[int, int]) -> tuple[IntArray, IntArray, list[bytes]]:
-        """Channel, log time and record of all messages by log time; those of one time in the order they came.
+    def sorted(self, numbers: Mapping[int, int]) -> Records:
+        """All messages by log time; those of one time in the order in which they came.
 
         Parameters
         ----------
         numbers : the next message's number by channel; zero where there is none.
         """
         if not self._columns:
-            return np.empty(0, np.int64), np.empty(0, np.int64), []
+            nothing = np.empty(0, np.int64)
+            return Records(nothing, nothing, nothing, [])
         columns = np.concatenate(self._columns, axis=1)
         channel, sequence, log_ns, publish_ns = columns
         order = np.argsort(log_ns, kind="stable")
         own = order[sequence[order] < 0]
-        by_channel = own[np.argsort(channel[own], kind="stable")]
-        found, counts = np.unique(channel[own], return_counts=True)
-        for number, rows in zip(found.tolist(), np.split(by_channel, np.cumsum(counts)[:-1]), strict=True):
+        by_channel = own[np.argsort(channel[own].astype(np.uint16), kind="stable")]
+        counts, start = np.bincount(channel[own]), 0
+        for number in np.flatnonzero(counts).tolist():
+            rows = by_channel[start : start + int(counts[number])]
             sequence[rows] = numbers.get(number, 0) + np.arange(len(rows))
+            start += len(rows)
         heads = np.empty(len(channel), _HEAD)
         heads["opcode"] = Opcode.MESSAGE
         heads["channel"], heads["sequence"] = channel, sequence
@@ -82,7 +95,8 @@ class Batch:
         records: list[bytes] = []
         for data in self._data:
             records += _records(heads[len(records) : len(records) + len(data)], data)
-        return channel[order], log_ns[order], [records[i] for i in order.tolist()]
+        sizes = heads["length"].astype(np.int64) + 9
+        return Records(channel[order], log_ns[order], sizes[order], [records[i] for i in order.tolist()])
 
 
 def _records(heads: NDArray, data: Encoded) -> list[bytes]:

@@ -83,17 +83,17 @@ class ChunkedFile:
         self._later(self._record, channel)
         return number
 
-    def messages(self, channel: IntArray, log_ns: IntArray, records: Sequence[bytes]) -> None:
+    def messages(
+        self, channel: IntArray, log_ns: IntArray, sizes: IntArray, records: Sequence[bytes]
+    ) -> None:
         """Write message records in the order given, in chunks of about a megabyte.
 
         Parameters
         ----------
         channel, log_ns : (n,) of the messages.
-        records : the messages with their heads.
+        sizes, records : the messages with their heads, and how long they are.
         """
-        count = len(records)
-        sizes = np.fromiter(map(len, records), np.int64, count)
-        ends = np.cumsum(sizes)
+        count, ends = len(records), np.cumsum(sizes)
         start = 0
         while start < count:
             before = ends[start - 1] if start else 0
@@ -178,14 +178,17 @@ class ChunkedFile:
 
     def _index(self, channel: IntArray, log_ns: IntArray, offsets: IntArray) -> dict[int, int]:
         """Write where in a chunk the messages of each channel lie; where these records lie themselves."""
-        found = {}
-        for number in np.unique(channel).tolist():
-            mine = channel == number
-            entries = np.column_stack([log_ns[mine], offsets[mine]]).astype("<u8").tobytes()
+        order = np.argsort(channel.astype(np.uint16), kind="stable")
+        rows = np.stack([log_ns[order], offsets[order]], axis=1).astype("<u8").tobytes()
+        counts = np.bincount(channel)
+        found, start = {}, 0
+        for number in np.flatnonzero(counts).tolist():
+            entries = rows[16 * start : 16 * (start + int(counts[number]))]
+            start += int(counts[number])
             found[number] = self._file.tell()
             head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries))
             self._file.write(head + entries)
-            self._counts[number] = self._counts.get(number, 0) + len(entries) // 16
+            self._counts[number] = self._counts.get(number, 0) + int(counts[number])
         return found
 
     def _named(self, metadata: Metadata) -> None:

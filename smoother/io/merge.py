@@ -139,10 +139,9 @@ class Output:
         return batch
 
     def _write(self, batch: Batch) -> None:
-        channel, log_ns, records = batch.sorted(self._sequence)
+        found = batch.sorted(self._sequence)
         self._sequence.update(batch.own())
-        if records:
-            self._file.messages(channel, log_ns, records)
+        self._file.messages(*found)
 
 
 def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Batch]]:
