@@ -32,6 +32,8 @@ from .traces import angles, coordinates, residuals, uncertainty
 from .trust import against_truth, honesty, honesty_words, timeline
 from .words import summary
 
+#: Stands for the sections while the page around them is put together.
+_HERE = "<!-- sections -->"
 _SEEN = '<span class="seen">blue</span> where the camera saw the forearm'
 _RECOVERED = '<span class="recovered">orange</span> where it was hidden and was recovered'
 
@@ -70,11 +72,15 @@ def write_report(
         made=escape(_made(recovery)),
         style=resources.files(__package__).joinpath("style.css").read_text(encoding="utf-8"),
         plotly=get_plotlyjs(),
-        content="\n".join(_sections(recovery, recording, validation, truth)),
+        content=_HERE,
         version=escape(__version__),
     )
-    with writing(path, force) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    before, after = page.split(_HERE)
+    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8") as file:
+        file.write(before)
+        for number, section in enumerate(_sections(recovery, recording, validation, truth)):
+            file.write(f"\n{section}" if number else section)
+        file.write(after)
 
 
 def _made(recovery: Recovery) -> str:
