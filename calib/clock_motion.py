@@ -15,6 +15,7 @@ import numpy as np
 
 from smoother.calibration import ArmCalibration
 from smoother.clock import LARGEST_OFFSET_S
+from smoother.clock_coarse import coarse_offset
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.pieces import Piece, take_apart
@@ -23,7 +24,6 @@ from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.screen import by_camera
 from smoother.selfcal import Knowledge, self_calibrate
 
-from .clock_coarse import coarse_offset
 from .clock_links import SKEW_SIGMA, ClockLink
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.calibration import ArmCalibration
-from smoother.clock import LARGEST_OFFSET_S
+from smoother.clock import LARGEST_OFFSET_S, Clock
+from smoother.clock_coarse import near
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.pieces import take_apart
@@ -91,9 +92,10 @@ def calibrate_motion(
     if len(sides) > 1:
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")
     known = known or ArmCalibration(side=sides[0] if sides else "")
+    moved = [near(recording) for recording in recordings]
     pieces = [
         by_camera(piece)
-        for number, recording in enumerate(recordings)
+        for number, (recording, _) in enumerate(moved)
         for piece in take_apart(recording, LARGEST_OFFSET_S, number)
     ]
     if not pieces:
@@ -105,7 +107,7 @@ def calibrate_motion(
     if calibration.R_F_A is None and frame is not None:
         calibration = replace(calibration, R_F_A=frame.R_F_A)
     evidence = gather(pieces, calibration.forearm_direction)
-    offsets = _offsets(recordings, {piece.recording for piece in pieces}, knowledge)
+    offsets = _offsets(recordings, [coarse for _, coarse in moved], {p.recording for p in pieces}, knowledge)
     left_open = [
         *not_determined(calibration, frame, evidence, known, knowledge.bias.sigma_m),
         *clocks_not_determined(offsets),
@@ -123,13 +125,13 @@ def calibrate_motion(
 
 
 def _offsets(
-    recordings: Sequence[Recording], used: set[int], knowledge: Knowledge
+    recordings: Sequence[Recording], coarse: Sequence[Clock | None], used: set[int], knowledge: Knowledge
 ) -> tuple[ClockOffset, ...]:
     offsets = []
     for number, recording in enumerate(recordings):
         if number not in used:
             offsets.append(ClockOffset(recording.name))
             continue
-        clock = knowledge.clocks[number]
+        clock = knowledge.clocks[number].after(coarse[number])
         offsets.append(ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s))
     return tuple(offsets)

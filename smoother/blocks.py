@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeVar
 
@@ -17,12 +18,44 @@ from .timing import split_at_pauses, steady
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
 BLOCK_S = 20.0
 BLOCKS_S = 80.0
+WANTED = int(BLOCKS_S / BLOCK_S)
 #: The inertial filter runs over so much more on both sides of a block, s.
 CONTEXT_S = 12.0
 #: Turning is judged over so long, s.
 TURN_S = 0.1
 
 Block = TypeVar("Block")
+
+
+@dataclass(frozen=True)
+class Span:
+    """A block of a recording: what it looks at, s on the IMU's clock, and the rows that hold it and more."""
+
+    start_s: float
+    end_s: float
+    samples: slice
+    frames: slice
+
+
+def spread_blocks(recording: Recording, count: int, around_s: float) -> list[Span]:
+    """Blocks that tell most, as many as asked for, spread over the recording, with so much around each."""
+    t, arm_t = recording.imu.t_s, recording.arm.t_s
+    seen_t = arm_t[enough_joints(recording.arm.state == JointState.TRACKED, joints_needed(recording.arm))]
+    parts = split_at_pauses(recording.imu)
+    blocks = [(part, a, b) for part in parts for a, b in _even(float(t[part.start]), float(t[part.stop - 1]))]
+
+    def worth(block: tuple[slice, float, float]) -> float:
+        _, a, b = block
+        rows = slice(*np.searchsorted(t, [a, b]).tolist())
+        inside = seen_t[slice(*np.searchsorted(seen_t, [a, b]).tolist())]
+        return _worth(inside, _turning(t[rows], recording.imu.gyro[rows]))
+
+    spans = []
+    for part, a, b in _best(blocks, worth, count):
+        first, last = part.start + np.searchsorted(t[part], [a - around_s, b + around_s])
+        rows = np.searchsorted(arm_t, [a - around_s, b + around_s])
+        spans.append(Span(a, b, slice(int(first), int(last)), slice(int(rows[0]), int(rows[1]))))
+    return spans
 
 
 def blocks_of(recording: Recording) -> list[Piece]:
@@ -34,31 +67,13 @@ def blocks_of(recording: Recording) -> list[Piece]:
     t = recording.imu.t_s
     if sum(t[part.stop - 1] - t[part.start] for part in parts) <= 1.5 * BLOCKS_S:
         return take_apart(recording, LARGEST_OFFSET_S)
-    needed = joints_needed(recording.arm)
-    seen_t = recording.arm.t_s[enough_joints(recording.arm.state == JointState.TRACKED, needed)]
-    blocks = [(part, a, b) for part in parts for a, b in _even(float(t[part.start]), float(t[part.stop - 1]))]
-
-    def worth(block: tuple[slice, float, float]) -> float:
-        _, a, b = block
-        rows = slice(*np.searchsorted(t, [a, b]).tolist())
-        inside = seen_t[slice(*np.searchsorted(seen_t, [a, b]).tolist())]
-        return _worth(inside, _turning(t[rows], recording.imu.gyro[rows]))
-
-    pieces = [_load(recording, *block) for block in _best(blocks, worth)]
-    return [piece for piece in pieces if piece is not None]
-
-
-def _load(recording: Recording, part: slice, start_s: float, end_s: float) -> Piece | None:
-    """The piece that looks at one block of the samples `part`."""
-    t = recording.imu.t_s[part]
-    first, last = np.searchsorted(t, [start_s - CONTEXT_S, end_s + CONTEXT_S])
-    samples = slice(part.start + int(first), part.start + int(last))
-    imu = recording.imu.select(samples)
-    reach = LARGEST_OFFSET_S + CONTEXT_S
-    rows = np.searchsorted(recording.arm.t_s, [start_s - reach, end_s + reach])
-    frames = slice(int(rows[0]), int(rows[1]))
-    piece = make_piece(imu, steady(imu.t_s), recording.arm.select(frames), frames, traits_of(recording))
-    return None if piece is None else piece.between(start_s, end_s)
+    traits, pieces = traits_of(recording), []
+    for span in spread_blocks(recording, WANTED, CONTEXT_S):
+        imu, arm = recording.imu.select(span.samples), recording.arm.select(span.frames)
+        piece = make_piece(imu, steady(imu.t_s), arm, span.frames, traits)
+        if piece is not None:
+            pieces.append(piece.between(span.start_s, span.end_s))
+    return pieces
 
 
 def choose_blocks(pieces: list[Piece]) -> list[Piece]:
@@ -67,7 +82,7 @@ def choose_blocks(pieces: list[Piece]) -> list[Piece]:
     if total <= 1.5 * BLOCKS_S:
         return pieces
     blocks = [piece.between(a, b) for piece in pieces for a, b in _even(piece.start_s, piece.end_s)]
-    return _best(blocks, _worth_of)
+    return _best(blocks, _worth_of, WANTED)
 
 
 def _even(start_s: float, end_s: float) -> Iterator[tuple[float, float]]:
@@ -75,9 +90,8 @@ def _even(start_s: float, end_s: float) -> Iterator[tuple[float, float]]:
     return pairwise(np.linspace(start_s, end_s, max(round((end_s - start_s) / BLOCK_S), 1) + 1).tolist())
 
 
-def _best(blocks: Sequence[Block], worth: Callable[[Block], float]) -> list[Block]:
+def _best(blocks: Sequence[Block], worth: Callable[[Block], float], wanted: int) -> list[Block]:
     """Of as many parts of the whole as blocks are wanted the best block each."""
-    wanted = max(int(BLOCKS_S / BLOCK_S), 1)
     groups = np.array_split(np.arange(len(blocks)), min(wanted, len(blocks)))
     worths = [worth(block) for block in blocks]
     return [blocks[max(group.tolist(), key=lambda k: worths[k])] for group in groups]

@@ -9,7 +9,7 @@ time series models, 1989), and their smoothed mean is the clock.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,48 @@ class Clock:
         outside = np.minimum(t - self.t[0], 0.0) + np.maximum(t - self.t[-1], 0.0)
         return np.interp(t, self.t, self.offset) + self.skew * outside
 
+    def after(self, coarse: Clock | None) -> Clock:
+        """The clock of the stamps themselves, where it was found after `coarse` had moved them."""
+        if coarse is None:
+            return self
+        t = self.t - coarse.mean_s
+        for _ in range(3):  # coarse is nearly constant: this settles at once
+            t = self.t - coarse.at(t)
+        return replace(self, t=t, offset=self.offset + coarse.at(t), skew=self.skew + coarse.skew)
+
+    def moved(self, pulls: Pulls, made_up: bool) -> Clock:
+        """The clock that the residuals' pulls ask for; `made_up`: the stamps are (`stamps_made_up`)."""
+        if not pulls.information.sum() > 0:
+            return self
+        t = pulls.t - self.mean_s  # back to the camera's clock, near enough to place knots
+        cell = np.floor(t / CELL_MADE_UP_S).astype(int) if made_up else pulls.window
+        _, cell = np.unique(cell, return_inverse=True)
+        information = np.bincount(cell, weights=pulls.information)
+        seen = information > 1e-6 * information.max()
+        information = information[seen]
+        pull = np.bincount(cell, weights=pulls.slope)[seen]
+        middle = (np.bincount(cell, weights=t) / np.bincount(cell))[seen]
+        now = self.at(middle)
+        local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
+        line, drift, skew = _line(middle, local, information), np.zeros(len(local)), 0.0
+        (loglik, offset, sigma, local_sigma), walk = _likeliest(middle, local, 1.0 / information, made_up)
+        if line is not None and line[0] > loglik + SKEW_GAIN:
+            (_, drift, skew, local_sigma), offset, walk = line, np.zeros(len(local)), 0.0
+            # and what wanders about the line
+            wander, again = _likeliest(middle, local - drift, 1.0 / information, made_up)
+            if again > 0.0:
+                (_, offset, _, local_sigma), walk = wander, again
+        if made_up:
+            local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
+        return Clock(
+            middle,
+            np.clip(drift + offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S),
+            float(sigma),
+            walk,
+            float(np.hypot(sigma, local_sigma)),
+            skew,
+        )
+
     @property
     def mean_s(self) -> float:
         """Mean offset, s."""
@@ -113,41 +155,12 @@ class ClockFit:
         """Move every clock by what the residuals of another round say."""
         for number in np.unique(owner).tolist():
             chosen = np.flatnonzero(owner == number).tolist()
-            pulls = _pulls([windows[k] for k in chosen], [solutions[k] for k in chosen])
-            if pulls.information.sum() > 0:
-                self.clocks[number] = self._moved(number, pulls)
-
-    def _moved(self, number: int, pulls: _Pulls) -> Clock:
-        clock = self.clocks[number]
-        t = pulls.t - clock.mean_s  # back to the camera's clock, near enough to place knots
-        cell = np.floor(t / CELL_MADE_UP_S).astype(int) if self._made_up[number] else pulls.window
-        _, cell = np.unique(cell, return_inverse=True)
-        information = np.bincount(cell, weights=pulls.information)
-        seen = information > 1e-6 * information.max()
-        information = information[seen]
-        pull = np.bincount(cell, weights=pulls.slope)[seen]
-        middle = (np.bincount(cell, weights=t) / np.bincount(cell))[seen]
-        now = clock.at(middle)
-        local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
-        best, walk = _likeliest(middle, local, 1.0 / information, self._made_up[number])
-        loglik, offset, sigma, local_sigma = best
-        line, skew = _line(middle, local, information), 0.0
-        if line is not None and line[0] > loglik + SKEW_GAIN:
-            (_, offset, skew, local_sigma), walk = line, 0.0
-        if self._made_up[number]:
-            local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
-        return Clock(
-            middle,
-            np.clip(offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S),
-            float(sigma),
-            walk,
-            float(np.hypot(sigma, local_sigma)),
-            skew,
-        )
+            pulls = pulls_of([windows[k] for k in chosen], [solutions[k] for k in chosen])
+            self.clocks[number] = self.clocks[number].moved(pulls, self._made_up[number])
 
 
 @dataclass(frozen=True)
-class _Pulls:
+class Pulls:
     """Sample by sample, (n,) each: time, fall of the loss for a later offset, information, window.
 
     The loss falls by residual . velocity / sigma^2 a second (envelope theorem). Information is
@@ -160,8 +173,8 @@ class _Pulls:
     window: IntArray
 
 
-def _pulls(windows: Sequence[Window], solutions: Sequence[Solution]) -> _Pulls:
-    """The samples of the windows' own parts."""
+def pulls_of(windows: Sequence[Window], solutions: Sequence[Solution]) -> Pulls:
+    """What the samples of the windows' own parts say; the solutions state their offset information."""
     t, slope, information, number = [], [], [], []
     for k, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
         own, all_t, all_slope, bound = [], [], [], []
@@ -182,7 +195,16 @@ def _pulls(windows: Sequence[Window], solutions: Sequence[Solution]) -> _Pulls:
         slope.append(np.concatenate(all_slope)[core])
         information.append(part * most[core])
         number.append(np.full(int(core.sum()), k))
-    return _Pulls(*(np.concatenate(each) for each in (t, slope, information, number)))
+    if not t:
+        return Pulls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int))
+    return Pulls(*(np.concatenate(each) for each in (t, slope, information, number)))
+
+
+def together(pulls: Sequence[Pulls]) -> Pulls:
+    """The pulls of windows apart, numbered anew."""
+    number = [np.full(len(each.t), k) for k, each in enumerate(pulls)]
+    columns = [[getattr(each, name) for each in pulls] for name in ("t", "slope", "information")]
+    return Pulls(*(np.concatenate(each) for each in (*columns, number)))
 
 
 def _likeliest(

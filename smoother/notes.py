@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .clock import stamps_made_up
+from .clock import LARGEST_OFFSET_S, Clock, stamps_made_up
 from .recording import Recording
 from .result import FrameResiduals, Gap
 from .selfcal import Knowledge
@@ -19,13 +19,17 @@ DRIFT_S = 0.005
 
 
 def notes_on(
-    recording: Recording, known: Knowledge, residuals: FrameResiduals, gaps: tuple[Gap, ...]
+    recording: Recording,
+    known: Knowledge,
+    clock: Clock,
+    residuals: FrameResiduals,
+    gaps: tuple[Gap, ...],
 ) -> tuple[str, ...]:
     """Sentences on pauses, clocks, samples set aside and open gaps."""
     return (
         *recording.notes,
         *_pauses(recording),
-        *_clock(recording, known),
+        *_clock(recording, clock),
         *_mounting(known),
         *_set_aside(residuals),
         *_open_gaps(gaps),
@@ -42,12 +46,17 @@ def _pauses(recording: Recording) -> list[str]:
     ]
 
 
-def _clock(recording: Recording, known: Knowledge) -> list[str]:
-    clock, notes = known.clocks[0], []
+def _clock(recording: Recording, clock: Clock) -> list[str]:
+    notes = []
     if stamps_made_up(recording.arm.t_s):
         notes.append(
             "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
             " up, dropped frames are hidden, and fast movement is known less well"
+        )
+    if abs(clock.mean_s) > LARGEST_OFFSET_S:
+        notes.append(
+            f"the camera's clock and the IMU's are {abs(clock.mean_s):.2f} s apart; that was found from the"
+            " motion: look whether the answer follows the camera"
         )
     if clock.drift_s > DRIFT_S:
         notes.append(f"the camera's clock drifts by {1e3 * clock.drift_s:.0f} ms over the recording")

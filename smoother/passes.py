@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from .assemble import SectionAnswer, answer_of, frame_residuals
 from .calibration import ArmCalibration
+from .clock import Pulls, pulls_of
 from .config import Config
 from .join import Motion, join
 from .magnetic import Block, Observed, blocks_of, observe
@@ -38,6 +39,7 @@ class Task:
     sharing : how many windows share the attitude prior, about.
     joints : to answer for.
     magnetometer : there is a calibrated one.
+    with_clock : the first pass asks every section for the clock.
     """
 
     known: Knowledge
@@ -47,6 +49,7 @@ class Task:
     sharing: int
     joints: tuple[str, ...]
     magnetometer: bool
+    with_clock: bool
 
 
 @dataclass(frozen=True)
@@ -75,11 +78,20 @@ class Kept:
 
 @dataclass(frozen=True)
 class FirstAnswer:
-    """What a section says to all: a message a window, and the field's strength where it was read."""
+    """What a section says to all.
+
+    Attributes
+    ----------
+    kept : what its second pass needs.
+    messages : on the shared quantities, a window each.
+    strengths : of the magnetic field where it was read, a window each.
+    pulls : on the clock, of one window.
+    """
 
     kept: Kept
     messages: list[Message]
     strengths: tuple[FloatArray, ...]
+    pulls: Pulls
 
 
 @dataclass(frozen=True)
@@ -111,7 +123,12 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
     stretch, alignment = ready
     borders = cut_times(stretch, config.windows.length_s)
     windows = _windows(stretch, borders, [task.prior] * (len(borders) - 1), task)
-    solutions = [solve(window, with_covariance=task.magnetometer) for window in windows]
+    middle = len(windows) // 2
+    solutions = [
+        solve(window, with_covariance=task.magnetometer, with_offset=task.with_clock and k == middle)
+        for k, window in enumerate(windows)
+    ]
+    pulls = pulls_of([windows[middle]], [solutions[middle]])
     seen = tuple(
         observe(data.imu, window, solution)
         for window, solution in zip(windows, solutions, strict=True)
@@ -119,7 +136,8 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
     )
     motion = join(stretch.t, windows, solutions)
     kept = Kept(data.imu.t_s, data.section.samples.start, piece, stretch, alignment, borders, motion, seen)
-    return FirstAnswer(kept, [each.message for each in solutions], tuple(each.strength for each in seen))
+    messages, strengths = [each.message for each in solutions], tuple(each.strength for each in seen)
+    return FirstAnswer(kept, messages, strengths, pulls)
 
 
 def second_pass(

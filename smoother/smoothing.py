@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
 from .blocks import blocks_of
 from .calibration import ArmCalibration
+from .clock import Pulls, stamps_made_up, together
+from .clock_coarse import near
 from .config import Config
 from .errors import SolveError
 from .firstpass import combine, tell
@@ -22,6 +25,9 @@ from .sections import Sections
 from .selfcal import Knowledge, self_calibrate
 from .stitch import Stitch
 from .window import FieldSight, Message, Priors
+
+#: With so many sections the clock is found anew from all of them: it wanders over a long recording.
+CLOCK_SECTIONS = 5
 
 Progress = Callable[[float, str], None]
 
@@ -62,6 +68,7 @@ def smooth(
     say, room = progress or (lambda fraction, text: None), room or Room()
     _check(recording)
 
+    recording, coarse = near(recording)
     with Pool(config.windows.processes, len(recording.arm)) as pool:
         # clocks, and what the calibration lacks
         say(0.0, "calibrating")
@@ -76,12 +83,14 @@ def smooth(
         first = _First(pool, sections, task, room, lambda share: say(0.2 + 0.35 * share, "first pass"))
         if not first.messages:
             raise SolveError(f"{recording.name}: too little of what the camera saw can be believed")
+        known = first.known(stamps_made_up(recording.arm.t_s))
+        task = replace(task, known=known)
         told = tell(first.messages, task.prior)
         found = calibration_from(
             combine(first.messages, task.prior), task.prior.layout, known.start, known.bias.sigma_m
         )
         # a calibrated magnetometer, where it agrees with them
-        fields, magnetometer = first.magnetometer(found)
+        fields, magnetometer = first.magnetometer(found, task)
         # every section again, told what the others found
         stitch = Stitch(recording, task.joints, room)
         jobs = (
@@ -93,7 +102,7 @@ def smooth(
             stitch.add(answer.answer, answer.messages)
             room.tidy()
             say(0.55 + 0.4 * (count + 1) / len(first.kept), "recovering")
-    recovery = magnetometer.noted(stitch.recovery(found, config, known))
+    recovery = magnetometer.noted(stitch.recovery(found, config, known, known.clocks[0].after(coarse)))
     say(1.0, "done")
     return recovery
 
@@ -121,6 +130,7 @@ class _First:
         self.kept: list[object] = []
         self.messages: list[Message] = []
         self._strengths: list[FloatArray] = []
+        self._pulls: list[Pulls] = []
         self._first_window = [0]
         answers: Iterator[FirstAnswer | None] = pool.map(partial(first_pass, task=task), sections)
         for count, answer in enumerate(answers):
@@ -128,6 +138,7 @@ class _First:
                 self.kept.append(room.keep(answer.kept))
                 self.messages += answer.messages
                 self._strengths += answer.strengths
+                self._pulls.append(answer.pulls)
                 self._first_window.append(len(self.messages))
             room.tidy()
             say((count + 1) / len(sections.all))
@@ -139,14 +150,21 @@ class _First:
             assert isinstance(kept, Kept)
             yield kept, a, b
 
-    def magnetometer(self, found: ArmCalibration) -> tuple[dict[int, FieldSight], Magnetometer]:
+    def known(self, made_up: bool) -> Knowledge:
+        """What is known, with the clock as all sections see it."""
+        known = self._task.known
+        if not self._task.with_clock:
+            return known
+        return replace(known, clocks=(known.clocks[0].moved(together(self._pulls), made_up),))
+
+    def magnetometer(self, found: ArmCalibration, task: Task) -> tuple[dict[int, FieldSight], Magnetometer]:
         """What a calibrated magnetometer adds, by window, and what became of it."""
-        if not self._task.magnetometer:
+        if not task.magnetometer:
             return {}, NO_MAGNETOMETER
         strength, reason = usual_strength(self._strengths)
         if not strength > 0:
             return {}, reason
-        job = partial(_field, strength=strength, found=found, task=self._task)
+        job = partial(_field, strength=strength, found=found, task=task)
         blocks: list[Block] = []
         kept = []
         for each, more in self._pool.map(job, self.taken()):
@@ -175,6 +193,7 @@ def _task(recording: Recording, known: Knowledge, config: Config, sections: Sect
         sharing=windows,
         joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
         magnetometer=takes_part(recording.imu),
+        with_clock=len(sections.all) >= CLOCK_SECTIONS,
     )
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from .assemble import SectionAnswer
 from .calibration import ArmCalibration
+from .clock import Clock
 from .config import Config
 from .join import mix, share_after, turn_to
 from .notes import notes_on
@@ -75,10 +76,17 @@ class Stitch:
         self._bias += [message.shared.mean[:6] for message in messages]
         self._end = rows.stop
 
-    def recovery(self, calibration: ArmCalibration, config: Config, known: Knowledge) -> Recovery:
-        """The answer at every IMU sample; nan where no section has one."""
-        recording, clock = self._recording, known.clocks[0]
-        frame_t = recording.arm.t_s + clock.at(recording.arm.t_s)
+    def recovery(
+        self, calibration: ArmCalibration, config: Config, known: Knowledge, clock: Clock
+    ) -> Recovery:
+        """The answer at every IMU sample; nan where no section has one.
+
+        Parameters
+        ----------
+        clock : of the camera's stamps as they were recorded.
+        """
+        recording = self._recording
+        frame_t = recording.arm.t_s + known.clocks[0].at(recording.arm.t_s)
         down = np.mean(self._gravity, axis=0)
         bias = np.mean(self._bias, axis=0)
         gaps = tuple(self._gaps)
@@ -100,7 +108,7 @@ class Stitch:
             origin_ns=recording.origin_ns,
             side=recording.side,
             name=recording.name,
-            notes=notes_on(recording, known, residuals, gaps),
+            notes=notes_on(recording, known, clock, residuals, gaps),
             # the answer is the same on any number of processes
             config=config.model_dump(exclude={"windows": {"processes"}}),
             figures={

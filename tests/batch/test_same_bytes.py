@@ -9,7 +9,7 @@ from smoother.simulation import ArmSimulation, simulate_arm
 
 
 def test_any_number_of_processes_any_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "WORTH_NODES", 0)  # also a short recording goes to processes
+    monkeypatch.setattr(pool, "WORTH_FRAMES", 0)  # also a short recording goes to processes
     settings = ArmSimulation.preset(
         "white", protocol="random", duration_s=25.0, occlusion_lengths_s=(1.0,), occlusion_every_s=6.0
     )
