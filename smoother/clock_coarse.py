@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import correlate
 
 from .blocks import spread_blocks
 from .clock import LARGEST_OFFSET_S, Clock
@@ -53,15 +52,14 @@ def coarse_clock(recording: Recording) -> Clock | None:
     """The camera's clock to some tens of milliseconds; None where the fine search reaches it by itself.
 
     Over a long recording clocks drift apart: parts of it are looked at one by one, and a line is drawn
-    through what they say (Theil and Sen's, which a few wrong ones do not move).
+    through what they say: the median of the slopes of all pairs, which a few wrong ones do not move (Sen,
+    J. Am. Stat. Assoc. 1968).
 
     Raises
     ------
     CalibrationError
         See `coarse_offset`.
     """
-    from scipy.stats import theilslopes
-
     t = recording.arm.t_s
     if t[-1] - t[0] <= LONG_S:
         offset = coarse_offset(recording, LARGEST_OFFSET_S)
@@ -74,12 +72,14 @@ def coarse_clock(recording: Recording) -> Clock | None:
     if len(rows) < FEWEST_BLOCKS:
         return None
     at, lag = np.array(rows).T
-    slope, value, *_ = theilslopes(lag, at)
+    i, j = np.triu_indices(len(at), 1)
+    slope = float(np.median((lag[j] - lag[i]) / (at[j] - at[i])))
+    value = float(np.median(lag - slope * at))
     if np.mean(np.abs(lag - value - slope * at) < SMALL_S) < AGREE:
         return None
     ends = np.array([t[0], t[-1]])
     line = value + slope * ends
-    return None if np.abs(line).max() < SMALL_S else Clock(ends, line, SMALL_S, skew=float(slope))
+    return None if np.abs(line).max() < SMALL_S else Clock(ends, line, SMALL_S, skew=slope)
 
 
 def coarse_offset(recording: Recording, reach_s: float) -> float:
@@ -187,8 +187,12 @@ def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
     a, b = a / max(float(a.std()), 1e-12), b / max(float(b.std()), 1e-12)
 
+    size = 1 << (len(a) + len(b) - 2).bit_length()
+
     def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
-        return np.asarray(correlate(x, y, mode="full", method="fft"))
+        # as scipy.signal.correlate, whose import would cost more memory than a section of a recording
+        product = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
+        return np.asarray(np.fft.irfft(product, size)[: len(a) + len(b) - 1])
 
     n = np.maximum(np.round(shifted(known_a, known_b)), 1.0)
     sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)

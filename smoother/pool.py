@@ -14,6 +14,8 @@ from typing import TypeVar
 
 #: With fewer frames than this in all, starting processes costs more than it saves.
 WORTH_FRAMES = 4000
+#: Libraries that would start threads of their own in each process.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
@@ -29,6 +31,19 @@ def blank_main() -> Iterator[None]:
         yield
     finally:
         sys.modules["__main__"] = main
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Keep the libraries of processes that start meanwhile from starting threads of their own."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update({name: "1" for name, value in before.items() if value is None})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
 
 
 def _wake() -> None:
@@ -51,12 +66,15 @@ class Pool:
     def __init__(self, processes: int, frames: int) -> None:
         count = processes or os.cpu_count() or 1
         self._executor: ProcessPoolExecutor | None = None
-        self._ahead = 2 * count
+        self._ahead = count + 1
         if count > 1 and frames > WORTH_FRAMES:
             # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(count, mp_context=context)
-            with blank_main():  # the workers load their libraries while the caller prepares
+            with (
+                blank_main(),
+                one_thread_each(),
+            ):  # the workers load their libraries while the caller prepares
                 for _ in range(count):
                     self._executor.submit(_wake)
 

@@ -28,8 +28,7 @@ TIGHTEN = (1.0, 0.3, 0.1, 0.03)
 COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
 NEAR_S = 0.5
-VELOCITY_COVARIANCE_S = 1.0
-SHOULDER_COVARIANCE_S = 1.0
+SHOULDER_COVARIANCE_S = 0.1
 
 
 def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> Solution:
@@ -119,24 +118,23 @@ def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[F
     """
     t = window.t
     in_gap = np.isfinite(window.velocity_change)
-    some, moving = _some(t, in_gap, COVARIANCE_S), _some(t, in_gap, VELOCITY_COVARIANCE_S, fine=False)
+    some = _some(t, in_gap, COVARIANCE_S)
     body = np.array([marginals.marginalCovariance(X(i)) for i in some])
-    velocity = np.array([marginals.marginalCovariance(V(i)) for i in moving])
+    velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]
     turn = np.zeros((len(some), 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = R[some]
     pose = turn @ body @ np.swapaxes(turn, 1, 2)
-    return interpolate(t[some], pose, t), interpolate(t[moving], velocity, t)
+    return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
 
 
-def _some(t: FloatArray, in_gap: BoolArray, apart_s: float, fine: bool = True) -> IntArray:
+def _some(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
     """Nodes about so far apart, and finer in and near gaps, where covariances change.
 
     Parameters
     ----------
     in_gap : (n - 1,) intervals in which the camera saw too little.
-    fine : finer near gaps as well, not in them only.
     """
 
     def every(step_s: float) -> BoolArray:
@@ -151,7 +149,7 @@ def _some(t: FloatArray, in_gap: BoolArray, apart_s: float, fine: bool = True) -
         after = np.clip(np.searchsorted(t[edge], t), 0, len(edge) - 1)
         near = np.minimum(np.abs(t[edge][after] - t), np.abs(t - t[edge][np.maximum(after - 1, 0)]))
         inside = np.append(in_gap, False) | np.append(False, in_gap)
-        chosen |= (inside | (fine & (near < NEAR_S))) & every(COVARIANCE_NEAR_S)
+        chosen |= (inside | (near < NEAR_S)) & every(COVARIANCE_NEAR_S)
     return np.flatnonzero(chosen)
 
 

@@ -45,6 +45,9 @@ class InertialAttitude:
     R_E_A: Rotation
     gyroscope_bias: FloatArray
 
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_curve"}  # made again
+
     @cached_property
     def _curve(self) -> Slerp:
         return Slerp(self.t, self.R_E_A)

@@ -8,21 +8,19 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from ..pool import blank_main
+from ..pool import blank_main, one_thread_each
 from .columns import Row
 from .job import Job, run_job
 
 #: How often a recording is given to another process after the first one died of it.
 ANOTHER_TRY = 1
 _TICK_S = 0.5
-#: Libraries that would start threads of their own in each process.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, None, None]:
@@ -42,7 +40,7 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
     crew: list[_Worker] = []
     again: deque[tuple[Job, int]] = deque()
     try:
-        with _one_thread_each():
+        with one_thread_each():
             while True:
                 _fill(crew, jobs, again, processes or os.cpu_count() or 1)
                 if not crew:
@@ -141,15 +139,3 @@ def _leave_with_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
         os._exit(1)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update({name: "1" for name, value in before.items() if value is None})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
