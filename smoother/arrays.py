@@ -30,6 +30,6 @@ def skew(v: FloatArray) -> FloatArray:
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of a symmetric matrix, kept symmetric."""
+    """Inverse of symmetric matrices (..., n, n), kept symmetric."""
     answer = np.linalg.inv(matrix)
-    return np.asarray(0.5 * (answer + answer.T), dtype=np.float64)
+    return np.asarray(0.5 * (answer + np.swapaxes(answer, -1, -2)), dtype=np.float64)

@@ -11,6 +11,7 @@ import numpy as np
 
 from .clock import LARGEST_OFFSET_S
 from .occlusion import enough_joints, joints_needed
+from .pages import let_go
 from .pieces import Piece, make_piece, take_apart, traits_of
 from .recording import FloatArray, JointState, Recording
 from .timing import split_at_pauses, steady
@@ -48,7 +49,9 @@ def spread_blocks(recording: Recording, count: int, around_s: float) -> list[Spa
         _, a, b = block
         rows = slice(*np.searchsorted(t, [a, b]).tolist())
         inside = seen_t[slice(*np.searchsorted(seen_t, [a, b]).tolist())]
-        return _worth(inside, _turning(t[rows], recording.imu.gyro[rows]))
+        turning = _turning(t[rows], recording.imu.gyro[rows])
+        let_go(recording.imu.gyro)
+        return _worth(inside, turning)
 
     spans = []
     for part, a, b in _best(blocks, worth, count):

@@ -172,6 +172,17 @@ class Pulls:
     information: FloatArray
     window: IntArray
 
+    def gathered(self) -> Pulls:
+        """The pulls of one window summed up over cells of half a second."""
+        _, cell = np.unique(np.floor(self.t / CELL_MADE_UP_S), return_inverse=True)
+        count = np.bincount(cell)
+        return Pulls(
+            np.bincount(cell, weights=self.t) / count,
+            np.bincount(cell, weights=self.slope).astype(float),
+            np.bincount(cell, weights=self.information).astype(float),
+            np.full(len(count), self.window[0] if len(self.window) else 0),
+        )
+
 
 def pulls_of(windows: Sequence[Window], solutions: Sequence[Solution]) -> Pulls:
     """What the samples of the windows' own parts say; the solutions state their offset information."""

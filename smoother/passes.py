@@ -128,7 +128,7 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
         solve(window, with_covariance=task.magnetometer, with_offset=task.with_clock and k == middle)
         for k, window in enumerate(windows)
     ]
-    pulls = pulls_of([windows[middle]], [solutions[middle]])
+    pulls = pulls_of([windows[middle]], [solutions[middle]]).gathered()
     seen = tuple(
         observe(data.imu, window, solution)
         for window, solution in zip(windows, solutions, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 
 from .blocks import blocks_of
 from .calibration import ArmCalibration
@@ -69,6 +70,7 @@ def smooth(
     _check(recording)
 
     recording, coarse = near(recording)
+    room.tidy()
     with Pool(config.windows.processes, len(recording.arm)) as pool:
         # clocks, and what the calibration lacks
         say(0.0, "calibrating")
@@ -85,16 +87,16 @@ def smooth(
             raise SolveError(f"{recording.name}: too little of what the camera saw can be believed")
         known = first.known(stamps_made_up(recording.arm.t_s))
         task = replace(task, known=known)
+        arm = combine(first.messages, task.prior)
+        found = calibration_from(arm, task.prior.layout, known.start, known.bias.sigma_m)
         told = tell(first.messages, task.prior)
-        found = calibration_from(
-            combine(first.messages, task.prior), task.prior.layout, known.start, known.bias.sigma_m
-        )
+        first.messages.clear()
         # a calibrated magnetometer, where it agrees with them
         fields, magnetometer = first.magnetometer(found, task)
         # every section again, told what the others found
         stitch = Stitch(recording, task.joints, room)
         jobs = (
-            (kept, told[a:b], {k - a: fields[k] for k in range(a, b) if k in fields})
+            (kept, list(islice(told, b - a)), {k - a: fields[k] for k in range(a, b) if k in fields})
             for kept, a, b in first.taken()
         )
         second = partial(_second, found=found, task=task)
@@ -102,7 +104,9 @@ def smooth(
             stitch.add(answer.answer, answer.messages)
             room.tidy()
             say(0.55 + 0.4 * (count + 1) / len(first.kept), "recovering")
+    room.tidy()
     recovery = magnetometer.noted(stitch.recovery(found, config, known, known.clocks[0].after(coarse)))
+    room.tidy()
     say(1.0, "done")
     return recovery
 

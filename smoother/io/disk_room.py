@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import errno
 import mmap
 import os
@@ -19,6 +21,8 @@ from ..room import Room
 
 #: Arrays smaller than this stay in memory.
 _SMALL_BYTES = 1 << 20
+#: Heap blocks from this size on lie on maps of their own (glibc's `mallopt`).
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 18
 #: Files are filled in pieces of this size.
 _PIECE_BYTES = 1 << 20
 
@@ -28,6 +32,12 @@ class Kept(NamedTuple):
 
     offset: int
     length: int
+
+
+def _give_back() -> None:
+    """Have large arrays go back to the system as they are freed (glibc keeps more the more was freed)."""
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # another system's allocator
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 class DiskRoom(Room):
@@ -48,6 +58,7 @@ class DiskRoom(Room):
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None):
+        _give_back()
         self._folder = os.fspath(folder) if folder is not None else tempfile.gettempdir()
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._aside: IO[bytes] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
     sections = Sections(made.recording, constant(0.0)).all
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
-    for a, b in zip(sections, sections[1:], strict=False):
+    for a, b in pairwise(sections):
         assert a.end_s == b.start_s
         t = made.recording.imu.t_s
         assert t[a.samples.stop - 1] > a.end_s + 11 and t[b.samples.start] < b.start_s - 11  # context
