@@ -43,6 +43,8 @@ from .start import Alignment, align
 from .window import Solution, Window
 
 ROUNDS = 4
+#: A round ends when an iteration lowers the error by less than this part of it.
+TOLERANCE = 1e-3
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)
 #: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
@@ -144,7 +146,9 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
                 sharing,
             )
             owner += [piece.recording] * (len(border) - 1)
-        answers = list(pool.map(partial(solve, with_covariance=False, with_offset=True), windows))
+        answers = list(
+            pool.map(partial(solve, with_covariance=False, with_offset=True, tolerance=TOLERANCE), windows)
+        )
         motions = _motions(stretches, borders, windows, answers)
         found = calibration_from(
             combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m

@@ -17,9 +17,8 @@ from .recording import JOINTS, BoolArray, FloatArray, IntArray
 from .shared import Gaussian
 from .window import Message, Solution, States, Window
 
-#: The optimiser stops when an iteration lowers the error by less than this part of it.
+#: What `solve` stops at unless told otherwise.
 RELATIVE_TOLERANCE = 1e-4
-FIRST_TOLERANCE = 1e-3
 MAX_ITERATIONS = 12
 #: Sigmas of the attitude prior that are tried one after the other, as parts of it: the solver takes a
 #: direction for free once its square-root information is 4096 times weaker than its neighbour's.
@@ -31,13 +30,21 @@ NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.1
 
 
-def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> Solution:
+def solve(
+    window: Window,
+    with_covariance: bool,
+    with_offset: bool = False,
+    with_message: bool = True,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Solution:
     """Optimise a window with Levenberg-Marquardt and read its answer.
 
     Parameters
     ----------
     with_covariance : also the covariance of every node (a third of the time).
     with_offset : also what the window says of the clock offset.
+    with_message : also the covariance of the message; its mean is there in any case.
+    tolerance : the optimiser stops when an iteration lowers the error by less than this part of it.
 
     Raises
     ------
@@ -48,7 +55,7 @@ def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> S
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
         graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
         try:
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(with_covariance))
+            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(tolerance))
             values = optimizer.optimize()
             marginals = marginals_of(graph, values)
             break
@@ -76,7 +83,7 @@ def solve(window: Window, with_covariance: bool, with_offset: bool = False) -> S
         velocity_covariance=velocity_covariance,
         shoulder=shoulder,
         shoulder_covariance=shoulder_covariance,
-        message=_message(values, marginals, window, biases),
+        message=_message(values, marginals, window, biases, with_message),
         bias=_bias(values, biases),
         residuals=_residuals(values, window, states),
         iterations=optimizer.iterations(),
@@ -93,10 +100,10 @@ def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
     return (axes * missing) @ axes.T
 
 
-def _parameters(final: bool) -> gtsam.LevenbergMarquardtParams:
+def _parameters(tolerance: float) -> gtsam.LevenbergMarquardtParams:
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(MAX_ITERATIONS)
-    params.setRelativeErrorTol(RELATIVE_TOLERANCE if final else FIRST_TOLERANCE)
+    params.setRelativeErrorTol(tolerance)
     params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
     return params
 
@@ -172,8 +179,10 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
     return each[np.append(biases, biases[-1])]
 
 
-def _message(values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray) -> Message:
-    """The shared variables, jointly, in the shared vector's coordinates."""
+def _message(
+    values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray, with_covariance: bool
+) -> Message:
+    """The shared variables, jointly, in the shared vector's coordinates; nan for a covariance not wanted."""
     layout = window.priors.layout
     keys = shared_keys(window, biases)
     down = values.atUnit3(G(0))
@@ -185,13 +194,13 @@ def _message(values: gtsam.Values, marginals: Marginals, window: Window, biases:
         mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
     for joint in layout.joints:
         mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
-    joint_marginal = marginals.jointMarginalCovariance(keys)
-    covariance = np.block([[joint_marginal.at(a, b) for b in keys] for a in keys])
-    jacobian = shared_jacobian(layout, down)
-    return Message(
-        t_s=float(0.5 * (window.t[0] + window.t[-1])),
-        shared=Gaussian(mean, jacobian @ covariance @ jacobian.T),
-    )
+    covariance = np.full((layout.size, layout.size), np.nan)
+    if with_covariance:
+        joint_marginal = marginals.jointMarginalCovariance(keys)
+        jacobian = shared_jacobian(layout, down)
+        blocks = np.block([[joint_marginal.at(a, b) for b in keys] for a in keys])
+        covariance = jacobian @ blocks @ jacobian.T
+    return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 
 def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str, FloatArray]:

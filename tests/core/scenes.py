@@ -77,8 +77,8 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
     heard: list[Job] = []
     solve = smoother.solve.solve
 
-    def listen(window: Window, with_covariance: bool, with_offset: bool = False) -> Solution:
-        solution = solve(window, with_covariance, with_offset)
+    def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
+        solution = solve(window, with_covariance, **more)
         heard.append(Job(window, with_covariance, solution))
         return solution
 
