@@ -44,8 +44,6 @@ LEAST_SIGMA_RAD = np.radians(0.7)
 FACTOR_SIGMA_RAD = np.radians(2.0)
 #: How often the direction is solved anew without the blocks that contradict it.
 ROUNDS = 4
-#: Times of one node in both passes, s.
-SAME_S = 1e-6
 #: A sample farther than this from a node says nothing of it, s.
 NEAR_S = 0.05
 
@@ -259,13 +257,15 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
     return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
 
 
-def blocks_of(number: int, seen: Observed, strength: float, later_t: FloatArray) -> Iterator[Block]:
+def blocks_of(
+    number: int, seen: Observed, strength: float, later_t: FloatArray, later_R: FloatArray
+) -> Iterator[Block]:
     """Means over blocks of a window, of the samples with the field's usual strength.
 
     Parameters
     ----------
     number : the window's.
-    later_t : nodes of the second pass, s; a block without a node of both passes is left out.
+    later_t, later_R : its nodes in the second pass, s, and what is held of their attitudes (n, 3, 3).
     """
     t = seen.t_s
     with np.errstate(invalid="ignore"):
@@ -273,24 +273,22 @@ def blocks_of(number: int, seen: Observed, strength: float, later_t: FloatArray)
     count = max(round(float(t[-1] - t[0]) / BLOCK_S), 1)
     edges = np.linspace(t[0], t[-1], count + 1)
     of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
-    later = np.clip(np.searchsorted(later_t, t - SAME_S), 0, len(later_t) - 1)
-    same = np.abs(later_t[later] - t) < SAME_S
     for k in range(count):
         rows = np.flatnonzero(of == k)
-        shared = rows[same[rows]]
-        if not len(shared):
+        if not len(rows):
             continue
         share = float(good[rows].mean())
         mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
-        node = shared[len(shared) // 2]
+        middle = rows[len(rows) // 2]
+        node = int(np.argmin(np.abs(later_t - t[middle])))
         yield Block(
             number,
-            int(later[node]),
-            float(t[node]),
+            node,
+            float(later_t[node]),
             mean,
-            seen.R_K_A[node].T @ mean,
+            later_R[node].T @ mean,
             share,
-            seen.attitude_covariance[node],
+            seen.attitude_covariance[middle],
         )
 
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from .assemble import SectionAnswer, answer_of, frame_residuals
 from .calibration import ArmCalibration
-from .clock import Pulls, pulls_of
+from .clock import Clock, Pulls, pulls_of
 from .config import Config
 from .join import Motion, join
 from .magnetic import Block, Observed, blocks_of, observe
@@ -65,6 +67,7 @@ class Kept:
     imu_t : the IMU's stamps, of which the first is the recording's sample `first_sample`.
     piece, stretch, alignment, borders, motion : samples, nodes, the inertial frame's alignment, where windows
         begin and end, and the motion found.
+    clock : that the first pass had.
     seen : what the magnetometer read, a window each; empty without one.
     believed : samples that the first pass contradicts were set aside already.
     """
@@ -74,6 +77,7 @@ class Kept:
     piece: Piece
     stretch: Stretch
     alignment: Alignment
+    clock: Clock
     borders: list[float]
     motion: Motion
     seen: tuple[Observed, ...]
@@ -144,7 +148,9 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
         if task.magnetometer  # it is judged by what the first pass knows of the attitude
     )
     motion = join(stretch.t, windows, solutions)
-    kept = Kept(data.imu.t_s, data.section.samples.start, piece, stretch, alignment, borders, motion, seen)
+    kept = Kept(
+        data.imu.t_s, data.section.samples.start, piece, stretch, alignment, clock, borders, motion, seen
+    )
     messages, strengths = [each.message for each in solutions], tuple(each.strength for each in seen)
     return FirstAnswer(kept, messages, strengths, pulls)
 
@@ -195,7 +201,13 @@ def believe(kept: Kept, found: ArmCalibration, task: Task) -> Kept:
     if believed is not piece:
         again = prepare(believed, known.start, clock, known.sigma_m, margin_s, kept.alignment)
     if again is None:
-        return replace(kept, stretch=replace(stretch, start=motion.states), believed=True)
+        # frames may lie elsewhere, on a clock that was found anew; they are carried to the same nodes
+        before = piece.frame_t + kept.clock.at(piece.frame_t)
+        inside = (before >= piece.start_s) & (before <= piece.end_s)
+        frame_t = np.clip(
+            piece.frame_t + clock.at(piece.frame_t), stretch.signal.start_s, stretch.signal.end_s
+        )[inside]
+        return replace(kept, stretch=replace(stretch, start=motion.states, frame_t=frame_t), believed=True)
     return replace(kept, piece=believed, stretch=started(again[0], motion), believed=True)
 
 
@@ -204,11 +216,11 @@ def field_blocks(
 ) -> tuple[Kept, list[Block]]:
     """Where the magnetometer could take part in the second pass; windows are numbered from `first_window`."""
     kept = believe(kept, found, task)
-    t, margin_s = kept.stretch.t, task.config.windows.margin_s
+    stretch, margin_s = kept.stretch, task.config.windows.margin_s
     blocks: list[Block] = []
     for number, seen in enumerate(kept.seen):
-        rows = window_nodes(t, kept.borders, number, margin_s)
-        blocks += blocks_of(first_window + number, seen, strength, t[rows])
+        rows = window_nodes(stretch.t, kept.borders, number, margin_s)
+        blocks += blocks_of(first_window + number, seen, strength, stretch.t[rows], stretch.start.R[rows])
     return replace(kept, seen=()), blocks
 
 
