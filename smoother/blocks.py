@@ -38,8 +38,16 @@ class Span:
     frames: slice
 
 
-def spread_blocks(recording: Recording, count: int, around_s: float) -> list[Span]:
-    """Blocks that tell most, as many as asked for, spread over the recording, with so much around each."""
+def spread_blocks(
+    recording: Recording, count: int, around_s: float, samples_around_s: float | None = None
+) -> list[Span]:
+    """Blocks that tell most, as many as asked for, spread over the recording, with so much around each.
+
+    Parameters
+    ----------
+    samples_around_s : as much of the IMU around each, if more than of the camera.
+    """
+    imu_around_s = around_s if samples_around_s is None else samples_around_s
     t, arm_t = recording.imu.t_s, recording.arm.t_s
     seen_t = arm_t[enough_joints(recording.arm.state == JointState.TRACKED, joints_needed(recording.arm))]
     parts = split_at_pauses(recording.imu)
@@ -55,7 +63,7 @@ def spread_blocks(recording: Recording, count: int, around_s: float) -> list[Spa
 
     spans = []
     for part, a, b in _best(blocks, worth, count):
-        first, last = part.start + np.searchsorted(t[part], [a - around_s, b + around_s])
+        first, last = part.start + np.searchsorted(t[part], [a - imu_around_s, b + imu_around_s])
         rows = np.searchsorted(arm_t, [a - around_s, b + around_s])
         spans.append(Span(a, b, slice(int(first), int(last)), slice(int(rows[0]), int(rows[1]))))
     return spans

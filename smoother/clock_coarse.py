@@ -25,8 +25,9 @@ HOLE_S = 0.25
 OVERLAP_S = 8.0
 #: A shift is believed from this correlation on; another peak as good as this part of it makes it doubtful.
 BELIEVED, RIVAL, PEAK_S = 0.6, 0.9, 1.0
-#: Of a recording longer than this only blocks are looked at: so many, with so much around each, s.
-LONG_S, BLOCKS, AROUND_S = 300.0, 12, 15.0
+#: Of a recording longer than this only blocks are looked at: so many, with so much around each, s; and with
+#: so much of the IMU where that says nothing.
+LONG_S, BLOCKS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
 #: The fine search finds what is left over when it is below this everywhere, s.
 SMALL_S = 0.15
 #: So many blocks, and so much of those that are believed, have to lie within `SMALL_S` of a line.
@@ -64,12 +65,8 @@ def coarse_clock(recording: Recording) -> Clock | None:
     if t[-1] - t[0] <= LONG_S:
         offset = coarse_offset(recording, LARGEST_OFFSET_S)
         return Clock(t[:1], np.array([offset]), SMALL_S) if offset else None
-    rows = []
-    for block in spread_blocks(recording, BLOCKS, AROUND_S):
-        peak = _Peak.of(recording.imu.select(block.samples), recording.arm.select(block.frames))
-        if peak is not None and peak.is_clear:
-            rows.append((0.5 * (block.start_s + block.end_s) - peak.lag_s, peak.lag_s))
-    if len(rows) < FEWEST_BLOCKS:
+    rows = _block_lags(recording, AROUND_S) or _block_lags(recording, FAR_S)
+    if not rows:
         return None
     at, lag = np.array(rows).T
     i, j = np.triu_indices(len(at), 1)
@@ -80,6 +77,16 @@ def coarse_clock(recording: Recording) -> Clock | None:
     ends = np.array([t[0], t[-1]])
     line = value + slope * ends
     return None if np.abs(line).max() < SMALL_S else Clock(ends, line, SMALL_S, skew=slope)
+
+
+def _block_lags(recording: Recording, around_s: float) -> list[tuple[float, float]]:
+    """Camera times and offsets of the blocks that are clear, s; none where they are too few."""
+    rows = []
+    for block in spread_blocks(recording, BLOCKS, AROUND_S, around_s):
+        peak = _Peak.of(recording.imu.select(block.samples), recording.arm.select(block.frames))
+        if peak is not None and peak.is_clear:
+            rows.append((0.5 * (block.start_s + block.end_s), peak.lag_s))
+    return rows if len(rows) >= FEWEST_BLOCKS else []
 
 
 def coarse_offset(recording: Recording, reach_s: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import gtsam
@@ -35,12 +35,36 @@ def marginals_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Mar
     numpy.linalg.LinAlgError
         The information matrix is singular indeed.
     """
-    try:
-        return gtsam.Marginals(graph, values)
-    except RuntimeError as error:
-        if "ndetermin" not in str(error):
-            raise
-        return _Dense(graph, values)
+    return _Careful(graph, values)
+
+
+class _Careful:
+    """GTSAM's marginals; it may give up when they are made, or at a single variable later."""
+
+    def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        self._problem = graph, values
+        self._dense: _Dense | None = None
+        self._fast: gtsam.Marginals | None = None
+        self._or_dense(lambda: setattr(self, "_fast", gtsam.Marginals(graph, values)))
+
+    def marginalCovariance(self, key: int) -> FloatArray:
+        return self._or_dense(lambda: self._of.marginalCovariance(key))
+
+    def jointMarginalCovariance(self, keys: Sequence[int]) -> Any:
+        return self._or_dense(lambda: self._of.jointMarginalCovariance(keys))
+
+    @property
+    def _of(self) -> Any:
+        return self._fast if self._dense is None else self._dense
+
+    def _or_dense(self, wanted: Callable[[], Any]) -> Any:
+        try:
+            return wanted()
+        except RuntimeError as error:
+            if self._dense is not None or "ndetermin" not in str(error):
+                raise
+            self._dense = _Dense(*self._problem)
+            return wanted()
 
 
 class _Dense:

@@ -14,6 +14,8 @@ from .timing import split_at_pauses
 
 #: A one-sided gap longer than this deserves a sentence, s.
 OPEN_GAP_S = 0.5
+#: Where more of the camera's samples than this are set aside, something else is wrong.
+HARDLY_AGREE = 0.3
 #: A clock that drifts more than this deserves a sentence, s.
 DRIFT_S = 0.005
 
@@ -78,7 +80,13 @@ def _set_aside(residuals: FrameResiduals) -> list[str]:
     if not count:
         return []
     tracked = count + int(np.count_nonzero(residuals.used))
-    return [f"{count} of {tracked} tracked samples of the camera were not believed and set aside"]
+    said = f"{count} of {tracked} tracked samples of the camera were not believed and set aside"
+    if count > HARDLY_AGREE * tracked:
+        said += (
+            "; camera and IMU hardly agree, and the answer is not to be trusted: check that their clocks"
+            " agree to a minute, and that the IMU was on this arm"
+        )
+    return [said]
 
 
 def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:

@@ -51,6 +51,19 @@ def solve(
     SolveError
         The window leaves something free; the text names the time.
     """
+    try:
+        return _solved(window, with_covariance, with_offset, with_message, tolerance)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
+            " the camera saw there"
+        ) from error
+
+
+def _solved(
+    window: Window, with_covariance: bool, with_offset: bool, with_message: bool, tolerance: float
+) -> Solution:
+    """The answer; raises LinAlgError where something is free."""
     for tighten in TIGHTEN:
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
         graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
@@ -65,10 +78,7 @@ def solve(
             if "ndetermin" not in str(error):
                 raise
     else:
-        raise SolveError(
-            f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
-            " the camera saw there"
-        )
+        raise np.linalg.LinAlgError
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
     pose_covariance = velocity_covariance = None

@@ -11,6 +11,7 @@ from smoother import Config, Recovery, smooth
 from smoother.clock import Clock
 from smoother.clock_coarse import coarse_clock, near
 from smoother.config import Windows
+from smoother.errors import SolveError
 from smoother.recording import FloatArray, Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
@@ -80,6 +81,24 @@ def test_clocks_that_drift_far_apart(long: SimulatedArm) -> None:
     moved = recovery.arm.t_s - (t - offset)
     assert np.abs(moved - offset).max() < 0.003
     assert in_gaps_m(long, recovery) < 0.01
+
+
+def test_clocks_minutes_apart(long: SimulatedArm) -> None:
+    """Farther than the context of the blocks: more of the IMU is looked at."""
+    coarse = coarse_clock(later(long, np.full(len(long.recording.arm), 75.0)))
+    assert coarse is not None
+    assert coarse.mean_s == pytest.approx(75.0, abs=0.1)
+
+
+def test_an_imu_of_something_else_is_said(short: SimulatedArm) -> None:
+    """The IMU's samples run backwards: nothing fits. It is refused, or said to be worth nothing."""
+    imu = short.recording.imu
+    wrong = replace(short.recording, imu=replace(imu, acc=imu.acc[::-1], gyro=imu.gyro[::-1]), truth=None)
+    try:
+        notes = smooth(wrong, None, ALONE).notes
+    except SolveError as error:
+        notes = (str(error),)
+    assert any("not to be trusted" in note or "not determined" in note for note in notes), notes
 
 
 def test_a_clock_that_wanders_between_the_blocks(long: SimulatedArm) -> None:
