@@ -42,6 +42,9 @@ SKEW_GAIN = 3.0
 LONGEST_STEP_S = 0.06
 SMALLEST_PART = 0.02
 
+#: Times that are taken together, so that a long recording's need no memory of their own.
+TOGETHER = 1 << 16
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -67,8 +70,12 @@ class Clock:
 
     def at(self, t: FloatArray) -> FloatArray:
         """Offsets at camera times, s; beyond the knots they go on with the skew."""
-        outside = np.minimum(t - self.t[0], 0.0) + np.maximum(t - self.t[-1], 0.0)
-        return np.interp(t, self.t, self.offset) + self.skew * outside
+        offset = np.empty(len(t))
+        for start in range(0, len(t), TOGETHER):
+            part = np.asarray(t[start : start + TOGETHER])
+            outside = np.minimum(part - self.t[0], 0.0) + np.maximum(part - self.t[-1], 0.0)
+            offset[start : start + TOGETHER] = np.interp(part, self.t, self.offset) + self.skew * outside
+        return offset
 
     def after(self, coarse: Clock | None) -> Clock:
         """The clock of the stamps themselves, where it was found after `coarse` had moved them."""

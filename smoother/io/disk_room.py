@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import errno
 import mmap
@@ -34,10 +33,13 @@ class Kept(NamedTuple):
     length: int
 
 
-def _give_back() -> None:
-    """Have large arrays go back to the system as they are freed (glibc keeps more the more was freed)."""
-    with contextlib.suppress(OSError, AttributeError, TypeError):  # another system's allocator
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+def _libc() -> ctypes.CDLL | None:
+    """The C library where its allocator can be told to give memory back (glibc), else None."""
+    try:
+        library = ctypes.CDLL(None)
+        return library if hasattr(library, "malloc_trim") and hasattr(library, "mallopt") else None
+    except (OSError, TypeError):
+        return None
 
 
 class DiskRoom(Room):
@@ -58,7 +60,9 @@ class DiskRoom(Room):
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None):
-        _give_back()
+        self._allocator = _libc()
+        if self._allocator is not None:  # large arrays go back to the system as they are freed
+            self._allocator.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
         self._folder = os.fspath(folder) if folder is not None else tempfile.gettempdir()
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._aside: IO[bytes] | None = None
@@ -114,7 +118,9 @@ class DiskRoom(Room):
         return pickle.load(self._aside)
 
     def tidy(self) -> None:
-        """Let the pages of all arrays leave the memory; what they hold is in the files."""
+        """Let the pages of all arrays leave the memory, and what was freed; the arrays are in the files."""
+        if self._allocator is not None:
+            self._allocator.malloc_trim(0)
         if not hasattr(mmap, "MADV_DONTNEED"):
             return
         for mapped in list(self._maps):
