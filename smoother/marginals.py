@@ -43,9 +43,11 @@ class _Careful:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self._problem = graph, values
-        self._dense: _Dense | None = None
-        self._fast: gtsam.Marginals | None = None
-        self._or_dense(lambda: setattr(self, "_fast", gtsam.Marginals(graph, values)))
+        self._of: Marginals
+        try:
+            self._of = gtsam.Marginals(graph, values)
+        except RuntimeError as error:
+            self._give_up(error)
 
     def marginalCovariance(self, key: int) -> FloatArray:
         return self._or_dense(lambda: self._of.marginalCovariance(key))
@@ -53,18 +55,17 @@ class _Careful:
     def jointMarginalCovariance(self, keys: Sequence[int]) -> Any:
         return self._or_dense(lambda: self._of.jointMarginalCovariance(keys))
 
-    @property
-    def _of(self) -> Any:
-        return self._fast if self._dense is None else self._dense
-
     def _or_dense(self, wanted: Callable[[], Any]) -> Any:
         try:
             return wanted()
         except RuntimeError as error:
-            if self._dense is not None or "ndetermin" not in str(error):
-                raise
-            self._dense = _Dense(*self._problem)
+            self._give_up(error)
             return wanted()
+
+    def _give_up(self, error: RuntimeError) -> None:
+        if "ndetermin" not in str(error):
+            raise error
+        self._of = _Dense(*self._problem)
 
 
 class _Dense:

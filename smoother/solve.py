@@ -71,35 +71,35 @@ def _solved(
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(tolerance))
             values = optimizer.optimize()
             marginals = marginals_of(graph, values)
-            break
+            biases = bias_of_intervals(window)
+            states = _states(values, len(window.t))
+            pose_covariance = velocity_covariance = None
+            if with_covariance:
+                pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
+                pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
+            shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
+            message = _message(values, marginals, window, biases, with_message)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
             if "ndetermin" not in str(error):
                 raise
-    else:
-        raise np.linalg.LinAlgError
-    biases = bias_of_intervals(window)
-    states = _states(values, len(window.t))
-    pose_covariance = velocity_covariance = None
-    if with_covariance:
-        pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
-        pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
-    shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
-    return Solution(
-        index=window.index,
-        states=states,
-        pose_covariance=pose_covariance,
-        velocity_covariance=velocity_covariance,
-        shoulder=shoulder,
-        shoulder_covariance=shoulder_covariance,
-        message=_message(values, marginals, window, biases, with_message),
-        bias=_bias(values, biases),
-        residuals=_residuals(values, window, states),
-        iterations=optimizer.iterations(),
-        error=graph.error(values),
-        offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
-    )
+            continue
+        return Solution(
+            index=window.index,
+            states=states,
+            pose_covariance=pose_covariance,
+            velocity_covariance=velocity_covariance,
+            shoulder=shoulder,
+            shoulder_covariance=shoulder_covariance,
+            message=message,
+            bias=_bias(values, biases),
+            residuals=_residuals(values, window, states),
+            iterations=optimizer.iterations(),
+            error=graph.error(values),
+            offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
+        )
+    raise np.linalg.LinAlgError
 
 
 def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+import pytest
 from gtsam.symbol_shorthand import B, G, V, X
 
 import smoother.passes
 from smoother.config import Config, Windows
 from smoother.graph import build
-from smoother.marginals import _Dense
+from smoother.marginals import _Dense, marginals_of
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
 from smoother.window import Window
@@ -43,3 +44,20 @@ def test_dense_and_gtsam_agree(monkeypatch) -> None:  # type: ignore[no-untyped-
         joint.at(B(0), G(0)),
         atol=1e-5 * float(np.abs(joint.at(B(0), G(0))).max()),
     )
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["when made", "at a variable"])
+def test_where_gtsam_gives_up_the_dense_inverse_takes_over(monkeypatch, late: bool) -> None:  # type: ignore[no-untyped-def]
+    class Giving:
+        def __init__(self, *_: object) -> None:
+            if not late:
+                raise RuntimeError("Indeterminate linear system detected")
+
+        def marginalCovariance(self, _: int) -> None:
+            raise RuntimeError("Indeterminate linear system detected")
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorVector(V(0), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 2.0)))
+    values.insert(V(0), np.zeros(3))
+    monkeypatch.setattr(gtsam, "Marginals", Giving)
+    np.testing.assert_allclose(marginals_of(graph, values).marginalCovariance(V(0)), 4.0 * np.eye(3))
