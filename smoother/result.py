@@ -9,31 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
-from .pages import gathered, let_go
+from .measurements.visibility import Gap
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
+from .runtime.pages import gathered, let_go
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BLOCK = 8192
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A run of occluded frames, bounded by the visible frames beside it (IMU clock, s).
-
-    `start_s` is the last visible frame before the gap (the recording's first frame where the gap
-    is open at the start), `end_s` the first visible frame after it. `open_start`, `open_end`: one
-    side has no visible frame, so the gap is recovered from the other side alone.
-    """
-
-    start_s: float
-    end_s: float
-    open_start: bool = False
-    open_end: bool = False
-
-    @property
-    def length_s(self) -> float:
-        """Duration, s."""
-        return self.end_s - self.start_s
 
 
 @dataclass(frozen=True)

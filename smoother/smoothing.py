@@ -7,25 +7,26 @@ from dataclasses import replace
 from functools import partial
 from itertools import islice
 
-from .blocks import blocks_of
 from .calibration import ArmCalibration
-from .clock import Pulls, stamps_made_up, together
-from .clock_coarse import near
 from .config import Config
 from .errors import SolveError
-from .firstpass import combine, tell
-from .magnetic import NO_MAGNETOMETER, Block, Magnetometer, decide, takes_part, usual_strength
-from .passes import FirstAnswer, Kept, SecondAnswer, Task, field_blocks, first_pass, second_pass
-from .pool import Pool
-from .priors import calibration_from, first_priors, noise_of, with_measured_noise
+from .measurements.outliers import by_camera
+from .measurements.timestamps import stamps_made_up
 from .recording import FOREARM_JOINTS, JOINTS, FloatArray, Recording
+from .recovery.magnetometer import NO_MAGNETOMETER, Block, Magnetometer, decide, takes_part, usual_strength
+from .recovery.passes import FirstAnswer, Kept, SecondAnswer, Task, field_blocks, first_pass, second_pass
+from .recovery.sections import Sections
+from .recovery.stitch import Stitch
 from .result import Recovery
-from .room import Room
-from .screen import by_camera
-from .sections import Sections
-from .selfcal import Knowledge, self_calibrate
-from .stitch import Stitch
-from .window import FieldSight, Message, Priors
+from .runtime.pool import Pool
+from .runtime.store import Room
+from .selfcal.clock_fit import Pulls, refined_clock, together
+from .selfcal.coarse_clock import near
+from .selfcal.excerpts import blocks_of
+from .selfcal.rounds import Knowledge, self_calibrate
+from .window.pooling import combine, tell
+from .window.priors import calibration_from, first_priors, noise_of, with_measured_noise
+from .window.problem import FieldSight, Message, Priors
 
 #: With so many sections the clock is found anew from all of them: it wanders over a long recording.
 CLOCK_SECTIONS = 5
@@ -159,7 +160,7 @@ class _First:
         known = self._task.known
         if not self._task.with_clock:
             return known
-        return replace(known, clocks=(known.clocks[0].moved(together(self._pulls), made_up),))
+        return replace(known, clocks=(refined_clock(known.clocks[0], together(self._pulls), made_up),))
 
     def magnetometer(self, found: ArmCalibration, task: Task) -> tuple[dict[int, FieldSight], Magnetometer]:
         """What a calibrated magnetometer adds, by window, and what became of it."""

@@ -12,8 +12,8 @@ import pytest
 
 from calib import read_calibration
 from smoother.cli.run import run
-from smoother.io.plain import _Description
-from smoother.io.result import write_recovery
+from smoother.io.plain.folder import _Description
+from smoother.io.result.write import write_recovery
 from smoother.result import Recovery
 
 ROOT = Path(__file__).parents[1]
@@ -93,7 +93,7 @@ def test_topics_and_columns(tmp_path, monkeypatch):
 
     from smoother import read_recording, smooth
     from smoother.config import Config
-    from smoother.io.export import csv_columns
+    from smoother.io.export.csv import csv_columns
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")

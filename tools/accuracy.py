@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from calib.motion import calibrate_motion
+from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
 from smoother.evaluation import evaluate_gaps, validate

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.clock_motion import clock_from_motion
-from calib.clock_network import solve_clocks
-from calib.clock_sound import find_beeps
+from calib.clock.beeps import find_beeps
+from calib.clock.motion_clock import clock_from_motion
+from calib.clock.network import solve_clocks
 from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast

@@ -11,10 +11,10 @@ from collections import Counter
 
 import numpy as np
 
-from calib.forearm import calibrate_forearm
-from calib.forearm_words import compare
-from calib.strap import find_strap
-from calib.strap_lens import Depth, Lens
+from calib.forearm.forearm_summary import compare
+from calib.forearm.held_pose_fit import calibrate_forearm
+from calib.strap.strap_camera import Depth, Lens
+from calib.strap.strap_in_image import find_strap
 from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.strap import Arm, Noise, render

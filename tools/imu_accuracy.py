@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.imu.allan import allan_noise
-from calib.imu.calibrate import GRAVITY, calibrate_imu
 from calib.imu.magnetometer import calibrate_magnetometer
-from calib.imu.rest import find_rests
-from calib.imu.sphere import sphere_points
+from calib.imu.rests import find_rests
+from calib.imu.sensor_calibration import GRAVITY, calibrate_imu
+from calib.imu.sphere_coverage import sphere_points
 from smoother.errors import CalibrationError
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
 

@@ -20,12 +20,12 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from calib.panel.calibrate import PanelCalibration, calibrate_panel
 from calib.panel.definition import Intrinsics, Panel
 from calib.panel.frame import Frame, principal
 from calib.panel.images import view
+from calib.panel.panel_accuracy import accuracy
+from calib.panel.panel_calibration import PanelCalibration, calibrate_panel
 from calib.panel.plane import Plane, fit_plane
-from calib.panel.verdict import accuracy
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
 

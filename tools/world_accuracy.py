@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.panel.definition import Panel, intrinsics
 from calib.panel.images import view
-from calib.world.calibrate import WorldCalibration, calibrate_world, world_poses
-from calib.world.seen import view_panel
+from calib.world.panel_view import view_panel
+from calib.world.world_calibration import WorldCalibration, calibrate_world, world_poses
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
 
@@ -42,7 +42,7 @@ def calibrated(panel: SimulatedPanel) -> WorldCalibration:
 
 def errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, float]:
     """Degrees: camera from base IMU, its tilt, the mounting; and the tilt's error in sigmas."""
-    from calib.world.verdict import accuracy
+    from calib.world.world_accuracy import accuracy
 
     error = Rotation.from_matrix(found.R_K_B @ panel.R_K_B.T).as_rotvec()
     mounting = Rotation.from_matrix(found.R_P_I.T @ panel.R_P_I).magnitude()

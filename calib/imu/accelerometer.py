@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-from .rest import Rests
-from .sphere import axis_words, sphere_points
+from .rests import Rests
+from .sphere_coverage import axis_words, sphere_points
 
 #: Unknowns, and so many different poses at least.
 FEWEST_POSES = 9

@@ -9,7 +9,7 @@ import numpy as np
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray, ImuStream
 
-from .rest import Rests
+from .rests import Rests
 
 #: Still samples that a mean needs (Le et al. take the first 200).
 STILL_SAMPLES = 200

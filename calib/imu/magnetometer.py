@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-from .sphere import Coverage, axis_words, cover
+from .sphere_coverage import Coverage, axis_words, cover
 
 #: Fewer samples than this are not taken for a calibration.
 FEWEST_SAMPLES = 200

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.recording import FloatArray
 
-from .rest import Rest, Turn
+from .still_pose import Rest, Turn
 
 #: Sigma of a rotation of which nothing is known, rad.
 FREE_RAD = 2.0

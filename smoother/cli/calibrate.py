@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
-from .found import found_figures, print_arm, print_camera, print_clocks, print_open
+from .estimates import found_figures, print_arm, print_camera, print_clocks, print_open
 from .load import load_arm
 from .options import Body, ConfigFile, Force, Imu, Json, Processes, Side, Skeleton, one_side
 from .output import check_outputs, print_notes, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from calib.found import Found
+    from calib.motion.estimates import Found
 
 CalibrationOutput = Annotated[
     Path,
@@ -51,7 +51,7 @@ def motion(
     was found replaces what the file holds of this arm, the rest of it is kept.
     """
     from calib.file import CalibrationFile, read_calibration, write_calibration
-    from calib.motion import calibrate_motion
+    from calib.motion.several_recordings import calibrate_motion
 
     from .config_file import read_config, with_processes
 
@@ -82,7 +82,7 @@ def motion(
 
 def print_motion(found: Found) -> None:
     """Print what was found, each with its sigma, and what was not."""
-    from calib.words import roll_known
+    from calib.motion.motion_summary import roll_known
 
     print_arm(found)
     print_clocks(found.offsets)

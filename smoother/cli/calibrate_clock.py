@@ -16,9 +16,9 @@ from .output import check_outputs, print_notes, print_table, say, say_written, w
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from calib.clock_links import ClockLink, ClockNetwork, Receptions
-    from calib.clock_motion import MotionClock
-    from calib.clock_sound import Beep
+    from calib.clock.beeps import Beep
+    from calib.clock.links import ClockLink, ClockNetwork, Receptions
+    from calib.clock.motion_clock import MotionClock
 
 #: Speed of sound in a room, m/s.
 SOUND_M_S = 343.0
@@ -112,8 +112,8 @@ def clock(
 
     t_to = t_from + offset. Offsets belong to this session: `smooth` finds its own and takes none from a file.
     """
-    from calib.clock_network import solve_clocks
-    from calib.clock_words import disagreements, link_words, open_questions
+    from calib.clock.clock_summary import disagreements, link_words, open_questions
+    from calib.clock.network import solve_clocks
 
     if sound is None and broadcast is None and motion is None:
         raise typer.BadParameter("give --sound with --event-time, --broadcast, --motion, or several of them")
@@ -136,7 +136,7 @@ def clock(
     notes: tuple[str, ...] = ()
     told = None
     if broadcast is not None:
-        from ..io.clock_times import read_broadcast
+        from ..io.plain.clock_times import read_broadcast
 
         told = read_broadcast(broadcast, 1e-3 * resolution_ms)
         if sound_clocks is None:
@@ -159,7 +159,7 @@ def clock(
     if motion is not None:
         from dataclasses import replace
 
-        from calib.clock_motion import clock_from_motion
+        from calib.clock.motion_clock import clock_from_motion
 
         from .config_file import read_config, with_processes
 
@@ -229,10 +229,10 @@ def _sound(
 
     import numpy as np
 
-    from calib.clock_links import Receptions
-    from calib.clock_sound import find_beeps
+    from calib.clock.beeps import find_beeps
+    from calib.clock.links import Receptions
 
-    from ..io.audio import read_sound
+    from ..io.media.audio import read_sound
 
     beeps: list[Beep] = []
     reason: UnoccludeError | None = None

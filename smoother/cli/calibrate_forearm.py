@@ -24,8 +24,8 @@ from .options import (
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from calib.forearm import ForearmCalibration
-    from calib.forearm_words import Compared
+    from calib.forearm.forearm_summary import Compared
+    from calib.forearm.held_pose_fit import ForearmCalibration
 
 
 def forearm(
@@ -61,8 +61,8 @@ def forearm(
     calibration that exists is added to, without --force.
     """
     from calib.file import CalibrationFile, read_calibration, write_calibration
-    from calib.forearm import calibrate_forearm
-    from calib.forearm_words import compare, open_questions, verdict
+    from calib.forearm.forearm_summary import compare, open_questions, verdict
+    from calib.forearm.held_pose_fit import calibrate_forearm
 
     from .config_file import read_config, with_processes
 

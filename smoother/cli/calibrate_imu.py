@@ -13,7 +13,7 @@ from .options import Force, Imu, Json, RecordingPath, Report
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from calib.imu.calibrate import ImuCalibration
+    from calib.imu.sensor_calibration import ImuCalibration
 
     from ..recording import ImuStream
 
@@ -37,8 +37,8 @@ def imu(
     Lay the sensor still for three seconds on each of its six sides and on six edges between them, in any
     order; the rests are found by themselves. One long rest (an hour) instead gives the noise.
     """
-    from calib.imu.calibrate import calibrate_imu
-    from calib.imu.words import imu_next, imu_verdict, noise_rows
+    from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
+    from calib.imu.sensor_calibration import calibrate_imu
 
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
@@ -74,8 +74,8 @@ def magnetometer(
     Turn the sensor slowly about all its axes for a minute, on one spot and away from iron, until every side
     has pointed in every direction.
     """
+    from calib.imu.imu_summary import magnetometer_next, magnetometer_verdict
     from calib.imu.magnetometer import calibrate_magnetometer
-    from calib.imu.words import magnetometer_next, magnetometer_verdict
 
     stream, notes = _load(recording_file, output, name, [report, json_file], force)
     if stream.mag is None:

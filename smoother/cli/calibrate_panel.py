@@ -14,9 +14,9 @@ from .options import Force, Json, Report
 from .output import check_outputs, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from calib.panel.calibrate import PanelCalibration
     from calib.panel.definition import Intrinsics
     from calib.panel.images import View
+    from calib.panel.panel_calibration import PanelCalibration
 
     from ..recording import FloatArray
 
@@ -74,9 +74,9 @@ def panel(
     order. The answer is added to the calibration file, with its sigma and a verdict.
     """
     from calib.file import CalibrationFile, read_calibration, write_calibration
-    from calib.panel.calibrate import calibrate_panel
     from calib.panel.definition import read_panel
-    from calib.panel.table import NAME, calibration_table
+    from calib.panel.panel_calibration import calibrate_panel
+    from calib.panel.panel_table import NAME, calibration_table
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
     if panel_file is None:
@@ -112,14 +112,14 @@ def _session(
     from calib.panel.definition import read_intrinsics
     from calib.panel.images import read_view
 
-    from ..io.marker_positions import read_positions
+    from ..io.markers.positions import read_positions
 
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     positions = [read_positions(path) for path in marked]
     if recording is not None:
         if depths or infrareds:
             raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
-        from ..io.panel_reading import read_panel_session
+        from ..io.media.panel_reading import read_panel_session
 
         return read_panel_session(recording, positions, lens)
     if not depths:
@@ -151,7 +151,7 @@ def pictured(path: Path) -> Iterator[None]:
             raise
         from calib.panel.drawing import drawn_spots
 
-        from ..io.atomic import writing
+        from ..runtime.atomic import writing
 
         with writing(path, force=True) as temporary:
             temporary.write_bytes(drawn_spots(error.view.infrared, error.blobs))
@@ -160,7 +160,7 @@ def pictured(path: Path) -> Iterator[None]:
 
 
 def _words(found: PanelCalibration) -> dict[str, Any]:
-    from calib.panel.verdict import verdict
+    from calib.panel.panel_accuracy import verdict
 
     said = verdict(found)
     return {"grade": said.grade, "verdict": said.sentence, "findings": said.findings, "next": said.next}
@@ -170,8 +170,8 @@ def print_panel(found: PanelCalibration) -> None:
     """Print the answer, the residuals by pose, the verdict and what to record next."""
     import numpy as np
 
-    from calib.panel.table import pose_rows, transform_values
-    from calib.panel.verdict import accuracy, verdict
+    from calib.panel.panel_accuracy import accuracy, verdict
+    from calib.panel.panel_table import pose_rows, transform_values
 
     sigma, said = accuracy(found), verdict(found)
     values = transform_values(found.solution.camera_from_mocap)

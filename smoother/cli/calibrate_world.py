@@ -15,7 +15,7 @@ from .output import check_outputs, print_notes, print_table, say, say_written, w
 if TYPE_CHECKING:
     from calib.panel.definition import Intrinsics
     from calib.panel.images import View
-    from calib.world.calibrate import WorldCalibration
+    from calib.world.world_calibration import WorldCalibration
 
     from ..recording import ImuStream
 
@@ -78,10 +78,10 @@ def world(
     """
     from calib.file import CalibrationFile, read_calibration, write_calibration
     from calib.panel.definition import read_intrinsics, read_panel
-    from calib.world.calibrate import calibrate_world, world_poses
     from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2
-    from calib.world.seen import view_panel
-    from calib.world.table import calibration_tables
+    from calib.world.panel_view import view_panel
+    from calib.world.world_calibration import calibrate_world, world_poses
+    from calib.world.world_table import calibration_tables
 
     from .calibrate_panel import pictured
 
@@ -124,7 +124,7 @@ def _from_files(
     """Views, their times, and both IMUs by pose; a pose's time is the middle of its samples."""
     from calib.panel.images import read_view
 
-    from ..io.imu_table import read_imu_table
+    from ..io.plain.imu_table import read_imu_table
 
     counts = [len(each) for each in (depths, infrareds, panels, bases)]
     if not depths:
@@ -151,7 +151,7 @@ def _from_files(
 def _from_recording(
     path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics]:
-    from ..io.panel_session import read_session
+    from ..io.media.panel_session import read_session
 
     session = read_session(path, panel_topic, base_topic)
     lens = lens or session.lens
@@ -185,7 +185,7 @@ def _corrected(
 
 
 def _words(found: WorldCalibration) -> dict[str, Any]:
-    from calib.world.verdict import verdict
+    from calib.world.world_accuracy import verdict
 
     said = verdict(found)
     return {"grade": said.grade, "verdict": said.sentence, "findings": said.findings, "next": said.next}
@@ -195,8 +195,8 @@ def print_world(found: WorldCalibration) -> None:
     """Print the answer, the residuals by pose, the verdict and what to record next."""
     import numpy as np
 
-    from calib.world.table import calibration_tables
-    from calib.world.verdict import verdict
+    from calib.world.world_accuracy import verdict
+    from calib.world.world_table import calibration_tables
 
     tables, said = calibration_tables(found), verdict(found)
     for name, what in (

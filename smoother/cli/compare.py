@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
-from ..peers.registry import DEFAULT_ORIENTATION
 from .load import load_arm
 from .methods import GRAPH, METHODS, choose, make_methods, peer_settings
 from .options import (
@@ -114,7 +114,7 @@ def compare(
             lambda part, name: progress((1 + part) / 2, name),
         )
     if report is not None:
-        from ..report.comparison import write_comparison
+        from ..report.method_comparison import write_comparison
 
         write_comparison(found, recording, report, force=force)
     write_json(json_file, {"recording": recording.name, "side": recording.side, **found.to_dict()}, force)
@@ -156,7 +156,7 @@ def truth_for(
     from calib.file import read_calibration
 
     from ..evaluation import Alignment, read_reference
-    from ..io.marker_files import MARKER_FORMATS
+    from ..io.markers.files import MARKER_FORMATS
 
     if truth_file is None:
         assert recording.truth is not None

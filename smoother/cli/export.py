@@ -12,7 +12,7 @@ from .options import Force, Json, Output, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
-    from ..io.exports import Export
+    from ..io.export.prepare import Export
     from ..recording import FloatArray
     from ..result import Recovery
 
@@ -106,7 +106,7 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
 
 def _check(format_name: str, frame: str | None, rate: float | None) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
-    from ..io.exports import WITH_FRAME, WITH_RATE
+    from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
     if format_name not in FORMATS:
         raise typer.BadParameter(
@@ -128,7 +128,7 @@ def _prepared(
     import numpy as np
 
     from .. import __version__
-    from ..io.exports import DEFAULT_FRAME, prepare_export
+    from ..io.export.prepare import DEFAULT_FRAME, prepare_export
 
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
     level_down = None

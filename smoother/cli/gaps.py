@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..peers.registry import DEFAULT_ORIENTATION
+from ..baselines.registry import DEFAULT_ORIENTATION
 from .load import load_arm
 from .methods import METHODS, choose, make_methods, peer_settings
 from .options import (

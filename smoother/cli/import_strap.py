@@ -26,7 +26,7 @@ from .options import (
 from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..io.strap_cameras import StrapFound
+    from ..io.media.strap_cameras import StrapFound
 
 
 def strap(
@@ -63,11 +63,11 @@ def strap(
     The recording is solved without images first: the sensor's orientation takes the strap from the arm's core
     to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.
     """
-    from calib.strap_mount import mounted_on
+    from calib.strap.strap_mount import mounted_on
 
-    from ..io.strap_cameras import check_images
-    from ..io.strap_import import import_strap
+    from ..io.media.strap_cameras import check_images
     from ..smoothing import smooth
+    from ..strap_search.search import import_strap
     from .config_file import read_config, with_processes
 
     check_outputs(force, [output, json_file, report], [recording_file, calibration_file, config_file])
@@ -129,7 +129,7 @@ def _radius(radius_m: float | None, calibration_file: Path | None, side: str) ->
 
 def verdict(found: StrapFound) -> list[str]:
     """How well the strap was seen, in words."""
-    from ..report.strap_words import verdict as words
+    from ..report.strap_summary import verdict as words
 
     return words(found)
 

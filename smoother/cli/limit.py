@@ -21,7 +21,7 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
     """
     if max_sigma_m is None:
         return recovery
-    from ..io.usable import LIMIT, usable
+    from ..io.result.usable import LIMIT, usable
 
     answered = int(usable(recovery).sum())
     marked = replace(recovery, figures={**recovery.figures, LIMIT: float(max_sigma_m)})

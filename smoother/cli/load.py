@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..recording import Recording
     from ..result import Recovery
-    from ..room import Room
+    from ..runtime.store import Room
 
 
 def load_arm(
@@ -31,7 +31,7 @@ def load_arm(
     Where the recording leaves the side open, a calibration of one arm settles it. `room` and `truth` as in
     `io.read_recording`.
     """
-    from ..io.arm_reading import read_arm
+    from ..io.recording.read_arm import read_arm
 
     recording, calibration = read_arm(
         path, calibration_file, imu=imu, skeleton=skeleton, side=side, body=body, room=room, truth=truth

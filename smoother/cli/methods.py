@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS, PEERS
 from ..errors import UnoccludeError
-from ..peers.registry import DEFAULT_ORIENTATION, ORIENTATIONS, PEERS
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
     from ..recording import Recording
     from ..result import Recovery
-    from ..room import Room
+    from ..runtime.store import Room
 
     Method = Callable[[Recording], Recovery]
     Progress = Callable[[float, str], None]
@@ -138,7 +138,7 @@ def make_methods(
 
     def peer(name: str) -> Method:
         def run(recording: Recording) -> Recovery:
-            from ..peers.registry import recover
+            from ..baselines.registry import recover
 
             told = graph(recording)
             return recover(recording, told, name, settings.orientation, settings.for_method(name))

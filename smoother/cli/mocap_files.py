@@ -51,9 +51,9 @@ class MocapFiles:
         """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
         from calib.file import to_toml
 
-        from ..io.atomic import writing
-        from ..io.c3d_writing import C3dContent, write_c3d
-        from ..io.trc_writing import write_trc
+        from ..io.export.c3d import C3dContent, write_c3d
+        from ..io.export.trc import write_trc
+        from ..runtime.atomic import writing
 
         write_c3d(self.c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
         write_trc(self.trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)

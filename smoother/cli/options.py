@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..peers.registry import ORIENTATIONS
+from ..baselines.registry import ORIENTATIONS
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
 Output = Annotated[

@@ -20,7 +20,7 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     UnoccludeError
         An output exists and `--force` is not given, two have the same name, or one is an input.
     """
-    from ..io.atomic import check_output
+    from ..runtime.atomic import check_output
 
     read = {path.resolve() for path in inputs if path is not None}
     seen: set[Path] = set()
@@ -37,7 +37,7 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
     """Write figures as JSON; numbers that are not finite become null."""
     if path is None:
         return
-    from ..io.atomic import writing
+    from ..runtime.atomic import writing
 
     with writing(path, force) as temporary:
         temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")

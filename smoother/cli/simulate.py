@@ -134,7 +134,7 @@ def _taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
 def _write_calibration(calibration: Any, markers: Any, path: Path, force: bool) -> None:
     from calib.file import CalibrationFile, write_calibration
 
-    from ..io.atomic import writing
+    from ..runtime.atomic import writing
 
     file = CalibrationFile().with_arm(calibration)
     if markers is not None:

@@ -43,7 +43,7 @@ def panel(
     Writes depth and infrared images, mocap markers and IMU samples of each pose, intrinsics.toml, panel.toml
     and truth.toml: what `calibrate panel` and `calibrate world` take, and what they should find.
     """
-    from ..io.panel_writing import check_folder, write_panel_folder, write_panel_recording
+    from ..io.media.panel_writing import check_folder, write_panel_folder, write_panel_recording
     from ..simulation.panel import simulate_panel
 
     config = _configured(panel_file, {name: value for name, value in settings.items() if value is not None})
@@ -161,7 +161,7 @@ def _definition(config: PanelSimulation) -> dict[str, Any]:
 def _shots(simulated: SimulatedPanel) -> list[Any]:
     import numpy as np
 
-    from ..io.panel_writing import PanelShot
+    from ..io.media.panel_writing import PanelShot
 
     return [
         PanelShot(

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..peers.registry import DEFAULT_ORIENTATION
-from .found import found_figures, print_arm, print_camera, print_clock, print_open
+from ..baselines.registry import DEFAULT_ORIENTATION
+from .estimates import found_figures, print_arm, print_camera, print_clock, print_open
 from .load import load_arm
 from .methods import METHODS, choose, make_methods, peer_settings
 from .options import (
@@ -33,7 +33,7 @@ from .progress import progress_bar
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
-    from calib.found import Found
+    from calib.motion.estimates import Found
 
     from ..recording import Recording
     from ..result import Recovery
@@ -67,10 +67,10 @@ def smooth(
     force: Force = False,
 ) -> None:
     """Recover the arm's motion in every gap, with its uncertainty, and write it as MCAP."""
-    from calib.found import with_given
+    from calib.motion.estimates import with_given
 
     from ..io import write_recovery
-    from ..io.disk_room import DiskRoom
+    from ..runtime.disk_store import DiskRoom
     from .config_file import read_config, with_processes
     from .limit import limit_sigma
 
@@ -121,12 +121,12 @@ def smooth(
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     """All figures of a recovery, what it found and what it set aside included."""
-    from calib.found import found_in
+    from calib.motion.estimates import found_in
 
     from ..evaluation.advice import advice
     from ..evaluation.rejected import rejected
     from ..evaluation.summary import recovery_figures
-    from ..io.usable import usable
+    from ..io.result.usable import usable
 
     found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
@@ -140,7 +140,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
 def print_recovery(recording: Recording, recovery: Recovery) -> None:
     """Print a recovery's gaps, what was found and set aside, and what must be known of it."""
-    from calib.found import found_in
+    from calib.motion.estimates import found_in
 
     from ..evaluation.summary import gap_summaries
     from .output import centimetres, print_table

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from calib.found import Found
-from calib.words import (
+from calib.motion.estimates import Found
+from calib.motion.motion_summary import (
     LITTLE_AXIAL_RAD,
     LITTLE_TURNING_RAD_S,
     LITTLE_VISIBLE_S,
@@ -16,8 +16,9 @@ from calib.words import (
     is_point,
 )
 
+from ..measurements.visibility import Gap
 from ..recording import BoolArray, FloatArray
-from ..result import Gap, Recovery
+from ..result import Recovery
 from .rejected import rejected
 from .summary import GapSummary, gap_summaries
 
@@ -47,7 +48,7 @@ def advice(recovery: Recovery, found: Found | None) -> list[str]:
     Parameters
     ----------
     recovery : the result, with its residuals.
-    found : what it found of arm, sensor and clock (`calib.found.found_in`); None without.
+    found : what it found of arm, sensor and clock (`calib.motion.estimates.found_in`); None without.
     """
     said = [
         *_motion(found),

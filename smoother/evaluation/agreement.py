@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..angles import wrapped_deg
+from ..joint_angles import wrapped_deg
 from ..recording import FloatArray
 
 #: Half width of the limits of agreement in standard deviations.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
+from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
 from ..recording import BoolArray, FloatArray, Truth
 from ..result import Recovery
 from .agreement import Agreement, agreement
@@ -30,7 +30,7 @@ class AngleComparison:
     Attributes
     ----------
     t_s : (N,) s.
-    answer, truth : (N,) by the names of `smoother.angles.ANGLES`.
+    answer, truth : (N,) by the names of `smoother.joint_angles.ANGLES`.
     carrying_truth_deg : median of the truth's carrying angle, None without markers on the epicondyles.
     notes : what to know of the comparison, one sentence each.
     """

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordingError, UnoccludeError
+from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording, Truth
-from ..result import Gap, Recovery
+from ..result import Recovery
 from .align import truth_at
 from .lag_left import lag_left_s
 from .metrics import Figures

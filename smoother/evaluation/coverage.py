@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
-from ..pages import gathered
 from ..recording import JOINTS, FloatArray, IntArray
 from ..result import Recovery
+from ..runtime.pages import gathered
 from .metrics import squared_sigmas
 
 #: Probabilities at which coverage is read.

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from ..errors import RecordingError
 from ..recording import CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
-from .marker_map import map_by_names, read_marker_map
-from .mocap_clock import MocapClock, align_clock
-from .mocap_frame import (
+from .mocap.clock import MocapClock, align_clock
+from .mocap.frame import (
     CameraFromMocap,
     far_off_m,
     imu_in_mocap,
@@ -22,7 +21,8 @@ from .mocap_frame import (
     solve_plate_place,
     stated_frame,
 )
-from .mocap_motion import MocapMotion, motion_of_markers, motion_of_truth
+from .mocap.marker_map import map_by_names, read_marker_map
+from .mocap.motion import MocapMotion, motion_of_markers, motion_of_truth
 from .truth_file import read_truth
 
 #: Mocap kept beyond the ends of the result, s.
@@ -115,7 +115,7 @@ def read_reference(
     UnoccludeError
         The file, the map or the calibration cannot be used, or the truth cannot be aligned.
     """
-    from ..io.marker_files import MARKER_FORMATS, read_markers
+    from ..io.markers.files import MARKER_FORMATS, read_markers
 
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:

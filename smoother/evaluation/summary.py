@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..measurements.visibility import Gap
 from ..recording import BoolArray, FloatArray
-from ..result import Gap, Recovery
+from ..result import Recovery
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordingError
+from ..measurements.visibility import Gap
 from ..recording import BoolArray, FloatArray, Truth
-from ..result import Gap, Recovery
+from ..result import Recovery
 from .agreement import Agreement
 from .align import truth_at
 from .angle_figures import AngleComparison, compare_angles

@@ -6,44 +6,44 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .atomic import check_output as check_output
-    from .atomic import writing as writing
-    from .datasets import import_broad as import_broad
-    from .datasets import import_utd_mhad as import_utd_mhad
-    from .export import export_csv as export_csv
-    from .exports import prepare_export as prepare_export
-    from .imu import read_imu as read_imu
+    from ..runtime.atomic import check_output as check_output
+    from ..runtime.atomic import writing as writing
+    from .export.csv import export_csv as export_csv
+    from .export.prepare import prepare_export as prepare_export
     from .info import RecordingInfo as RecordingInfo
     from .info import describe as describe
-    from .plain import import_csv as import_csv
-    from .plain import open_csv as open_csv
-    from .reading import open_recording as open_recording
-    from .reading import read_recording as read_recording
-    from .reading import select_recording as select_recording
-    from .recording_writing import write_recording as write_recording
-    from .result import write_recovery as write_recovery
-    from .result_reading import read_recovery as read_recovery
-    from .streams import RecordingFile as RecordingFile
+    from .plain.datasets import import_broad as import_broad
+    from .plain.datasets import import_utd_mhad as import_utd_mhad
+    from .plain.folder import import_csv as import_csv
+    from .plain.folder import open_csv as open_csv
+    from .recording.imu import read_imu as read_imu
+    from .recording.read import open_recording as open_recording
+    from .recording.read import read_recording as read_recording
+    from .recording.read import select_recording as select_recording
+    from .recording.streams import RecordingFile as RecordingFile
+    from .recording.write import write_recording as write_recording
+    from .result.read import read_recovery as read_recovery
+    from .result.write import write_recovery as write_recovery
 
 _HOMES = {
-    "RecordingFile": "streams",
-    "RecordingInfo": "info",
-    "check_output": "atomic",
-    "describe": "info",
-    "export_csv": "export",
-    "import_broad": "datasets",
-    "import_csv": "plain",
-    "import_utd_mhad": "datasets",
-    "open_csv": "plain",
-    "open_recording": "reading",
-    "prepare_export": "exports",
-    "read_imu": "imu",
-    "read_recording": "reading",
-    "read_recovery": "result_reading",
-    "select_recording": "reading",
-    "write_recording": "recording_writing",
-    "write_recovery": "result",
-    "writing": "atomic",
+    "RecordingFile": ".recording.streams",
+    "RecordingInfo": ".info",
+    "check_output": "..runtime.atomic",
+    "describe": ".info",
+    "export_csv": ".export.csv",
+    "import_broad": ".plain.datasets",
+    "import_csv": ".plain.folder",
+    "import_utd_mhad": ".plain.datasets",
+    "open_csv": ".plain.folder",
+    "open_recording": ".recording.read",
+    "prepare_export": ".export.prepare",
+    "read_imu": ".recording.imu",
+    "read_recording": ".recording.read",
+    "read_recovery": ".result.read",
+    "select_recording": ".recording.read",
+    "write_recording": ".recording.write",
+    "write_recovery": ".result.write",
+    "writing": "..runtime.atomic",
 }
 __all__ = list(_HOMES)
 
@@ -51,4 +51,4 @@ __all__ = list(_HOMES)
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    return getattr(import_module(_HOMES[name], __name__), name)

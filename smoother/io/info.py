@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from ..errors import RecordingError
-from ..occlusion import accepted_samples, find_gaps, visible_frames
+from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
-from .choose import named_side, role
-from .reading import METADATA, open_recording, select_recording
-from .result import RESULT
-from .streams import RecordingFile
+from .recording.choose import named_side, role
+from .recording.read import METADATA, open_recording, select_recording
+from .recording.streams import RecordingFile
+from .result.write import RESULT
 
 _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "foxglove.CompressedImage")
 

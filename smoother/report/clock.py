@@ -8,13 +8,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.clock_links import ClockNetwork, Leftover, Receptions
-from calib.clock_motion import MotionClock
-from calib.clock_sound import Beep
-from calib.clock_words import next_time, open_questions, verdict
+from calib.clock.beeps import Beep
+from calib.clock.clock_summary import next_time, open_questions, verdict
+from calib.clock.links import ClockNetwork, Leftover, Receptions
+from calib.clock.motion_clock import MotionClock
 
-from .look import OCCLUDED, VISIBLE, dress
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import OCCLUDED, VISIBLE, dress
 
 
 def write_clock_report(

@@ -9,16 +9,16 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from calib.evidence import Evidence
-from calib.forearm import ForearmCalibration
-from calib.forearm_frame import forearm_frame
-from calib.forearm_words import AGREE, Compared, compare, next_time, open_questions, verdict
-from calib.found import Found
+from calib.forearm.forearm_frame import forearm_frame
+from calib.forearm.forearm_summary import AGREE, Compared, compare, next_time, open_questions, verdict
+from calib.forearm.held_pose_fit import ForearmCalibration
+from calib.motion.estimates import Found
+from calib.motion.evidence import Evidence
 
 from ..recording import JOINTS, Recording
-from .look import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, dress
 from .mount import mount
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, dress
 
 
 def write_forearm_report(

@@ -10,9 +10,9 @@ import plotly.graph_objects as go
 
 from ..evaluation.gap_spread import Spread, spread_by_length
 from ..evaluation.gaps import GapTable
-from .look import dress
-from .methods_look import PLAIN, STYLES, faint, line_of
+from .method_styles import PLAIN, STYLES, faint, line_of
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import dress
 
 Spreads = dict[float, dict[str, Spread]]
 

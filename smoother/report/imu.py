@@ -9,13 +9,13 @@ import numpy as np
 import plotly.graph_objects as go
 
 from calib.imu.allan import Noise
-from calib.imu.calibrate import ImuCalibration
-from calib.imu.sphere import sphere_points
-from calib.imu.words import imu_next, imu_verdict, noise_rows
+from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
+from calib.imu.sensor_calibration import ImuCalibration
+from calib.imu.sphere_coverage import sphere_points
 
 from ..recording import FloatArray, ImuStream
-from .look import JOINT_COLOURS, OCCLUDED, SHADE, VISIBLE, dress
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import JOINT_COLOURS, OCCLUDED, SHADE, VISIBLE, dress
 
 #: Samples of the recording that are drawn.
 MOST_POINTS = 6000

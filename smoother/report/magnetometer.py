@@ -8,14 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 import plotly.graph_objects as go
 
+from calib.imu.imu_summary import magnetometer_next, magnetometer_verdict
 from calib.imu.magnetometer import MagnetometerCalibration
-from calib.imu.sphere import sphere_points
-from calib.imu.words import magnetometer_next, magnetometer_verdict
+from calib.imu.sphere_coverage import sphere_points
 
 from ..recording import FloatArray, ImuStream
 from .imu import sphere
-from .look import OCCLUDED, VISIBLE, dress
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import OCCLUDED, VISIBLE, dress
 
 #: Samples that are drawn.
 MOST_POINTS = 4000

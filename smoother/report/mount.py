@@ -8,11 +8,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from calib.found import Found
+from calib.motion.estimates import Found
 
 from ..calibration import LeverArm
 from ..recording import FloatArray
-from .look import JOINT_COLOURS, dress
+from .style import JOINT_COLOURS, dress
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5

@@ -14,23 +14,23 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from calib.found import Found, found_in
+from calib.motion.estimates import Found, found_in
 
 from ..evaluation.advice import advice
 from ..evaluation.coverage import camera_residuals
 from ..evaluation.validate import Validation
-from ..io.atomic import writing
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery
+from ..runtime.atomic import writing
 from . import tables
-from .compared import compared
+from .decimate import MOST_POINTS, thin
 from .mount import mount
 from .path3d import flat_views, path_in_space
 from .points import points
-from .thin import MOST_POINTS, thin
+from .summary import summary
 from .traces import angles, coordinates, residuals, uncertainty
 from .trust import against_truth, honesty, honesty_words, timeline
-from .words import summary
+from .truth_comparison import compared
 
 #: Stands for the sections while the page around them is put together.
 _HERE = "<!-- sections -->"

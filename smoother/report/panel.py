@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.panel.calibrate import PanelCalibration, SeenPanel
 from calib.panel.drawing import drawn_depth, drawn_spots
 from calib.panel.images import View
-from calib.panel.table import pose_rows, transform_values
-from calib.panel.verdict import accuracy, verdict
+from calib.panel.panel_accuracy import accuracy, verdict
+from calib.panel.panel_calibration import PanelCalibration, SeenPanel
+from calib.panel.panel_table import pose_rows, transform_values
 
-from .look import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
 from .sheet import figure, listing, picture, tabulated, write_sheet
+from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
 
 #: Depth points drawn of all poses together.
 MOST_POINTS = 12_000

@@ -8,8 +8,8 @@ from plotly.subplots import make_subplots
 
 from ..recording import BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
-from .look import OCCLUDED, TRUTH, VISIBLE, axis_names, dress
-from .thin import split_line, thin
+from .decimate import split_line, thin
+from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, dress
 
 #: How many arms are drawn.
 MOST_ARMS = 8

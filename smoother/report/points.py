@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..pages import gathered
 from ..recording import FloatArray, Truth
 from ..result import Recovery
-from .thin import thin
+from ..runtime.pages import gathered
+from .decimate import thin
 
 SENSOR = "sensor"
 #: Most camera samples of a point that are drawn.

@@ -11,7 +11,7 @@ from string import Template
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from ..io.atomic import writing
+from ..runtime.atomic import writing
 from .tables import table
 
 

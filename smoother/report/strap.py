@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.strap import SEARCH
+from calib.strap.strap_in_image import SEARCH
 
 from ..recording import FloatArray
-from .look import JOINT_COLOURS, OCCLUDED, dress
 from .sheet import figure, listing, picture, tabulated, write_sheet
-from .strap_words import next_time, verdict
+from .strap_summary import next_time, verdict
+from .style import JOINT_COLOURS, OCCLUDED, dress
 
 if TYPE_CHECKING:
-    from ..io.strap_cameras import StrapFound
+    from ..io.media.strap_cameras import StrapFound
 
 #: Profiles that so many steps lie apart have a hole between them.
 HOLE_STEPS = 2.5

@@ -14,8 +14,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..recording import FloatArray
-from .look import OCCLUDED, VISIBLE, dress
 from .sheet import figure, listing, tabulated, write_sheet
+from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,15 +8,15 @@ from html import escape
 
 import numpy as np
 
-from calib.found import Found
+from calib.motion.estimates import Found
 
 from ..calibration import ArmCalibration
 from ..evaluation.rejected import rejected
 from ..evaluation.summary import gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
-from ..io.usable import LIMIT, usable
+from ..io.result.usable import LIMIT, usable
 from ..result import Recovery
-from .words import WEAK_M
+from .summary import WEAK_M
 
 #: Figures of a recovery that have a place of their own on the page.
 ELSEWHERE = (

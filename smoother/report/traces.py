@@ -7,12 +7,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.validate import sample_errors
-from ..pages import gathered
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
-from .look import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
+from ..runtime.pages import gathered
+from .decimate import band, split_line, thin
 from .points import Point
-from .thin import band, split_line, thin
+from .style import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
 
 _TIME = "time, s"
 

@@ -11,8 +11,8 @@ from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
 from ..evaluation.rejected import rejected
 from ..recording import JOINTS, Truth
 from ..result import Recovery
-from .look import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
-from .thin import thin
+from .decimate import thin
+from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
 
 #: Colours of the reasons for which samples are set aside, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")

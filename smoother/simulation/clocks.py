@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import fftconvolve
 
-from calib.clock_links import ClockLink, Receptions
+from calib.clock.links import ClockLink, Receptions
 
 from ..recording import FloatArray
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.strap_lens import Lens
+from calib.strap.strap_camera import Lens
 
 from ..recording import FloatArray
 

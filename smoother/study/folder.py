@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import UnoccludeError
-from ..io.atomic import writing
+from ..runtime.atomic import writing
 
 
 @dataclass(frozen=True)

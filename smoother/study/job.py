@@ -14,7 +14,7 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError
-from ..room import Room
+from ..runtime.store import Room
 from .columns import DONE, FAILED, Row, figures_of
 from .fingerprint import Choice, file_hash, row_id, text_hash
 from .folder import StudyFolder
@@ -162,7 +162,7 @@ def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
 
 
 def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
-    from ..io.disk_room import DiskRoom
+    from ..runtime.disk_store import DiskRoom
 
     if job.calibration and file_hash(job.calibration) != job.calibration_hash:
         raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
@@ -171,10 +171,10 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
 
 
 def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
-    from calib.found import with_given
+    from calib.motion.estimates import with_given
 
     from ..io import write_recovery
-    from ..io.arm_reading import read_arm
+    from ..io.recording.read_arm import read_arm
     from ..smoothing import smooth
 
     choice = job.choice
@@ -223,7 +223,7 @@ def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, befo
 
 def _leave(row: Row, folder: StudyFolder) -> None:
     """Write a row to where it waits."""
-    from ..io.atomic import writing
+    from ..runtime.atomic import writing
 
     with writing(folder.rows / f"{row['id']}.json", force=True) as temporary:
         temporary.write_text(json.dumps(row), encoding="utf-8")

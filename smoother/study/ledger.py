@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import UnoccludeError
-from ..io.atomic import writing
+from ..runtime.atomic import writing
 from .columns import COLUMNS, DONE, Row, schema
 from .fingerprint import file_hash
 from .folder import StudyFolder

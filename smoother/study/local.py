@@ -14,7 +14,7 @@ from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from ..pool import blank_main, one_thread_each
+from ..runtime.pool import blank_main, one_thread_each
 from .columns import Row
 from .job import Job, run_job
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
-from .alone import alone
 from .columns import DONE, FAILED, Row
 from .fingerprint import Choice, config_hash, file_hash
 from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
 from .ledger import Ledger
+from .lock import alone
 
 if TYPE_CHECKING:
     import pyarrow as pa

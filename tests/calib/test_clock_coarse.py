@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.clock_motion import COARSE_S, clock_from_motion
+from calib.clock.motion_clock import COARSE_S, clock_from_motion
 from smoother.cli.config_file import with_processes
-from smoother.clock_coarse import coarse_offset
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.recording import Recording
+from smoother.selfcal.coarse_clock import coarse_offset
 from smoother.simulation import ArmSimulation, simulate_arm
 
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from calib.clock_links import ClockLink, Receptions
-from calib.clock_network import solve_clocks
-from calib.clock_words import disagreements, open_questions, verdict
+from calib.clock.clock_summary import disagreements, open_questions, verdict
+from calib.clock.links import ClockLink, Receptions
+from calib.clock.network import solve_clocks
 from smoother.errors import CalibrationError
 from smoother.simulation.clocks import STEP_S, broadcast
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.clock_sound import find_beeps
+from calib.clock.beeps import find_beeps
 from smoother.errors import CalibrationError
 from smoother.simulation.clocks import beep
 

@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib import read_calibration
-from calib.forearm import ForearmCalibration, calibrate_forearm, forearm_axes
-from calib.forearm_words import compare, next_time, open_questions, verdict
-from calib.held_pose import find_held_pose
+from calib.forearm.forearm_summary import compare, next_time, open_questions, verdict
+from calib.forearm.held_pose import find_held_pose
+from calib.forearm.held_pose_fit import ForearmCalibration, calibrate_forearm, forearm_axes
 from smoother.cli.run import run
 from smoother.config import Config
 from smoother.errors import CalibrationError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.imu.allan import allan_deviation, allan_noise
-from calib.imu.calibrate import calibrate_imu
+from calib.imu.sensor_calibration import calibrate_imu
 from smoother.recording import ImuStream
 
 RATE = 50.0

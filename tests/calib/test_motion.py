@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from calib import CalibrationFile, read_calibration, write_calibration
-from calib.forearm_frame import forearm_frame
-from calib.motion import calibrate_motion
+from calib.forearm.forearm_frame import forearm_frame
+from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration, Length
 from smoother.cli.run import run
 from smoother.config import Config

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.panel.frame import Frame
-from calib.panel.solve import OFFSET_SIGMA_M, ON_PLANE_SIGMA_M, PRIOR_RESIDUALS, PoseData, solve
+from calib.panel.panel_graph import OFFSET_SIGMA_M, ON_PLANE_SIGMA_M, PRIOR_RESIDUALS, PoseData, solve
 
 TRUTH = Frame(
     Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix(), np.array([0.1, -0.2, 0.4])

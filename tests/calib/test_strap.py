@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.strap import find_strap
-from calib.strap_lens import Depth, Lens
+from calib.strap.strap_camera import Depth, Lens
+from calib.strap.strap_in_image import find_strap
 from smoother.simulation.strap import Arm, Noise, render
 
 #: The colour camera sits 5 cm beside the depth camera, as in a Kinect.

@@ -76,7 +76,7 @@ def test_sound_in_a_recording(folder: Path, tmp_path: Path):
     from foxglove_schemas_protobuf.RawAudio_pb2 import RawAudio
     from mcap.writer import Writer
 
-    from smoother.io.schemas import schema_data
+    from smoother.io.wire.schemas import schema_data
 
     sound, end, _ = beep(3)
     samples, rng, start_ns = pcm(sound), np.random.default_rng(0), 1_700_000_000_000_000_000

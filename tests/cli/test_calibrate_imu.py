@@ -15,12 +15,12 @@ from smoother.cli.load import load_arm
 from smoother.cli.run import run
 from smoother.config import Config
 from smoother.io import open_csv, read_imu, write_recording
-from smoother.io.reading import nanoseconds
-from smoother.io.streams import ImuSamples, RecordingFile
-from smoother.priors import with_measured_noise
+from smoother.io.recording.read import nanoseconds
+from smoother.io.recording.streams import ImuSamples, RecordingFile
 from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.window.priors import with_measured_noise
 
 TOPIC = "/imu/forearm_right"
 

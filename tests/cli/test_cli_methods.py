@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from smoother import Config, smoothing
+from smoother.baselines.registry import PEERS
 from smoother.cli.methods import METHODS, PeerSettings, SharedGraph, choose, make_methods, peer_settings
 from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.evaluation import evaluate_gaps
 from smoother.io import read_recovery
-from smoother.peers.registry import PEERS
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
 

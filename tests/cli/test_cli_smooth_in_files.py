@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import smoother.io.disk_room
+import smoother.runtime.disk_store
 from calib.file import read_calibration
-from calib.imu.apply import corrected
+from calib.imu.correction import corrected
 from smoother.cli.run import run
 from smoother.io import read_recording
-from smoother.io.disk_room import DiskRoom
-from smoother.room import Room
+from smoother.runtime.disk_store import DiskRoom
+from smoother.runtime.store import Room
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
@@ -52,10 +52,10 @@ def test_an_imu_is_corrected_part_by_part(
         f'[imu."{recording.imu.name.removeprefix("/imu/")}".gyroscope]\noffset = [0.01, 0.02, -0.03]\n'
     )
     calibration = read_calibration(tmp_path / "cal.toml")
-    monkeypatch.setattr("calib.imu.apply._SAMPLES", 10**9)
+    monkeypatch.setattr("calib.imu.correction._SAMPLES", 10**9)
     whole = corrected(recording, calibration, Room())
     assert not np.array_equal(whole.imu.acc, recording.imu.acc)
-    monkeypatch.setattr("calib.imu.apply._SAMPLES", samples)
+    monkeypatch.setattr("calib.imu.correction._SAMPLES", samples)
     with DiskRoom(tmp_path) as room:
         parts = corrected(recording, calibration, room)
         for name in ("t_s", "acc", "gyro"):

@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
-from calib.world.apply import with_gravity
+from calib.world.gravity_from_base import with_gravity
 from smoother import smooth
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
-from smoother.io.images import ImageMessage, LensMessage, read_images
+from smoother.io.media.images import ImageMessage, LensMessage, read_images
 from smoother.recording import ImuStream, Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 

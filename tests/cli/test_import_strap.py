@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from strap_recordings import radius_of, with_images
 
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
 from smoother.recording import JointState
 from smoother.simulation import ArmSimulation, simulate_arm
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
-from strap_recordings import radius_of, with_images
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +65,7 @@ def test_other_joints_stay_and_images_stay_out(session):
 
 
 def test_sigma_goes_with_the_strap(session):
-    from smoother.io.schemas import message_class
+    from smoother.io.wire.schemas import message_class
 
     folder, _ = session
     seen = 0

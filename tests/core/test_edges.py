@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import ALONE, BOLDEST, Scene, arm, assert_accurate, point, recovered, without_frames
 from scipy.spatial.transform import Rotation
 
 from smoother import smooth
-from smoother.assemble import LINEAR_RAD, widen_turns
 from smoother.errors import SolveError
 from smoother.evaluation.validate import sample_errors
 from smoother.recording import FloatArray, JointState
-
-from .scenes import ALONE, Scene, arm, point, recovered, without_frames
-from .test_smooth import BOLDEST, assert_accurate
+from smoother.recovery.samples import LINEAR_RAD, widen_turns
 
 OPEN_S = 2.0
 

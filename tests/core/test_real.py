@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import ALONE, there
 
-from calib.motion import calibrate_motion
+from calib.motion.several_recordings import calibrate_motion
 from smoother import Recovery, smooth
 from smoother.calibration import ArmCalibration
 from smoother.evaluation import GapTable, evaluate_gaps
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
-
-from .scenes import ALONE
 
 pytestmark = pytest.mark.real
 
@@ -26,17 +23,6 @@ LIMITS = {0.5: 0.011, 1.0: 0.016, 2.0: 0.026, 3.0: 0.045}
 #: The part of a trial that is looked at, s: movement starts after about half a minute of rest.
 PART_S = (30.0, 110.0)
 TRIALS = ("11_undisturbed_slow_translation_B.mat", "16_undisturbed_fast_translation_B.mat")
-
-
-def there(*parts: str) -> Path:
-    """A file of the data sets; the test is skipped where it is not."""
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD and UTD-MHAD")
-    path = Path(folder).joinpath(*parts)
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    return path
 
 
 def trial(name: str) -> Recording:

@@ -6,15 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import ALONE, there
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from smoother import smooth
 from smoother.evaluation import Validation, validate
 from smoother.io import import_broad
 from smoother.recording import Recording
-
-from .scenes import ALONE
-from .test_real import there
 
 pytestmark = pytest.mark.real
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+import ros_bags
+from scenes import ALONE, arm
 
 from smoother import smooth
 from smoother.io import read_recording
-from smoother.occlusion import occluded_at
+from smoother.measurements.visibility import occluded_at
 from smoother.recording import JOINTS, JointState
 from smoother.simulation import SimulatedArm
-
-from .scenes import ALONE, arm
 
 ZERO_NS = 1_750_000_000 * 10**9
 #: Joint indices of the Azure Kinect's body tracking (right arm), of 32.
@@ -24,24 +22,13 @@ AZURE = {"shoulder": 12, "elbow": 13, "wrist": 14, "hand": 15}
 BODY = 4
 
 
-def ros_bags() -> Any:
-    """The writer that the tests of the readers use."""
-    path = Path(__file__).parents[1] / "io" / "ros_bags.py"
-    spec = importlib.util.spec_from_file_location("ros_bags_of_the_readers", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def write(made: SimulatedArm, path: Path) -> None:
     """MarkerArray and Imu, logged as they come; joints that are not tracked have no marker."""
-    ros, imu, tracks = ros_bags(), made.recording.imu, made.recording.arm
+    imu, tracks = made.recording.imu, made.recording.arm
     stamps = [ZERO_NS + np.rint(t * 1e9).astype(int) for t in (imu.t_s, tracks.t_s)]
     events = [(int(ns), kind, i) for kind, each in enumerate(stamps) for i, ns in enumerate(each)]
     rest = {k: np.array([0.3, 0.1 + 0.02 * k, 2.2]) for k in range(32) if k not in AZURE.values()}
-    with ros.Bag(path) as bag:
+    with ros_bags.Bag(path) as bag:
         for ns, kind, i in sorted(events):
             if kind == 0:
                 bag.imu("/imu/wrist", ns, "imu_link", imu.acc[i], imu.gyro[i], ns + 2_000_000)
@@ -52,11 +39,11 @@ def write(made: SimulatedArm, path: Path) -> None:
                 for joint, number in AZURE.items()
                 if tracked[JOINTS.index(joint)]
             }
-            markers = [ros.marker(ns, 100 * BODY + k, places[k]) for k in sorted(places)]
+            markers = [ros_bags.marker(ns, 100 * BODY + k, places[k]) for k in sorted(places)]
             bag.write(
                 "/body_tracking_data",
                 "visualization_msgs/msg/MarkerArray",
-                ros.marker_array(),
+                ros_bags.marker_array(),
                 {"markers": markers},
                 ns + 40_000_000,
             )

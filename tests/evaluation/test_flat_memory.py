@@ -16,11 +16,11 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.cli.limit import limit_sigma
 from smoother.cli.smooth import print_recovery, smooth_figures
 from smoother.io import write_recovery
-from smoother.io.disk_room import DiskRoom
+from smoother.runtime.disk_store import DiskRoom
 from smoother.recording import ImuStream, JointTracks, Recording
 from smoother.report import write_report
 from smoother.result import FrameResiduals, Gap, Recovery
-from smoother.screen import REASONS
+from smoother.measurements.outliers import REASONS
 
 
 def peak_mb():

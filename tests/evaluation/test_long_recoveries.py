@@ -11,15 +11,16 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from calib.evidence import STRETCH_S, _turn_between, gather_from
-from calib.found import found_in
+from calib.motion.estimates import found_in
+from calib.motion.evidence import STRETCH_S, _turn_between, gather_from
 from smoother.evaluation.advice import advice
 from smoother.evaluation.rejected import rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
-from smoother.io.usable import LIMIT, usable
+from smoother.io.result.usable import LIMIT, usable
+from smoother.measurements.outliers import REASONS
+from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
-from smoother.result import Gap, Recovery
-from smoother.screen import REASONS
+from smoother.result import Recovery
 
 
 @pytest.fixture
@@ -166,7 +167,7 @@ def test_advice_does_not_depend_on_the_blocks(
 
 def test_the_page_of_a_long_recording_is_thinned_first(tmp_path: Path, recovery: Recovery) -> None:
     from smoother.report import write_report
-    from smoother.report.thin import MOST_POINTS
+    from smoother.report.decimate import MOST_POINTS
 
     times = 30
     whole = {

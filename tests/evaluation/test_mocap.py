@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import CalibrationError, RecordingError
 from smoother.evaluation import read_reference, validate
-from smoother.evaluation.mocap_frame import stated_frame
-from smoother.evaluation.rigid import plate_axes
-from smoother.io.trc_writing import write_trc
+from smoother.evaluation.mocap.frame import stated_frame
+from smoother.evaluation.mocap.rigid import plate_axes
+from smoother.io.export.trc import write_trc
 from smoother.recording import CameraFrame
 
 PLATE = np.array(

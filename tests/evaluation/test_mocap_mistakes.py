@@ -13,9 +13,9 @@ from test_mocap import MAP, NAMES, captured
 from smoother.errors import RecordingError
 from smoother.evaluation import read_reference, validate
 from smoother.evaluation.truth_file import read_truth
-from smoother.io.c3d_writing import C3dContent, write_c3d
-from smoother.io.marker_files import read_markers
-from smoother.io.trc_writing import write_trc
+from smoother.io.export.c3d import C3dContent, write_c3d
+from smoother.io.export.trc import write_trc
+from smoother.io.markers.files import read_markers
 from smoother.recording import CameraFrame
 
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
-from smoother.evaluation.marker_map import find_markers, map_by_names, read_marker_map
-from smoother.evaluation.mocap_fill import fill_on_plate
-from smoother.evaluation.mocap_motion import smoothed
-from smoother.evaluation.rigid import find_shape, fit_poses, follow
+from smoother.evaluation.mocap.fill import fill_on_plate
+from smoother.evaluation.mocap.marker_map import find_markers, map_by_names, read_marker_map
+from smoother.evaluation.mocap.motion import smoothed
+from smoother.evaluation.mocap.rigid import find_shape, fit_poses, follow
 
 PLATE = np.array(
     [

@@ -16,9 +16,9 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from smoother.io.container import Container
-from smoother.io.messages import Topic
-from smoother.io.records import find
+from smoother.io.mcap.container import Container
+from smoother.io.mcap.messages import Topic
+from smoother.io.mcap.records import find
 
 TOPICS = ("/a", "/b", "/c")
 INDEXED = IndexType.ALL

@@ -10,11 +10,11 @@ import pytest
 import ros_bags
 
 from smoother.errors import RecordingError
-from smoother.io.atomic import writing
-from smoother.io.images import ImageMessage, LensMessage, read_images
-from smoother.io.merge import Outgoing, Output
-from smoother.io.panel_session import read_pairs
-from smoother.io.schemas import message_class
+from smoother.io.mcap.merge import Outgoing, Output
+from smoother.io.media.images import ImageMessage, LensMessage, read_images
+from smoother.io.media.panel_session import read_pairs
+from smoother.io.wire.schemas import message_class
+from smoother.runtime.atomic import writing
 
 _TAIL = ros_bags.IMAGE.partition("uint8[] data\n")[2]
 COMPRESSED = "std_msgs/Header header\nstring format\nuint8[] data\n" + _TAIL

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.marker_files import read_markers
+from smoother.io.markers.files import read_markers
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
 

@@ -13,7 +13,7 @@ from made_recordings import make, plain_texts
 
 from smoother.errors import RecordingError
 from smoother.io import import_csv, open_csv, read_recording, write_recording
-from smoother.io.table import read_table
+from smoother.io.plain.table import read_table
 from smoother.recording import CameraFrame
 
 Folder = Callable[..., Path]

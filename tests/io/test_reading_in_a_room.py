@@ -17,17 +17,19 @@ from hypothesis.extra import numpy as arrays
 from made_recordings import make, swing
 from mcap.writer import CompressionType, Writer
 
-from calib.world import apply
-from smoother.io import column, disk_room, open_recording, read_recording, write_recording
-from smoother.io.arm_reading import read_arm
-from smoother.io.column import Column, passes, sampled
-from smoother.io.container import Container
-from smoother.io.disk_room import DiskRoom
-from smoother.io.joint_rows import SIDES, UNSAID, JointRows
-from smoother.io.recording_writing import as_file
-from smoother.io.streams import ArmFrames, RecordingFile
+from calib.world import gravity_from_base as apply
+from smoother.io import open_recording, read_recording, write_recording
+from smoother.io.mcap.container import Container
+from smoother.io.recording.joint_rows import SIDES, UNSAID, JointRows
+from smoother.io.recording.read_arm import read_arm
+from smoother.io.recording.streams import ArmFrames, RecordingFile
+from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.room import Room
+from smoother.runtime import column
+from smoother.runtime import disk_store as disk_room
+from smoother.runtime.column import Column, passes, sampled
+from smoother.runtime.disk_store import DiskRoom
+from smoother.runtime.store import Room
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -157,7 +159,7 @@ import re, sys
 from pathlib import Path
 import numpy as np
 from smoother.io import read_recording
-from smoother.io.disk_room import DiskRoom
+from smoother.runtime.disk_store import DiskRoom
 
 def peak():
     return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024

@@ -15,12 +15,12 @@ from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import describe, open_recording, read_recording, select_recording, write_recording
-from smoother.io.bodies import join_bodies
-from smoother.io.choose import motion_agreement
-from smoother.io.clean import increasing
-from smoother.io.recording_writing import as_file
-from smoother.io.schemas import message_class
-from smoother.io.streams import ArmFrames
+from smoother.io.recording.bodies import join_bodies
+from smoother.io.recording.choose import motion_agreement
+from smoother.io.recording.clean import increasing
+from smoother.io.recording.streams import ArmFrames
+from smoother.io.recording.write import as_file
+from smoother.io.wire.schemas import message_class
 from smoother.recording import ImuStream, JointState, JointTracks, Recording
 
 

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.io import export_csv, read_recording, read_recovery, write_recording, write_recovery
-from smoother.io.recovery_streams import elbow_flexion
-from smoother.io.schemas import message_class
+from smoother.io.result.streams import elbow_flexion
+from smoother.io.wire.schemas import message_class
 
 
 @pytest.mark.parametrize("origin_ns", [ZERO, 0, -(10**9)])

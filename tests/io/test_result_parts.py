@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 from made_results import assert_same, recovery
 from mcap.reader import make_reader
 
-import smoother.io.result
+import smoother.io.result.write
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery, write_recording, write_recovery
-from smoother.io.disk_room import DiskRoom
-from smoother.io.merge import END
-from smoother.io.parts import Axis, parts_of_time
+from smoother.io.mcap.merge import END
+from smoother.io.mcap.parts import Axis, parts_of_time
 from smoother.recording import Recording
 from smoother.result import Recovery
-from smoother.room import Room
+from smoother.runtime.disk_store import DiskRoom
+from smoother.runtime.store import Room
 
 
 def cut(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
@@ -141,7 +141,7 @@ def on_disk(made: Recovery, room: Room) -> Recovery:
 
 
 def test_columns_in_files_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import smoother.io.disk_room
+    import smoother.runtime.disk_store
 
     monkeypatch.setattr(smoother.io.disk_room, "_SMALL_BYTES", 1)
     cut(monkeypatch, 64)
@@ -174,7 +174,9 @@ def test_blocks_go_over_all_samples_once(monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_array_equal(used, made.residuals.used)
 
 
-@pytest.mark.parametrize("place", ["smoother.io.chunks._pack", "smoother.io.chunks.ChunkedFile._chunk"])
+@pytest.mark.parametrize(
+    "place", ["smoother.io.mcap.chunks._pack", "smoother.io.mcap.chunks.ChunkedFile._chunk"]
+)
 def test_a_failure_while_compressing_or_writing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:

@@ -15,9 +15,10 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from smoother.errors import RecordingError
-from smoother.io import cdr, open_recording, read_recording
-from smoother.io.choose import choose_truth
-from smoother.io.layout import Grouper
+from smoother.io import open_recording, read_recording
+from smoother.io.recording.choose import choose_truth
+from smoother.io.wire import cdr
+from smoother.io.wire.layout import Grouper
 from smoother.recording import CameraFrame, JointState
 
 ZERO = 1_700_000_000 * 10**9

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from arms import make_recording, make_recovery, turn
 
-from calib.evidence import ClockOffset, Evidence, gather_from
-from calib.forearm_frame import ForearmFrame, forearm_frame
-from calib.found import Found, JointError, found_in
+from calib.forearm.forearm_frame import ForearmFrame, forearm_frame
+from calib.motion.estimates import Found, JointError, found_in
+from calib.motion.evidence import ClockOffset, Evidence, gather_from
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.advice import NOTHING, advice, towards_the_camera
 from smoother.evaluation.coverage import LEVELS, camera_residuals, stated_and_actual
 from smoother.evaluation.rejected import rejected
+from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
-from smoother.result import Gap, Recovery
+from smoother.result import Recovery
 
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "upper_arm"), 500)
 GOOD = Evidence(visible_s=25.0, frames=FRAMES, turning_rad_s=2.0, axial_rad=2.5)

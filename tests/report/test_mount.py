@@ -9,13 +9,13 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from calib.found import Found, found_in
+from calib.motion.estimates import Found, found_in
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.mount import directions, ellipse, mount
+from smoother.report.summary import summary
 from smoother.report.trust import timeline
-from smoother.report.words import summary
 
 
 def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> Found:

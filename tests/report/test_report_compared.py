@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
 from smoother.evaluation import Alignment, validate
 from smoother.report import write_report
-from smoother.report.compared import angle_curves, bland_altman, compared, error_over_time
+from smoother.report.truth_comparison import angle_curves, bland_altman, compared, error_over_time
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation import validate
+from smoother.measurements.visibility import Gap
 from smoother.recording import CameraFrame, Recording
 from smoother.report import write_report
-from smoother.result import Gap, Recovery
+from smoother.result import Recovery
 
 
 class Page(HTMLParser):

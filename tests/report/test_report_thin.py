@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.report.thin import band, split_line, thin
+from smoother.report.decimate import band, split_line, thin
 
 
 def test_short_lines_are_kept_whole():

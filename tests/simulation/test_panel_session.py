@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smoother.cli.run import run
-from smoother.io.container import Container
-from smoother.io.reading import open_recording
-from smoother.io.schemas import message_class
+from smoother.io.mcap.container import Container
+from smoother.io.recording.read import open_recording
+from smoother.io.wire.schemas import message_class
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
 from smoother.simulation.panel.inertial import FIELD_W
 

@@ -1,6 +1,6 @@
 """Other ways to the same answer, timed on the same recording: the plain graphs, `rts`, `linear-drift`.
 
-Each runs in a process of its own on what `smooth` found, as every peer does (`smoother.peers`): calibration,
+Each runs in a process of its own on what `smooth` found, as every peer does (`smoother.baselines`): calibration,
 clock, gravity, which samples to believe, and the gaps. Finding that is in `smooth`'s time and not in theirs.
 Two times of each: its own (from scene to path), and with what it needs beside (orientation filter and
 alignment before, putting the answer together after). Neither reads nor writes a file.
@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from smoother.baselines.answer import answer
+from smoother.baselines.inputs import scenes_of
+from smoother.baselines.registry import PEERS
+from smoother.baselines.scene import Path as Answer
+from smoother.baselines.scene import Scene
 from smoother.config import Config
 from smoother.io import read_recording
-from smoother.peers.answer import answer
-from smoother.peers.registry import PEERS
-from smoother.peers.scene import Path as Answer
-from smoother.peers.scene import Scene
-from smoother.peers.told import scenes_of
 from smoother.smoothing import smooth
 
 from . import memory

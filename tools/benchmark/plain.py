@@ -38,8 +38,8 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from smoother.arrays import interpolate, rotate_covariance
-from smoother.peers.scene import Path, Scene
+from smoother.baselines.scene import Path, Scene
+from smoother.linalg import interpolate, rotate_covariance
 from smoother.recording import FloatArray
 
 from .plain_graphs import Frames, examples, examples_by_frame, frames_of, same_job

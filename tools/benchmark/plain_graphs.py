@@ -11,13 +11,13 @@ from gtsam import Pose3, Rot3, Unit3, noiseModel
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 from scipy.spatial.transform import Rotation, Slerp
 
-from smoother.arrays import interpolate
+from smoother.baselines.scene import Scene
 from smoother.config import ArmPrior, CameraNoise, ImuNoise
-from smoother.inertial import InertialSignal
-from smoother.peers.scene import Scene
-from smoother.prepare import GRAVITY, lever_of
+from smoother.linalg import interpolate
+from smoother.measurements.alignment import GRAVITY, lever_of
+from smoother.measurements.inertial import InertialSignal
 from smoother.recording import FOREARM_JOINTS, JOINTS, FloatArray
-from smoother.start import states_from_camera
+from smoother.window.prepare import states_from_camera
 
 Pim = gtsam.PreintegratedCombinedMeasurements
 #: Error of the integration itself, m^2/s, as in `smooth`'s graphs.

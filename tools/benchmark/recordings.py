@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.io import write_recording
-from smoother.io.schemas import message_class, schema_data
+from smoother.io.wire.schemas import message_class, schema_data
 from smoother.recording import Recording, Truth
 from smoother.simulation import ArmSimulation, simulate_arm
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.motion import calibrate_motion
+from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.methods import METHODS, make_methods
 from smoother.config import Config

@@ -10,10 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother import smooth
-from smoother.clock import ClockFit, constant
 from smoother.config import Config
+from smoother.measurements.clock import constant
 from smoother.recording import Recording
 from smoother.result import Recovery
+from smoother.selfcal.clock_fit import ClockFit
 
 #: How far a tripod's camera is taken to be off the level, degrees.
 TILT_DEG = 3.0
@@ -49,7 +50,7 @@ def without_clock(recording: Recording, config: Config) -> Recovery:
         def step(self, *_: object) -> None:
             """Nothing."""
 
-    with patch("smoother.selfcal.ClockFit", Believed):
+    with patch("smoother.selfcal.rounds.ClockFit", Believed):
         return smooth(recording, None, config)
 
 

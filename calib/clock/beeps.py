@@ -1,0 +1,246 @@
+"""When a beep ends in a sound track: the event that links a microphone's clock to a buzzer's.
+
+The IMU commands its buzzer to stop and notes the time; the camera's microphone hears the sound stop
+(Jatesiktat & Ang, II-G.1). A tone that is switched off does not vanish: the buzzer rings out and the room
+answers. So the tone's complex envelope is fitted with a step to a decaying tail, both seen through the same
+low-pass; the step is the end, however long the tail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
+from scipy.signal import fftconvolve, get_window
+
+from smoother.errors import CalibrationError
+from smoother.recording import FloatArray
+
+from .beep_end import direct_end, fit_fall
+
+#: Frames of the first search, s.
+FRAME_S, HOP_S = 0.010, 0.0025
+#: Buzzers sound in this range, Hz.
+TONES_HZ = (400.0, 12_000.0)
+#: A beep lasts at least this long, s, stands so far above the quiet, dB, and ends when it fell so far, dB.
+SHORTEST_S = 0.03
+LOUD_DB = 18.0
+FALL_DB = 8.0
+KNEE_DB = 3.0
+#: The quiet shows in so many frames in a row.
+QUIET_FRAMES = 12
+#: Two beeps nearer than this are one, s.
+PAUSE_S = 0.05
+#: Envelope: width of the low-pass, s, and how far before and after the end it is fitted, s.
+SMOOTH_S = 0.0012
+BEFORE_S, AFTER_S = 0.020, 0.060
+#: The end lies so near to the largest step, s; with two as large, sigma is this part of their distance.
+SLACK_S, DOUBT_PART = 0.012, 0.5
+#: What a step with an exponential tail leaves out: in any case, s, and as a part of the tail's length, for a
+#: tail as loud as what stops.
+MODEL_SIGMA_S = 0.00015
+TAIL_PART = 0.03
+#: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
+LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
+#: Blocks of a long track, s.
+BLOCK_S = 60.0
+
+
+@dataclass(frozen=True)
+class Beep:
+    """One beep.
+
+    Attributes
+    ----------
+    start_s, end_s, sigma_s : s after the track's first sample; sigma is of the end.
+    frequency_hz : its tone.
+    above_quiet_db : how far it stands above the quiet.
+    decay_s : time constant of its tail.
+    loud_room : the room's answer is about as loud as the beep, so that its end is hard to tell.
+    t_s, envelope, fitted : (n,) the envelope about its end, and what was fitted to it.
+    """
+
+    start_s: float
+    end_s: float
+    sigma_s: float
+    frequency_hz: float
+    above_quiet_db: float
+    decay_s: float
+    loud_room: bool
+    t_s: FloatArray
+    envelope: FloatArray
+    fitted: FloatArray
+
+
+def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None) -> list[Beep]:
+    """All beeps of a track, in order.
+
+    Parameters
+    ----------
+    samples : (N,) sound pressure in any unit.
+    rate_hz : samples a second.
+    tone_hz : the buzzer's tone, where it is known; else the clearest tone is taken.
+
+    Raises
+    ------
+    CalibrationError
+        The track is too short or silent, or no tone stands out of it.
+    """
+    samples = np.asarray(samples, dtype=float)
+    if len(samples) < 0.1 * rate_hz:
+        raise CalibrationError(
+            f"the sound lasts {len(samples) / rate_hz:.2f} s only; record at least a second"
+        )
+    if not np.isfinite(samples).all() or not np.ptp(samples) > 0:
+        raise CalibrationError("the sound is silent; see that the microphone is on")
+    frames_t, frequency, power = _spectrogram(samples, rate_hz)
+    level, at, above = _clearest(power, frequency, tone_hz)
+    if above < LOUD_DB:
+        raise CalibrationError(
+            f"no beep stands out of the sound (the clearest tone, {frequency[at]:.0f} Hz, is {above:.0f}"
+            " dB above"
+            f" the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
+        )
+    found = []
+    for first, last in _runs(level):
+        # the room's answer may be loud for long: the beep ends where its own level is left
+        plateau = float(np.median(level[first : last + 1]))
+        held = first + int(np.flatnonzero(level[first : last + 1] > plateau - KNEE_DB)[-1])
+        start, end = float(frames_t[first]), float(frames_t[held])
+        tone = _tone(samples, rate_hz, start, end, float(frequency[at]))
+        found.append(_fit_end(samples, rate_hz, start, end, tone, above))
+    if not found:
+        raise CalibrationError(
+            "a tone was heard that does not end in the sound; record the quiet after it too"
+        )
+    return found
+
+
+def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Frame centres (n,), frequencies (f,) and power (n, f) in the range of buzzers."""
+    size, hop = max(int(FRAME_S * rate_hz), 16), max(int(HOP_S * rate_hz), 4)
+    frequency = np.fft.rfftfreq(size, 1 / rate_hz)
+    band = (frequency >= TONES_HZ[0]) & (frequency <= min(TONES_HZ[1], 0.45 * rate_hz))
+    window = get_window("hann", size)
+    starts = np.arange(0, len(samples) - size + 1, hop)
+    views = np.lib.stride_tricks.sliding_window_view(samples, size)
+    step = max(int(BLOCK_S / HOP_S), 1)
+    parts = [
+        (np.abs(np.fft.rfft(views[starts[k : k + step]] * window, axis=1))[:, band] ** 2).astype(np.float32)
+        for k in range(0, len(starts), step)
+    ]
+    return np.asarray((starts + 0.5 * size) / rate_hz), np.asarray(frequency[band]), np.concatenate(parts)
+
+
+def _clearest(
+    power: FloatArray, frequency: FloatArray, tone_hz: float | None
+) -> tuple[FloatArray, int, float]:
+    """Level (n,) dB of the clearest tone above its quiet, its place, and how far it stands out, dB."""
+    power = power + 1e-12 * float(power.max())
+    # of a track that is nearly all beep, the quiet is what little there is beside it
+    lasting = uniform_filter1d(power, QUIET_FRAMES, axis=0)
+    quiet = np.minimum(np.percentile(power, 10, axis=0), np.percentile(lasting, 1, axis=0))
+    # a tone has its power in one place, a voice or a knock has it everywhere
+    share = power / power.sum(axis=1, keepdims=True)
+    level = 10 * np.log10(power / quiet)
+    frames = max(round((SHORTEST_S - FRAME_S) / HOP_S), 1)
+    lasting = minimum_filter1d(level + 10 * np.log10(share), frames, axis=0)
+    best = lasting.max(axis=0)
+    if tone_hz is not None:
+        best = np.where(np.abs(frequency - tone_hz) <= 1.5 * (frequency[1] - frequency[0]), best, -np.inf)
+    at = int(np.argmax(best))
+    frame = int(np.argmax(lasting[:, at]))
+    return level[:, at], at, float(minimum_filter1d(level[:, at], frames)[frame])
+
+
+def _runs(level: FloatArray) -> list[tuple[int, int]]:
+    """First and last frame of every beep that also ends in the track."""
+    top = float(np.percentile(level[level > level.max() - FALL_DB], 50))
+    loud = level > max(top - FALL_DB, 0.5 * LOUD_DB)
+    edge = np.diff(np.concatenate(([0], loud.astype(int), [0])))
+    runs: list[tuple[int, int]] = []
+    for first, last in zip(
+        np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True
+    ):
+        if runs and (first - runs[-1][1]) * HOP_S < PAUSE_S:
+            runs[-1] = (runs[-1][0], last)
+        else:
+            runs.append((first, last))
+    return [
+        (first, last)
+        for first, last in runs
+        if (last - first) * HOP_S >= SHORTEST_S - FRAME_S and last < len(level) - 2
+    ]
+
+
+def _tone(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, near_hz: float) -> float:
+    """The tone's frequency inside the beep, Hz: the peak of a long transform, between bins by a parabola."""
+    part = samples[int(start_s * rate_hz) : max(int(end_s * rate_hz), int(start_s * rate_hz) + 16)]
+    size = 1 << int(np.ceil(np.log2(8 * len(part))))
+    spectrum = np.abs(np.fft.rfft(part * np.hanning(len(part)), size))
+    frequency = np.fft.rfftfreq(size, 1 / rate_hz)
+    near = np.flatnonzero(np.abs(frequency - near_hz) < 1.5 / FRAME_S)
+    k = int(near[np.argmax(spectrum[near])])
+    if not 0 < k < len(spectrum) - 1:
+        return float(frequency[k])
+    left, mid, right = np.log(spectrum[k - 1 : k + 2] + 1e-300)
+    bend = left - 2 * mid + right
+    return float(
+        frequency[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0) * (frequency[1] - frequency[0])
+    )
+
+
+def _fit_end(
+    samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float, above_db: float
+) -> Beep:
+    """The end of one beep: a step to a decaying tail, fitted to the complex envelope of its tone."""
+    step = direct_end(samples, rate_hz, tone_hz, start_s, end_s)
+    near = step.t_s
+    before = min(BEFORE_S, 0.6 * (near - start_s) + 0.5 * FRAME_S)
+    first = max(int((near - before - SMOOTH_S) * rate_hz), 0)
+    last = min(int((near + AFTER_S + SMOOTH_S) * rate_hz), len(samples))
+    t = np.arange(first, last) / rate_hz
+    tone_hz = _steady(samples, rate_hz, max(start_s + 0.01, near - 0.1), near - 0.003, tone_hz)
+    periods = max(round(SMOOTH_S * tone_hz), 3)
+    kernel = np.hanning(max(round(periods / tone_hz * rate_hz), 5) + 2)[1:-1]
+    kernel /= kernel.sum()
+    mixed = 2 * samples[first:last] * np.exp(-2j * np.pi * tone_hz * t)
+    half = len(kernel) // 2
+    inside = slice(half, len(t) - half)
+    envelope = fftconvolve(mixed, kernel, mode="same")[inside]
+    fall = fit_fall(envelope, kernel, t, rate_hz, near, SLACK_S)
+    loud_room = fall.tail > LOUD_TAIL and fall.decay_s > LONG_TAIL_S
+    # the buzzer stops somewhere in a period of its tone, and no tail is quite exponential: the less stops
+    # at once, the more the tail's shape counts
+    shape = TAIL_PART * min(fall.decay_s, AFTER_S) * min(fall.tail, 1.0) / max(fall.drop, 0.05)
+    doubt = DOUBT_PART * step.doubt_s
+    sigma = float(
+        np.sqrt(fall.variance_s2 + (1 / tone_hz) ** 2 / 12 + MODEL_SIGMA_S**2 + shape**2 + doubt**2)
+    )
+    return Beep(
+        start_s=start_s,
+        end_s=fall.end_s,
+        sigma_s=sigma,
+        frequency_hz=tone_hz,
+        above_quiet_db=above_db,
+        decay_s=fall.decay_s,
+        loud_room=loud_room or doubt > MODEL_SIGMA_S,
+        t_s=t[inside],
+        envelope=np.abs(envelope),
+        fitted=fall.fitted,
+    )
+
+
+def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, tone_hz: float) -> float:
+    """The tone shortly before its end, Hz: its phase must not turn in the envelope that is fitted."""
+    first, last = int(start_s * rate_hz), int(end_s * rate_hz)
+    count = max((last - first) // 4, 1)
+    if last - first < 0.02 * rate_hz:
+        return tone_hz
+    t = np.arange(first, first + 4 * count) / rate_hz
+    mixed = samples[first : first + 4 * count] * np.exp(-2j * np.pi * tone_hz * t)
+    blocks = mixed.reshape(4, count).sum(axis=1)
+    turn = float(np.angle(np.sum(blocks[1:] * np.conj(blocks[:-1]))))
+    found = turn * rate_hz / (2 * np.pi * count)
+    return tone_hz + (found if abs(turn) < 1.0 else 0.0)

@@ -1,0 +1,146 @@
+"""What a solved clock network says in words. Every function is pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .beeps import Beep
+from .links import ClockLink, ClockNetwork, Receptions
+from .motion_clock import MotionClock
+
+#: A link no better than this is said to be weak, s: at 1 m/s it is 5 mm.
+WEAK_S = 0.005
+#: A link whose sources disagree by so many sigmas.
+DISAGREE = 4.0
+#: One late reception among fewer rounds than this cannot be told.
+FEW_ROUNDS = 4
+SKEW_KNOWN_PPM = 20.0
+
+
+def link_words(link: ClockLink) -> str:
+    """One link in one sentence."""
+    said = (
+        f"t_{link.to_clock} = t_{link.from_clock} {link.offset_s:+.6f} s, to {1e3 * link.sigma_s:.2f} ms"
+        f" (at {link.at_s:.1f} s of {link.from_clock})"
+    )
+    if link.skew_sigma_ppm < SKEW_KNOWN_PPM:
+        said += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} parts in a million"
+    return said
+
+
+def verdict(network: ClockNetwork) -> list[str]:
+    """How good the clocks are now."""
+    links = network.links()
+    worst = max(links, key=lambda link: link.sigma_s)
+    said = [
+        f"{len(network.nodes)} clocks hang together in {len(links)} pairs; the worst pair"
+        f" ({worst.from_clock}, {worst.to_clock}) is known to {1e3 * worst.sigma_s:.2f} ms"
+    ]
+    if len(set(network.group.tolist())) > 1:
+        groups = [
+            ", ".join(name for name, own in zip(network.nodes, network.group, strict=True) if own == g)
+            for g in sorted(set(network.group.tolist()))
+        ]
+        said.append(f"nothing links these groups of clocks with each other: {'; '.join(groups)}")
+    said += disagreements(network)
+    said.append("a clock offset belongs to this session: measure it anew for every recording")
+    return said
+
+
+def disagreements(network: ClockNetwork) -> list[str]:
+    """Links that were measured in two ways which contradict each other."""
+    return [
+        f"{each.source} ({each.node[0]}) is {1e3 * each.residual_s[0]:+.1f} ms off from what the other"
+        " measurements"
+        f" say, {abs(each.residual_s[0]) / each.sigma_s:.0f} of its sigmas: one of them is wrong"
+        for each in network.leftovers
+        if len(each.residual_s) == 1 and abs(each.residual_s[0]) > DISAGREE * each.sigma_s
+    ]
+
+
+def open_questions(
+    network: ClockNetwork,
+    heard: Sequence[Receptions],
+    beeps: Sequence[Beep] = (),
+    motion: MotionClock | None = None,
+) -> list[str]:
+    """What the data left open, one sentence each."""
+    said = []
+    for each in heard:
+        lost = sorted(set(each.node) - set(network.nodes))
+        said += [f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost]
+    parts = [
+        [name for name, own in zip(network.nodes, network.group, strict=True) if own == number]
+        for number in dict.fromkeys(network.group.tolist())
+    ]
+    if len(parts) > 1:
+        apart = "; ".join(", ".join(part) for part in parts)
+        said.append(
+            f"the clocks fall into {len(parts)} groups that nothing links ({apart}): a clock that two sources"
+            " share must have one name in both, see --sound-clocks and --motion-clocks"
+        )
+    for left in network.leftovers:
+        dropped = int((~left.used).sum())
+        if dropped:
+            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were set aside")
+    for link in network.links():
+        pair = f"{link.from_clock} and {link.to_clock}"
+        if link.sigma_s > WEAK_S:
+            said.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
+        common = _common(heard, link)
+        if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
+            said.append(f"{pair} heard {common} rounds together: a late reception would not show")
+    weak = [link for link in network.links() if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
+    if weak:
+        pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
+        said.append(
+            f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
+            " drift"
+            f" by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
+            " time that"
+            " it is stated for"
+        )
+    said += [
+        f"the beep that ends at {beep.end_s:.2f} s is followed by a loud echo: its end is known to"
+        f" {1e3 * beep.sigma_s:.0f} ms only"
+        for beep in beeps
+        if beep.loud_room
+    ]
+    if motion is not None and not motion.used.all():
+        said.append(
+            f"{int((~motion.used).sum())} of {len(motion.used)} stretches of the motion did not fit the line"
+        )
+    return said
+
+
+def next_time(
+    network: ClockNetwork,
+    heard: Sequence[Receptions],
+    beeps: Sequence[Beep] = (),
+    motion: MotionClock | None = None,
+) -> list[str]:
+    """What to record next, one sentence each."""
+    said = []
+    if heard and any(0 < _common(heard, link) < 2 * FEW_ROUNDS for link in network.links()) and not beeps:
+        said.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
+    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in network.links()):
+        said.append("measure once at the start and once at the end of the session: the two give the skew")
+    if any(beep.loud_room for beep in beeps):
+        said.append("hold the buzzer right in front of the microphone, so that it is louder than its echo")
+    if motion is not None and motion.link.sigma_s > 0.003:
+        said.append("move the forearm briskly in view for 20 s; the clock shows in fast motion alone")
+    return said or ["the same again: nothing is missing"]
+
+
+def _common(heard: Sequence[Receptions], link: ClockLink) -> int:
+    """Rounds that both clocks of a link heard; 0 where a broadcast is not what links them."""
+    count = 0
+    for each in heard:
+        if not each.estimate_noise:
+            continue
+        node = np.asarray(each.node)
+        first, second = each.event[node == link.from_clock], each.event[node == link.to_clock]
+        count += len(np.intersect1d(first, second))
+    return count

@@ -1,0 +1,186 @@
+"""A recording's camera clock against its IMU's, from the motion alone: no equipment.
+
+The recording is cut into stretches. On each the smoother's own self-calibration finds the clock offset (the
+residuals of the camera's joints along their velocity); how the IMU sits on the arm is found once, from the
+stretches that tell most, and kept for all. A robust line through the offsets gives offset and skew, and how
+far the stretches scatter about it gives sigma, whatever each of them claims.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
+from smoother.errors import CalibrationError
+from smoother.measurements.clock import LARGEST_OFFSET_S
+from smoother.measurements.outliers import by_camera
+from smoother.measurements.segment import Piece, take_apart
+from smoother.recording import BoolArray, FloatArray, Recording
+from smoother.runtime.pool import Pool
+from smoother.selfcal.coarse_clock import coarse_offset
+from smoother.selfcal.rounds import Knowledge, self_calibrate
+
+from .links import SKEW_SIGMA, ClockLink
+
+#: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
+COARSE_S = 0.75 * LARGEST_OFFSET_S
+#: Length of a stretch, s, and at most so many of them.
+STRETCH_S = 20.0
+MOST = 24
+#: A stretch needs so many frames with a visible forearm.
+FEWEST_FRAMES = 60
+#: What no stretch is better than, s: frames are stamped that well at most.
+FLOOR_S = 0.0005
+#: With a longer recording the skew is looked for, s.
+SKEW_SPAN_S = 60.0
+PRIOR_SAMPLES = 4.0
+
+
+@dataclass(frozen=True)
+class MotionClock:
+    """The clock of a recording from motion.
+
+    Attributes
+    ----------
+    link : camera to IMU; t_imu = t_camera + offset.
+    t_s, offset_s, sigma_s : (k,) of each stretch: its middle on the camera's clock, what it found.
+    used : (k,) stretches that agree.
+    calibration : how the IMU sits, as found on the way.
+    """
+
+    link: ClockLink
+    t_s: FloatArray
+    offset_s: FloatArray
+    sigma_s: FloatArray
+    used: BoolArray
+    calibration: ArmCalibration
+
+
+def clock_from_motion(
+    recording: Recording,
+    known: ArmCalibration | None = None,
+    config: Config | None = None,
+    names: tuple[str, str] = ("camera", "imu"),
+) -> MotionClock:
+    """Offset and skew of the IMU's clock against the camera's from what both saw of the motion.
+
+    Parameters
+    ----------
+    recording : one arm and its IMU.
+    known : how the IMU sits on the arm, where it is known.
+    names : of the camera's clock and the IMU's.
+
+    Raises
+    ------
+    CalibrationError
+        The IMU and a visible forearm never come together, or too shortly; or the clocks are far apart and
+        the motion fits several offsets.
+    """
+    config = config or Config()
+    known = known or ArmCalibration(side=recording.side)
+    coarse = coarse_offset(recording, COARSE_S)
+    if coarse:
+        recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
+    pieces = [by_camera(piece) for piece in take_apart(recording, LARGEST_OFFSET_S)]
+    stretches = _stretches(pieces)
+    if not stretches:
+        raise CalibrationError(
+            f"{recording.name}: the forearm was visible too shortly to find the clock; record 20 s of"
+            " motion in view"
+        )
+    with Pool(config.windows.processes, sum(len(piece.frame_t) for piece in pieces)) as pool:
+        arm = _mounting(stretches, known, config, pool)
+        found = [_one(stretch, arm, config, pool) for stretch in stretches]
+    rows = [(t, clock) for t, clock in found if clock is not None]
+    if not rows:
+        raise CalibrationError(
+            f"{recording.name}: in no stretch could the clock be found; move more and faster"
+        )
+    t = np.array([t for t, _ in rows])
+    offset = coarse + np.array([each[0] for _, each in rows])
+    sigma = np.array([each[1] for _, each in rows])
+    link, used = _line(t, offset, sigma, names, f"motion {recording.name}")
+    return MotionClock(link, t, offset, sigma, used, arm)
+
+
+def _stretches(pieces: list[Piece]) -> list[Piece]:
+    """Parts of equal length with a visible forearm, spread over the recording."""
+    parts = []
+    for piece in pieces:
+        count = max(round((piece.end_s - piece.start_s) / STRETCH_S), 1)
+        edges = np.linspace(piece.start_s, piece.end_s, count + 1)
+        parts += [piece.between(a, b) for a, b in pairwise(edges)]
+    enough = [part for part in parts if _visible(part) >= FEWEST_FRAMES]
+    if len(enough) <= MOST:
+        return enough
+    groups = np.array_split(np.arange(len(enough)), MOST)
+    return [max((enough[k] for k in group.tolist()), key=_visible) for group in groups]
+
+
+def _visible(piece: Piece) -> int:
+    inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
+    return int((piece.accepted[inside][:, 1:].sum(axis=1) >= piece.needed).sum())
+
+
+def _mounting(stretches: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> ArmCalibration:
+    """How the IMU sits, from a few stretches that may each have a clock of their own."""
+    chosen = [stretches[k] for k in np.unique(np.linspace(0, len(stretches) - 1, 4).astype(int))]
+    numbered = [replace(piece, recording=k) for k, piece in enumerate(chosen)]
+    return self_calibrate(numbered, known, config, pool).calibration
+
+
+def _one(
+    stretch: Piece, arm: ArmCalibration, config: Config, pool: Pool
+) -> tuple[float, tuple[float, float] | None]:
+    """Middle of a stretch on the camera's clock, and the offset with its sigma; None where it fails."""
+    middle = 0.5 * (stretch.start_s + stretch.end_s)
+    try:
+        knowledge: Knowledge = self_calibrate([stretch], arm, config, pool)
+    except CalibrationError:
+        return middle, None
+    clock = knowledge.clocks[0]
+    at = float(clock.at(np.array([middle - clock.mean_s]))[0])
+    return middle - at, (at, float(np.hypot(clock.sigma_s, FLOOR_S)))
+
+
+def _line(
+    t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
+) -> tuple[ClockLink, BoolArray]:
+    """A robust line through the stretches' offsets, and which of them it rests on."""
+    weight = sigma**-2
+    has_skew = len(t) >= 3 and np.ptp(t) >= SKEW_SPAN_S
+    used = np.ones(len(t), dtype=bool)
+    extra = 0.0
+    for _ in range(30):
+        centre = float(np.average(t, weights=weight))
+        basis = np.stack([np.ones_like(t), t - centre], axis=1)
+        normal = basis.T @ (weight[:, None] * basis) + np.diag([0.0, SKEW_SIGMA**-2])
+        level, skew = np.linalg.solve(normal, basis.T @ (weight * offset))
+        skew = skew if has_skew else 0.0
+        left = offset - level - skew * (t - centre)
+        middling = 1.4826 * float(np.median(np.abs(left))) if len(t) >= 4 else 0.0
+        extra = float(np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
+        spread = np.hypot(sigma, extra)
+        weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)
+        used = np.abs(left) < 5 * spread
+    weight = np.where(used, np.hypot(sigma, extra) ** -2, 0.0)
+    freedom = max(int(used.sum()) - (2 if has_skew else 1), 0)
+    scatter = (PRIOR_SAMPLES + float(np.sum(weight * left**2))) / (PRIOR_SAMPLES + freedom)
+    inverse = np.linalg.inv(
+        basis.T @ (weight[:, None] * basis) / max(scatter, 1.0) + np.diag([0.0, SKEW_SIGMA**-2])
+    )
+    link = ClockLink(
+        names[0],
+        names[1],
+        offset_s=float(level),
+        sigma_s=float(np.sqrt(inverse[0, 0])),
+        skew_ppm=float(1e6 * skew),
+        skew_sigma_ppm=float(1e6 * (np.sqrt(inverse[1, 1]) if has_skew else SKEW_SIGMA)),
+        at_s=centre,
+        source=source,
+    )
+    return link, used

@@ -1,0 +1,168 @@
+"""Held pose against motion: where they agree, and which assumption broke where they do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.calibration import Length
+
+from .forearm_frame import forearm_frame
+from .held_pose_fit import PLACED_SIGMA_RAD, ForearmCalibration
+
+#: Farther apart than so many sigmas counts as disagreement.
+AGREE = 2.5
+#: The pose asked for: arms about across the camera's ray, the sensor still, rad and rad/s.
+CORONAL_RAD = np.radians(35.0)
+RESTLESS_RAD_S = 0.12
+
+#: What to look at when a measure of the pose and of the motion contradict each other.
+_BROKEN = {
+    "upper arm": "shoulder or elbow is placed otherwise in the pose than in motion (a sleeve, a shrugged"
+    " shoulder)",
+    "forearm": "the camera places elbow or wrist otherwise in the pose than in motion (the arm pointed"
+    " to the camera)",
+    "strap to wrist": "the strap slid along the arm between the pose and the motion, or its place was"
+    " measured wrongly",
+    "strap to elbow": "the strap slid along the arm between the pose and the motion, or its place was"
+    " measured wrongly",
+    "radius": "the forearm is no straight line through its core, or the strap's place was found beside"
+    " the arm",
+    "direction": "the sensor turned on the arm between the pose and the motion, or the arm was not still"
+    " in the pose",
+    "roll": "the palm did not face the camera in the pose, or the sensor does not sit on the back of the"
+    " wrist",
+}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One measure by the pose and by the motion, in `unit`; sigmas are standard deviations."""
+
+    name: str
+    unit: str
+    pose: float
+    pose_sigma: float
+    motion: float
+    motion_sigma: float
+
+    @property
+    def apart(self) -> float:
+        """Difference in sigmas of both."""
+        return abs(self.pose - self.motion) / float(np.hypot(self.pose_sigma, self.motion_sigma))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two can both be right."""
+        return self.apart < AGREE
+
+
+def compare(found: ForearmCalibration) -> list[Compared]:
+    """Every measure that both the pose and the motion told; empty where the motion told nothing."""
+    if found.motion is None:
+        return []
+    m, motion, rows = found.measured, found.motion, []
+    if motion.upper_arm is not None:
+        rows.append(_lengths("upper arm", m.upper_arm, motion.upper_arm))
+    frame = forearm_frame(motion)
+    if frame is None:
+        return rows
+
+    def along(joint: str, sign: float) -> Length:
+        lever = motion.lever_arms[joint]
+        sigma = float(np.linalg.norm(lever.sigma_m * frame.direction))
+        return Length(sign * float(lever.position_m @ frame.direction), sigma)
+
+    rows += [
+        _lengths("forearm", m.forearm, Length(frame.length_m, frame.length_sigma_m)),
+        _lengths("strap to wrist", m.strap_to_wrist, along("wrist", 1.0)),
+        _lengths("strap to elbow", m.strap_to_elbow, along("elbow", -1.0)),
+        _lengths("radius", m.radius, Length(frame.distance_m, frame.distance_sigma_m)),
+    ]
+    R_F_A = found.calibration.R_F_A
+    if R_F_A is None:
+        return rows
+    y = R_F_A.T @ [0.0, 1.0, 0.0]
+    tilt = float(np.degrees(np.arccos(np.clip(y @ frame.direction, -1, 1))))
+    # an angle between two directions that are each uncertain about two axes
+    both = np.degrees(np.hypot(found.direction_sigma_rad, frame.direction_sigma_rad))
+    rows.append(Compared("direction", "degrees", tilt, float(both), 0.0, 0.0))
+    if frame.R_F_A is not None:
+        x = R_F_A @ frame.R_F_A.T @ [1.0, 0.0, 0.0]  # the motion's x in the pose's {F}
+        roll = float(np.degrees(np.arctan2(-x[2], x[0])))
+        own = float(np.degrees(np.hypot(frame.roll_sigma_rad, PLACED_SIGMA_RAD)))
+        rows.append(Compared("roll", "degrees", 0.0, float(np.degrees(found.roll_sigma_rad)), roll, own))
+    return rows
+
+
+def verdict(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
+    """Whether pose and motion agree, and which assumption broke."""
+    pose = found.pose
+    said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
+    if not rows:
+        why = found.why_not or "the motion told nothing of the forearm"
+        return [*said, f"there is no motion to hold it against: {why}"]
+    broken = [row for row in rows if not row.agrees]
+    if not broken:
+        return [*said, f"pose and motion agree in all {len(rows)} measures within their sigmas"]
+    said.append(f"pose and motion agree in {len(rows) - len(broken)} of {len(rows)} measures")
+    return said + [
+        f"{row.name}: {row.pose:.0f} {row.unit} in the pose, {row.motion:.0f} in motion, {row.apart:.1f}"
+        " sigmas apart:"
+        f" {_BROKEN[row.name]}"
+        for row in broken
+    ]
+
+
+def open_questions(found: ForearmCalibration) -> list[str]:
+    """What the pose left open, one sentence each."""
+    said = []
+    if found.calibration.R_F_A is None:
+        said.append(
+            "lever arms and R_F_A are left open: the sensor's orientation in the pose is not known"
+            f" ({found.why_not})"
+        )
+    if found.measured.strap_from == "usual":
+        said.append(
+            "the strap's place was neither seen nor measured: usual values stand for it (5 +- 2 cm to"
+            " the wrist,"
+            " 3.5 +- 0.8 cm to the forearm's core)"
+        )
+    if found.pose.turning_rad_s > RESTLESS_RAD_S:
+        said.append(f"the sensor turned by {np.degrees(found.pose.turning_rad_s):.0f} degrees/s in the pose")
+    y, middle = found.R_K_F[:, 1], found.pose.position[1]
+    towards = float(np.abs(y @ middle) / np.linalg.norm(middle))
+    if towards > np.sin(CORONAL_RAD):
+        said.append(
+            f"the forearm points {np.degrees(np.arcsin(towards)):.0f} degrees towards or away from the"
+            " camera: depth"
+            " errors are in its length"
+        )
+    return said
+
+
+def next_time(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
+    """What to record next, one sentence each."""
+    said = []
+    if found.calibration.R_F_A is None:
+        said.append(
+            "after the pose, move for 20 s in view: bend and stretch the elbow, turn the palm up and down"
+        )
+    if found.measured.strap_from == "usual":
+        said.append(
+            "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's"
+            " thickness"
+            " (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude import"
+            " strap`"
+        )
+    if any(row.name == "roll" and not row.agrees for row in rows):
+        said.append("hold the palm square to the camera, and put the sensor on the back of the wrist")
+    if found.pose.end_s - found.pose.start_s < 2.0:
+        said.append("hold the pose for three seconds")
+    return said or ["the same again: nothing is missing"]
+
+
+def _lengths(name: str, pose: Length, motion: Length) -> Compared:
+    in_mm = (1e3 * value for value in (pose.value_m, pose.sigma_m, motion.value_m, motion.sigma_m))
+    return Compared(name, "mm", *in_mm)

@@ -1,0 +1,59 @@
+"""Corrections of an IMU from a calibration file, applied as a recording is loaded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from smoother.recording import ImuStream, Recording
+from smoother.runtime.store import Room
+
+from ..file import CalibrationFile
+from .sensor import SensorCalibration, sensor_of, sensors_in
+
+#: Samples that are corrected together.
+_SAMPLES = 65536
+
+
+def corrected(recording: Recording, calibration: CalibrationFile, room: Room | None = None) -> Recording:
+    """The recording with its IMUs corrected where the file knows them, and a note of it.
+
+    `room` is where the corrected samples lie; in memory where None.
+    """
+    room = room or Room()
+    imu, notes = _corrected(recording.imu, calibration, room)
+    base = recording.base_imu
+    if base is not None:
+        base, more = _corrected(base, calibration, room)
+        notes += more
+    known = sensors_in(calibration)
+    if known and not notes:
+        notes.append(
+            f"{calibration.source} corrects {', '.join(sorted(known))}; the recording's IMU is"
+            f" {recording.imu.name} and was taken as it is"
+        )
+    return replace(recording, imu=imu, base_imu=base, notes=(*recording.notes, *notes))
+
+
+def _corrected(imu: ImuStream, calibration: CalibrationFile, room: Room) -> tuple[ImuStream, list[str]]:
+    found = sensor_of(calibration, imu.name)
+    if found is None:
+        return imu, []
+    named = [name for name in found.named if name != "magnetometer" or imu.mag is not None]
+    said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
+    if found.accelerometer_density is not None or found.gyroscope_density is not None:
+        said += "; its measured noise is used"
+    return _applied(found, imu, room), [f"{said} ({calibration.source})"]
+
+
+def _applied(sensor: SensorCalibration, imu: ImuStream, room: Room) -> ImuStream:
+    """The corrected stream, some thousand samples at a time."""
+    acc, gyro = room.array((len(imu), 3)), room.array((len(imu), 3))
+    mag = None if imu.mag is None else room.array((len(imu), 3))
+    for start in range(0, len(imu), _SAMPLES):
+        rows = slice(start, start + _SAMPLES)
+        part = sensor.apply(imu.select(rows))
+        acc[rows], gyro[rows] = part.acc, part.gyro
+        if mag is not None:
+            mag[rows] = part.mag
+        room.tidy()
+    return replace(sensor.apply(imu.select(slice(0, 0))), t_s=imu.t_s, acc=acc, gyro=gyro, mag=mag)

@@ -1,0 +1,195 @@
+"""What a calibration from motion did not determine, in words. Every function is pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smoother.calibration import ArmCalibration
+from smoother.recording import FloatArray
+
+from ..forearm.forearm_frame import ForearmFrame
+from .evidence import ClockOffset, Evidence
+
+#: From here on something counts as not determined.
+LEVER_SIGMA_M = 0.010
+UPPER_ARM_SIGMA_M = 0.020
+DIRECTION_SIGMA_RAD = np.radians(3.0)
+ROLL_SIGMA_RAD = np.radians(10.0)
+CLOCK_SIGMA_S = 0.005
+JOINT_BIAS_M = 0.005
+#: Less than this is hardly any motion.
+LITTLE_AXIAL_RAD = np.radians(60.0)
+LITTLE_TURNING_RAD_S = 0.2
+LITTLE_VISIBLE_S = 10.0
+FEW_FRAMES = 30
+
+
+def not_determined(
+    calibration: ArmCalibration,
+    frame: ForearmFrame | None,
+    evidence: Evidence,
+    known: ArmCalibration,
+    joint_bias_m: float = 0.0,
+) -> list[str]:
+    """What the motion left open, one sentence each, the causes first.
+
+    Parameters
+    ----------
+    calibration : what was found, `R_F_A` included.
+    frame : the forearm's axes, None without both lever arms.
+    evidence : what the recordings showed.
+    known : what was given beforehand; nothing is said of it.
+    joint_bias_m : constant error of the camera's joints, m an axis, a part of every sigma; it is named
+        once, as it is no fault of the motion.
+    """
+    if is_point(evidence):
+        return _causes(evidence, "sensor")
+    return [
+        *_causes(evidence, "forearm"),
+        *_missing(calibration, evidence),
+        *_bias(calibration, known, joint_bias_m),
+        *_levers(calibration, known, joint_bias_m),
+        *_roll(calibration, frame, evidence, known, joint_bias_m),
+        *_upper_arm(calibration, evidence, known, joint_bias_m),
+    ]
+
+
+def is_point(evidence: Evidence) -> bool:
+    """Whether the camera saw the sensor itself and no joint: nothing of an arm can be asked."""
+    seen = evidence.frames
+    return seen.get("strap", 0) > 0 and not any(seen.get(joint, 0) for joint in ("elbow", "wrist", "hand"))
+
+
+def _causes(evidence: Evidence, what: str) -> list[str]:
+    said = []
+    if evidence.visible_s < LITTLE_VISIBLE_S:
+        said.append(f"the {what} was visible for {evidence.visible_s:.0f} s only")
+    if evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
+        rate = np.degrees(evidence.turning_rad_s)
+        said.append(f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)")
+    return said
+
+
+def _missing(calibration: ArmCalibration, evidence: Evidence) -> list[str]:
+    said = []
+    for joint in ("elbow", "wrist", "hand"):
+        if joint not in calibration.lever_arms:
+            seen = evidence.frames.get(joint, 0)
+            how = "was never tracked" if seen == 0 else f"was tracked in {seen} frames only"
+            said.append(f"the {joint} {how}: its lever arm is open")
+    return said
+
+
+def beyond(sigma_m: FloatArray, joint_bias_m: float) -> FloatArray:
+    """What a standard deviation holds besides the camera's constant errors, m."""
+    bias = joint_bias_m if np.isfinite(joint_bias_m) else 0.0
+    return np.sqrt(np.maximum(np.square(sigma_m) - bias**2, 0.0))
+
+
+def _bias(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: float) -> list[str]:
+    if not joint_bias_m > JOINT_BIAS_M or not set(calibration.lever_arms) - set(known.lever_arms):
+        return []
+    return [
+        f"the camera places joints some {1e3 * joint_bias_m:.0f} mm off (an axis), always in the same way: "
+        "lever arms and lengths are known no better, whatever the motion"
+    ]
+
+
+def _levers(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: float) -> list[str]:
+    said = []
+    for joint, lever in calibration.lever_arms.items():
+        if joint in known.lever_arms:
+            continue
+        open_axes = [
+            f"{axis} to {1e3 * sigma:.0f} mm"
+            for axis, sigma, own in zip(
+                "xyz", lever.sigma_m, beyond(lever.sigma_m, joint_bias_m), strict=True
+            )
+            if own > LEVER_SIGMA_M
+        ]
+        if open_axes:
+            said.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
+    return said
+
+
+def _worst_variance(calibration: ArmCalibration) -> float:
+    """Of the lever arms that give the roll, m^2."""
+    return max(float(np.max(calibration.lever_arms[joint].sigma_m)) ** 2 for joint in ("elbow", "wrist"))
+
+
+def _roll(
+    calibration: ArmCalibration,
+    frame: ForearmFrame | None,
+    evidence: Evidence,
+    known: ArmCalibration,
+    joint_bias_m: float,
+) -> list[str]:
+    if known.R_F_A is not None:
+        return []
+    if frame is None:
+        return ["the forearm's axes in the IMU (R_F_A) need both elbow and wrist"]
+    said = []
+    if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
+        degrees = np.degrees(frame.direction_sigma_rad)
+        said.append(f"the forearm's direction in the IMU is known to {degrees:.0f} degrees only")
+    if not np.isfinite(frame.roll_sigma_rad):
+        millimetres = 1e3 * frame.distance_m
+        said.append(
+            f"the IMU was found {millimetres:.0f} mm from the line between elbow and wrist, too near to tell "
+            "on which side of the forearm it sits: roll is not known"
+        )
+    elif frame.roll_sigma_rad > ROLL_SIGMA_RAD:
+        degrees = min(np.degrees(frame.roll_sigma_rad), 180.0)
+        cause = ""
+        if evidence.axial_rad < LITTLE_AXIAL_RAD:
+            turned = np.degrees(evidence.axial_rad)
+            cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
+        elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * _worst_variance(calibration):
+            cause = "with the camera's constant errors "
+        said.append(f"{cause}roll is known to {degrees:.0f} degrees only")
+    if frame.R_F_A is None:
+        said.append("R_F_A is left open; recovering does not need it")
+    return said
+
+
+def _upper_arm(
+    calibration: ArmCalibration, evidence: Evidence, known: ArmCalibration, joint_bias_m: float
+) -> list[str]:
+    if known.upper_arm is not None:
+        return []
+    if evidence.frames.get("upper_arm", 0) == 0:
+        return ["shoulder and elbow were never seen together: the upper arm's length is not known"]
+    if evidence.frames["upper_arm"] < FEW_FRAMES:
+        return [f"shoulder and elbow were seen together in {evidence.frames['upper_arm']} frames only"]
+    if calibration.upper_arm is not None:
+        sigma_m = calibration.upper_arm.sigma_m
+        if beyond(np.array(sigma_m), joint_bias_m) > UPPER_ARM_SIGMA_M:
+            return [f"the upper arm's length is known to {1e3 * sigma_m:.0f} mm only"]
+    return []
+
+
+def roll_known(frame: ForearmFrame | None) -> str:
+    """How `R_F_A` was found, with its sigma; "" where it was not."""
+    if frame is None or frame.R_F_A is None:
+        return ""
+    return (
+        f"R_F_A: direction to {np.degrees(frame.direction_sigma_rad):.1f} degrees, roll to "
+        f"{np.degrees(frame.roll_sigma_rad):.0f} degrees, the IMU taken to sit on the back of the forearm "
+        f"({1e3 * frame.distance_m:.0f} +- {1e3 * frame.distance_sigma_m:.0f} mm from its axis)"
+    )
+
+
+def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
+    """Recordings whose clock offset stayed open, one sentence each."""
+    said = []
+    for each in offsets:
+        if not np.isfinite(each.offset_s):
+            said.append(f"{each.recording}: IMU and visible forearm never came together; it told nothing")
+        elif each.sigma_s > CLOCK_SIGMA_S:
+            said.append(
+                f"{each.recording}: the clock offset is known to {1e3 * each.sigma_s:.0f} ms only; "
+                "the arm moved too little or too slowly"
+            )
+    return said

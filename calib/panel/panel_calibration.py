@@ -1,0 +1,235 @@
+"""Camera to mocap from views of the marker panel (JA II-F.1, refined): the whole method on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.recording import FloatArray
+
+from .blobs import Blobs, find_blobs
+from .definition import Intrinsics, Panel
+from .frame import Frame, fit_frame, frame_of_markers, frame_of_points
+from .identify import (
+    EDGE_ON_DEG,
+    SEE_DEPTH,
+    TURN_IT,
+    DepthMissing,
+    EdgeOn,
+    NotSeen,
+    Reading,
+    identify_markers,
+    identify_spots,
+)
+from .images import View, check_size
+from .panel_graph import PoseData, Solution, solve
+from .plane import Plane, fit_plane
+from .regions import Regions, on_plane, panel_regions
+
+#: Noise of a mocap marker where nothing else is said, m an axis.
+MOCAP_SIGMA_M = 0.0002
+#: Less of the panel than this with depth is as good as none.
+LEAST_COVERED = 0.15
+
+
+@dataclass(frozen=True)
+class SeenPanel:
+    """The panel in one view.
+
+    Attributes
+    ----------
+    blobs : all bright spots; spots : (4,) those of the markers, in the panel's order.
+    reading : how well their distances fit the panel's.
+    regions, plane : its depth pixels and the plane through them.
+    points_K : (4, 3) m, the markers in the camera frame.
+    frame : the panel's axes and {P}'s origin in the camera frame, by markers and plane.
+    published : the same as published, by principal components; its origin is the first marker. None where an
+        arm has too few depth points.
+    tilt_deg : between the panel's normal and the line of sight.
+    distance_m : of the markers' middle from the camera.
+    """
+
+    blobs: Blobs
+    spots: tuple[int, ...]
+    reading: Reading
+    regions: Regions
+    plane: Plane
+    points_K: FloatArray
+    frame: Frame
+    published: Frame | None
+    tilt_deg: float
+    distance_m: float
+
+    @property
+    def pixels(self) -> FloatArray:
+        """(4, 2) pixels of the markers, in the panel's order."""
+        return self.blobs.pixels[list(self.spots)]
+
+
+@dataclass(frozen=True)
+class PanelCalibration:
+    """Camera to mocap with all that it rests on.
+
+    Attributes
+    ----------
+    solution : the graph's answer.
+    published : camera from mocap as published (JA eq 4 and 5), the poses' mean; None where no pose has it.
+    seen, markers_E, labels : by pose: the view's panel, its four mocap markers (4, 3) and their names.
+    names : of the poses.
+    panel, lens : what was known beforehand.
+    """
+
+    solution: Solution
+    published: Frame | None
+    seen: tuple[SeenPanel, ...]
+    markers_E: tuple[FloatArray, ...]
+    labels: tuple[tuple[str, ...], ...]
+    names: tuple[str, ...]
+    panel: Panel
+    lens: Intrinsics
+
+
+def calibrate_panel(
+    views: Sequence[View],
+    markers: Sequence[dict[str, FloatArray]],
+    panel: Panel,
+    lens: Intrinsics,
+    mocap_sigma_m: float = MOCAP_SIGMA_M,
+) -> PanelCalibration:
+    """Find camera from mocap from views of the panel, each with the mocap markers of the same moment.
+
+    Parameters
+    ----------
+    views : one a pose of the panel.
+    markers : by pose, positions (3,) m in the mocap frame by name; any names, any order.
+    panel, lens : the panel's definition and the camera's lens.
+    mocap_sigma_m : noise of a mocap marker, an axis.
+
+    Raises
+    ------
+    CalibrationError
+        The panel cannot be found in a view, or its pose cannot be told; one sentence says why. A
+        `NotSeen` knows the view and its bright spots, for a picture.
+    """
+    chosen = [choose_markers(each, panel, view.name) for each, view in zip(markers, views, strict=True)]
+    seen = [see_panel(view, panel, lens) for view in views]
+    markers_E = [
+        np.array([each[label] for label in labels]) for each, labels in zip(markers, chosen, strict=True)
+    ]
+    solution = solve(
+        [
+            pose_data(found, at, panel, lens, mocap_sigma_m, view.name)
+            for found, at, view in zip(seen, markers_E, views, strict=True)
+        ]
+    )
+    published = [
+        found.published.after(frame_of_markers(at, panel))
+        for found, at in zip(seen, markers_E, strict=True)
+        if found.published is not None
+    ]
+    return PanelCalibration(
+        solution=solution,
+        published=_mean(published, markers_E) if published else None,
+        seen=tuple(seen),
+        markers_E=tuple(markers_E),
+        labels=tuple(chosen),
+        names=tuple(view.name for view in views),
+        panel=panel,
+        lens=lens,
+    )
+
+
+def see_panel(view: View, panel: Panel, lens: Intrinsics) -> SeenPanel:
+    """Find the panel in a view: spots, which is which, regions, plane, axes.
+
+    Raises
+    ------
+    CalibrationError
+        See `calibrate_panel`.
+    """
+    check_size(view, lens)
+    blobs, reading, first = _spots(view, panel, lens)
+    spots = list(reading.index)
+    frame = fit_frame(first, panel)
+    # the markers' places are read off the depth between them; then the whole panel's depth takes part
+    for _ in range(2):
+        regions = panel_regions(view.depth_m, lens, blobs, panel, frame)
+        if regions.covered < LEAST_COVERED:
+            raise DepthMissing(
+                f"{view.name}: depth is missing under the panel: {100 * regions.covered:.0f} % of it has one;"
+                f" {SEE_DEPTH}"
+            )
+        plane = fit_plane(regions.pixels, regions.rays, regions.depth_m, view.name)
+        points = _on_panel(plane, blobs.rays[spots], panel.height_m)
+        frame = fit_frame(points, panel)
+    middle = points.mean(axis=0)
+    distance = float(np.linalg.norm(middle))
+    tilt = float(np.degrees(np.arccos(np.clip(-(plane.normal @ middle) / distance, -1, 1))))
+    if tilt > EDGE_ON_DEG:
+        raise EdgeOn(
+            f"{view.name}: the panel is seen edge-on, {tilt:.0f} degrees from facing the camera; {TURN_IT}"
+        )
+    inside = plane.inliers
+    regions = on_plane(regions, inside, panel)
+    full = np.column_stack([regions.rays, np.ones(len(regions.rays))])[inside] * regions.depth_m[inside, None]
+    published = frame_of_points(full, regions.along_x[inside], regions.along_y[inside], frame.R)
+    if published is not None:
+        published = Frame(published.R, published.origin + panel.height_m * published.R[:, 2])
+    return SeenPanel(blobs, reading.index, reading, regions, plane, points, frame, published, tilt, distance)
+
+
+def choose_markers(markers: dict[str, FloatArray], panel: Panel, name: str) -> tuple[str, ...]:
+    """Names of the mocap markers that are the panel's, in the panel's order."""
+    labels = list(markers)
+    at = np.array([markers[label] for label in labels]).reshape(-1, 3)
+    reading = identify_markers(at, panel, name)
+    return tuple(labels[index] for index in reading.index)
+
+
+def pose_data(
+    seen: SeenPanel, markers_E: FloatArray, panel: Panel, lens: Intrinsics, sigma_E_m: float, name: str
+) -> PoseData:
+    """What the graph takes of a pose."""
+    spots = list(seen.spots)
+    return PoseData(
+        rays=seen.blobs.rays[spots],
+        sigmas=seen.blobs.sigmas_px[spots] / lens.focal_px,
+        plane=seen.plane,
+        markers_E=markers_E,
+        sigma_E_m=sigma_E_m,
+        height_m=panel.height_m,
+        name=name,
+    )
+
+
+def _spots(view: View, panel: Panel, lens: Intrinsics) -> tuple[Blobs, Reading, FloatArray]:
+    """Bright spots at the first threshold at which four of them are the panel's."""
+    said: list[tuple[int, NotSeen]] = []
+    for blobs in find_blobs(view.infrared, lens):
+        try:
+            return blobs, *identify_spots(blobs, view.depth_m, lens.ray_image(), panel, view.name)
+        except NotSeen as error:
+            error.add(view, blobs)
+            said.append((len(blobs), error))
+            if error.final:
+                break
+    # of all thresholds the one that came nearest to four spots tells best what is wrong
+    raise min(said, key=lambda item: abs(item[0] - 4))[1]
+
+
+def _on_panel(plane: Plane, rays: FloatArray, height_m: float) -> FloatArray:
+    theta = plane.theta / (1 - height_m * float(np.linalg.norm(plane.theta)))
+    full = np.column_stack([rays, np.ones(len(rays))])
+    return full / (full @ theta)[:, None]
+
+
+def _mean(frames: list[Frame], markers_E: list[FloatArray]) -> Frame:
+    """Mean of transforms: rotation by chordal mean, shift at the markers' middle."""
+    from .frame import nearest_rotation
+
+    R = nearest_rotation(np.mean([each.R for each in frames], axis=0))
+    middle = np.mean(np.concatenate(markers_E), axis=0)
+    at = np.mean([each.R @ middle + each.origin for each in frames], axis=0)
+    return Frame(R, at - R @ middle)

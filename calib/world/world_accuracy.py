@@ -1,0 +1,116 @@
+"""What the answer is worth, in figures and in words. Every function is pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.recording import FloatArray
+
+from ..verdict import Verdict
+from .world_calibration import WorldCalibration, rotation_degrees, tilt_covariance
+
+#: Sigma of the camera's tilt that is good for `smooth`, or still of use, degrees.
+GOOD_DEG, USABLE_DEG = 0.3, 1.0
+#: A heading that is known less than this is as good as free, degrees.
+FREE_DEG = 15.0
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Standard deviations, degrees.
+
+    Attributes
+    ----------
+    rotation_deg : (3,) of camera from base IMU about the camera's axes.
+    tilt_deg : of down in the camera, an axis, for a camera that stands as in the poses (the worst of them).
+    heading_deg : of the turn between camera and base IMU about the vertical.
+    mounting_deg : (3,) of the panel's IMU on the panel, about the IMU's axes.
+    off_deg : how far that mounting is from lined up.
+    """
+
+    rotation_deg: FloatArray
+    tilt_deg: float
+    heading_deg: float
+    mounting_deg: FloatArray
+    off_deg: float
+
+    @property
+    def heading_free(self) -> bool:
+        """Nothing of use is known about the heading."""
+        return self.heading_deg > FREE_DEG
+
+
+def accuracy(found: WorldCalibration) -> Accuracy:
+    """Sigmas of rotation, tilt, heading and mounting."""
+    covariance = found.solution.covariance
+    bias = found.solution.at.rest[:3]
+    forces = [pose.base.acc - bias for pose in found.poses]
+    tilts = [np.trace(tilt_covariance(found.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
+    up = found.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
+    up /= np.linalg.norm(up)
+    return Accuracy(
+        rotation_deg=np.degrees(np.sqrt(np.diag(covariance)[:3])),
+        tilt_deg=float(np.degrees(np.sqrt(max(tilts)))),
+        heading_deg=float(np.degrees(np.sqrt(up @ covariance[:3, :3] @ up))),
+        mounting_deg=np.degrees(np.sqrt(np.diag(covariance)[6:])),
+        off_deg=rotation_degrees(found.R_P_I),
+    )
+
+
+def verdict(found: WorldCalibration) -> Verdict:
+    """Good or not, for what, and what to record next."""
+    sigma = accuracy(found)
+    grade = "not good enough"
+    if sigma.tilt_deg <= USABLE_DEG:
+        grade = "good" if sigma.tilt_deg <= GOOD_DEG else "usable"
+    tilt = f"the camera's tilt is known to {sigma.tilt_deg:.2f} degrees (one sigma)"
+    use = {
+        "good": "good for `smooth`, which takes gravity from the base IMU",
+        "usable": "of use for `smooth`, which weighs gravity from the base IMU by this sigma",
+        "not good enough": "not better than a camera that is taken to stand level",
+    }[grade]
+    return Verdict(grade, f"{grade}: {tilt}: {use}.", _findings(found, sigma), _next(found, sigma))
+
+
+def _findings(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
+    said = []
+    if sigma.heading_free:
+        said.append(
+            "The heading between camera and base IMU is free: neither a magnetometer nor a turn of the "
+            "camera tells it. Gravity holds as long as the camera stands about as it stood in these poses."
+        )
+    else:
+        said.append(f"The heading between camera and base IMU is known to {sigma.heading_deg:.1f} degrees.")
+    if found.by_eye:
+        said.append(
+            "The poses do not tell how the IMU sits on the panel: it was taken as lined up with the panel's "
+            "axes to 3 degrees, as in the published method."
+        )
+    else:
+        said.append(
+            f"The IMU on the panel is {sigma.off_deg:.1f} degrees off the panel's axes "
+            f"(+- {float(np.linalg.norm(sigma.mounting_deg)):.1f})."
+        )
+    return (*said, *found.notes)
+
+
+def _next(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
+    advice = []
+    if found.by_eye:
+        advice.append(
+            "Hold the panel in at least four different poses: rolled by 90 degrees in the image, and tilted."
+        )
+    if sigma.heading_free:
+        advice.append(
+            "To have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between "
+            "some poses, the panel in view."
+        )
+    if not found.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
+        advice.append(
+            "Tilt the panel by 30 to 40 degrees, in each pose another way; rolls alone leave a turn open."
+        )
+    elif not sigma.heading_free and sigma.tilt_deg > GOOD_DEG:
+        advice.append("Take more poses, the camera tilted anew for each, and hold each for two seconds.")
+    return tuple(advice)

@@ -1,0 +1,99 @@
+"""The peers by name, and `recover`: one of them over a whole recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from ..errors import UnoccludeError
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..result import Recovery
+    from .scene import Peer
+
+#: Orientation filters; each is the function of that name in `baselines/orientation/`.
+ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
+#: The filter that peers get unless another is asked for.
+DEFAULT_ORIENTATION = "vqf"
+
+
+@dataclass(frozen=True)
+class PeerEntry:
+    """One method to compare with.
+
+    Attributes
+    ----------
+    name : as users call it; the function is the module's of that name, with underscores.
+    needs_orientation : the answer depends on the orientation filter.
+    options : keyword arguments of the function that a user may set.
+    """
+
+    name: str
+    needs_orientation: bool = True
+    options: frozenset[str] = frozenset()
+
+    def peer(self, options: Mapping[str, Any]) -> Peer:
+        """The function, its options set."""
+        place = self.name.replace("-", "_")
+        function: Peer = getattr(import_module(f".{place}", __package__), place)
+        return partial(function, **options) if options else function
+
+
+#: Every peer, the strongest first.
+PEERS: dict[str, PeerEntry] = {
+    entry.name: entry
+    for entry in (
+        PeerEntry("rts"),
+        PeerEntry("ukf"),
+        PeerEntry("gaussian-process"),
+        PeerEntry("multirate-kalman"),
+        PeerEntry("kalman"),
+        PeerEntry("linear-drift", options=frozenset({"boundary_s"})),
+        PeerEntry("camera-only", needs_orientation=False),
+        PeerEntry("pchip"),
+        PeerEntry("hold"),
+    )
+}
+
+
+def recover(
+    recording: Recording,
+    told: Recovery,
+    method: str,
+    orientation: str = DEFAULT_ORIENTATION,
+    options: Mapping[str, Any] | None = None,
+) -> Recovery:
+    """Recover a recording by a peer.
+
+    Parameters
+    ----------
+    recording : one arm and its forearm IMU; its truth is not looked at.
+    told : the graph's recovery of this very recording: calibration, clock, samples believed, gravity, gaps.
+    method : one of `PEERS`.
+    orientation : one of `ORIENTATIONS`.
+    options : of the method, see `PeerEntry.options`.
+
+    Raises
+    ------
+    UnoccludeError
+        Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
+    """
+    from .answer import answer
+    from .inputs import scenes_of
+
+    options = dict(options or {})
+    if method not in PEERS:
+        raise UnoccludeError(f"there is no method '{method}'; peers: {', '.join(PEERS)}")
+    if orientation not in ORIENTATIONS:
+        raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
+    entry = PEERS[method]
+    if unknown := options.keys() - entry.options:
+        raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
+    scenes = scenes_of(recording, told, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
+    peer = entry.peer(options)
+    settings = {"orientation": orientation} if entry.needs_orientation else {}
+    return answer(recording, told, scenes, [peer(scene) for scene in scenes], method, settings | options)

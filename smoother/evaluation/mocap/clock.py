@@ -1,0 +1,334 @@
+"""The mocap's clock against the IMU's: t_imu = t_mocap (1 + skew) + offset.
+
+What turns with the forearm turns at the same speed in every frame: the angular speeds of the answer (the
+gyroscope's, on the IMU's own stamps) and of the mocap's plate are correlated over all offsets, then offset,
+skew and the plate's rotation in the IMU are solved by least squares on turns over 0.2 s. Without a plate the
+speeds of the joint centres while the camera sees them serve instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from ...result import Recovery
+from ..align import orientation_at, position_at
+from .motion import MocapMotion
+
+#: A turn or a way is taken over this time, s.
+STEP_S = 0.2
+#: Grid of the correlation, Hz.
+GRID_HZ = 50.0
+#: The two must share this much motion, s, or a third of the shorter one.
+LEAST_OVERLAP_S = 3.0
+#: Of less than this nothing is told in any case, s.
+SHORTEST_S = 1.0
+#: What clocks may disagree by, one standard deviation (parts).
+SKEW_SIGMA = 3e-4
+#: Another offset that correlates nearly as well makes the answer doubtful (share of the best score).
+RIVAL = 0.97
+#: Neighbouring samples are not independent: the error of the answer is taken from blocks of this length, s.
+BLOCK_S = 1.0
+
+
+@dataclass(frozen=True)
+class MocapClock:
+    """The clock found.
+
+    Attributes
+    ----------
+    offset_s, sigma_s : t_imu = t_mocap (1 + skew) + offset; times count from the recording's origin.
+    skew, skew_sigma : parts (1e-6 = 1 ppm).
+    correlation : of the speeds at the offset found, -1 to 1.
+    by : what was compared.
+    R_A_P, mount_sigma_rad : the plate's rotation in the IMU where it was solved, else None and nan.
+    notes : what to know of it, one sentence each.
+    """
+
+    offset_s: float
+    sigma_s: float
+    skew: float
+    skew_sigma: float
+    correlation: float
+    by: str
+    R_A_P: FloatArray | None = None
+    mount_sigma_rad: float = float("nan")
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def to_imu(self, t_mocap: FloatArray) -> FloatArray:
+        """Mocap times on the IMU's clock, s."""
+        return np.asarray(t_mocap * (1.0 + self.skew) + self.offset_s)
+
+    def to_mocap(self, t_imu: FloatArray) -> FloatArray:
+        """IMU times on the mocap's clock, s."""
+        return np.asarray((t_imu - self.offset_s) / (1.0 + self.skew))
+
+
+def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
+    """Find the mocap's clock.
+
+    Raises
+    ------
+    RecordingError
+        The two share too little motion, or do not show the same one.
+    """
+    span = _overlap_span(recovery.t_s, motion.t_s)
+    turns = motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any()
+    signals: _Turns | _Ways = _Turns(recovery, motion) if turns else _Ways(recovery, motion)
+    lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, span)
+    if not np.isfinite(correlation):
+        raise RecordingError(
+            f"{motion.source}: its clock could not be aligned: the {signals.by} is known for less than"
+            f" {span:.1f} s together; check that it is of the same recording, and the marker map"
+        )
+    if not correlation >= signals.least_correlation:
+        raise RecordingError(
+            f"{motion.source}: its clock could not be aligned: the {signals.by} of truth and answer agree"
+            f" nowhere (best correlation {correlation:.2f}, {signals.least_correlation} is needed); check"
+            " that it is of the same recording, and the marker map"
+        )
+    clock = _refine(signals, recovery.t_s, motion.t_s, lag, correlation)
+    if rivals:
+        text = ", ".join(f"{1000 * (other - lag):+.0f} ms" for other in rivals)
+        note = f"The motion repeats itself: a clock offset other by {text} would fit nearly as well."
+        return MocapClock(**{**vars(clock), "notes": (note,)})
+    return clock
+
+
+class _Turns:
+    """Rotation vectors over a step, in the body's own axes: of the answer, and of the plate."""
+
+    by = "angular velocity of IMU and plate"
+    #: Below this correlation the two do not show the same motion; another trial of a protocol reaches 0.7.
+    least_correlation = 0.8
+
+    def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
+        self._answer = (recovery.t_s, recovery.quaternion)
+        self._plate = (motion.t_s, motion.quaternion)
+        self.mount = motion.R_A_P
+        self.solves_mount = motion.R_A_P is None
+
+    def answer(self, t: FloatArray) -> FloatArray:
+        return _turns(*self._answer, t)
+
+    def truth(self, t: FloatArray) -> FloatArray:
+        return _turns(*self._plate, t)
+
+    @staticmethod
+    def speed(values: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(values, axis=1) / STEP_S)
+
+
+class _Ways:
+    """Lengths of the ways of joint centres over a step, while the camera sees the arm."""
+
+    by = "speed of the joint centres"
+    #: The answer of a poor camera is noisy.
+    least_correlation = 0.7
+    mount: FloatArray | None = None
+    solves_mount = False
+
+    def __init__(self, recovery: Recovery, motion: MocapMotion) -> None:
+        pairs = [
+            (recovery.joints[name], motion.joints[name]) for name in motion.joints if name in recovery.joints
+        ]
+        if motion.p_E_P is not None:
+            pairs.append((recovery.position, motion.p_E_P))
+            self.by = "speed of the IMU's position"
+        if not pairs:
+            raise RecordingError(
+                f"{motion.source}: the answer has none of its joints"
+                f" ({', '.join(motion.joints) or 'none'}), so there is nothing to align its clock by"
+            )
+        seen = ~recovery.occluded[:, None]
+        self._pairs = [
+            ((recovery.t_s, np.where(seen, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
+        ]
+
+    def answer(self, t: FloatArray) -> FloatArray:
+        return np.column_stack([_way(*mine, t) for mine, _ in self._pairs])
+
+    def truth(self, t: FloatArray) -> FloatArray:
+        return np.column_stack([_way(*other, t) for _, other in self._pairs])
+
+    @staticmethod
+    def speed(values: FloatArray) -> FloatArray:
+        known = np.isfinite(values)
+        total = np.where(known, values, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        return np.where(known.all(axis=1), total / STEP_S, np.nan)
+
+
+def _turns(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
+    """Rotation vectors (N, 3) rad from t - step/2 to t + step/2, in the body's axes; nan where unknown."""
+    before = orientation_at(t_known, quaternion, t - 0.5 * STEP_S)
+    after = orientation_at(t_known, quaternion, t + 0.5 * STEP_S)
+    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    result = np.full((len(t), 3), np.nan)
+    first, last = (Rotation.from_quat(each[known], scalar_first=True) for each in (before, after))
+    result[known] = (first.inv() * last).as_rotvec()
+    return result
+
+
+def _way(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray:
+    """Length (N,) m of the way from t - step/2 to t + step/2; nan where unknown."""
+    before = position_at(t_known, position, t - 0.5 * STEP_S)
+    return np.asarray(np.linalg.norm(position_at(t_known, position, t + 0.5 * STEP_S) - before, axis=1))
+
+
+def _overlap_span(a: FloatArray, b: FloatArray) -> float:
+    if len(a) < 2 or len(b) < 2:
+        raise RecordingError(
+            "the answer or the truth holds fewer than two samples, so no clock can be aligned"
+        )
+    return max(min(LEAST_OVERLAP_S, float(min(np.ptp(a), np.ptp(b))) / 3.0), SHORTEST_S)
+
+
+def _coarse(
+    signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, least_s: float
+) -> tuple[float, float, list[float]]:
+    """Offset on the grid, s, its correlation, and other offsets that do nearly as well.
+
+    Of all offsets the one whose correlation is the least likely to be chance, by Fisher's transform with
+    the number of samples that overlap.
+    """
+    grids = [np.arange(t[0], t[-1], 1.0 / GRID_HZ) for t in (t_answer, t_truth)]
+    a, b = (
+        signals.speed(read(grid)) for read, grid in zip((signals.answer, signals.truth), grids, strict=True)
+    )
+    r, count = _masked_correlation(a, b)
+    score = np.where(count >= least_s * GRID_HZ, np.arctanh(np.clip(r, -1, 0.9999)) * np.sqrt(count), -np.inf)
+    if not np.isfinite(score).any():
+        return 0.0, float("nan"), []
+    lags = (np.arange(len(r)) - (len(b) - 1)) / GRID_HZ + grids[0][0] - grids[1][0]
+    best = int(np.argmax(score))
+    peaks = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] > score[2:])) + 1
+    rivals = [
+        float(lags[k]) for k in peaks if abs(lags[k] - lags[best]) > 0.5 and score[k] > RIVAL * score[best]
+    ]
+    return float(lags[best]), float(r[best]), rivals[:3]
+
+
+def _masked_correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pearson's correlation at every shift over the samples that both have, and their number."""
+    from scipy.signal import correlate
+
+    known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
+    a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
+    # small numbers: what comes out of the Fourier transform must not drown in its rounding
+    a, b = a / max(a.std(), 1e-12), b / max(b.std(), 1e-12)
+
+    def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
+        return np.asarray(correlate(x, y, mode="full", method="fft"))
+
+    n = np.round(shifted(known_a, known_b))
+    sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        covariance = shifted(a, b) - sum_a * sum_b / n
+        variance_a = shifted(a * a, known_b) - sum_a**2 / n
+        variance_b = shifted(known_a, b * b) - sum_b**2 / n
+        r = covariance / np.sqrt(variance_a * variance_b)
+    # a stretch at rest has no correlation to speak of
+    still = (variance_a < 1e-3 * n) | (variance_b < 1e-3 * n) | (n < 3)
+    return np.where(still | ~np.isfinite(r), 0.0, np.clip(r, -1, 1)), n
+
+
+def _refine(
+    signals: _Turns | _Ways, t_answer: FloatArray, t_truth: FloatArray, lag: float, correlation: float
+) -> MocapClock:
+    """Least squares with Cauchy's loss over offset, skew and how the plate's turns show in the IMU.
+
+    The last is a whole matrix, close to the plate's rotation: the gyroscope's scale and cross-axis errors
+    are in it, which would else pull at the clock.
+    """
+    t = t_answer[:: max(1, int(0.02 / max(np.median(np.diff(t_answer)), 1e-6)))]
+    measured = signals.answer(t)
+    inside = (t - lag >= t_truth[0]) & (t - lag <= t_truth[-1]) & np.isfinite(measured).any(axis=1)
+    t, measured = t[inside], measured[inside]
+    centre = float(np.mean(t - lag))  # on the mocap's clock: offset and skew hang together least there
+    offset, skew = lag, 0.0
+    mount = signals.mount
+    if isinstance(signals, _Turns) and mount is None:
+        mount = _first_mount(measured, signals.truth(t - lag))
+
+    def mounted(values: FloatArray) -> FloatArray:
+        return values if mount is None else values @ mount.T
+
+    size = 2 if mount is None else 11
+    information, block_sum = np.eye(size), np.eye(size)
+    for _ in range(12):
+        at = centre + (t - offset - centre) / (1.0 + skew)
+        model, ahead, behind = (signals.truth(at + shift) for shift in (0.0, 0.004, -0.004))
+        rate = (ahead - behind) / 0.008
+        residual = measured - mounted(model)
+        good = np.isfinite(residual) & np.isfinite(rate)
+        by_offset = np.where(good, mounted(rate), 0.0)
+        columns = [by_offset, by_offset * (at - centre)[:, None]]
+        if mount is not None:
+            turned = np.where(good, mounted(model), 0.0)
+            columns += [-np.eye(3)[i] * turned[:, j, None] for i in range(3) for j in range(3)]
+        residual = np.where(good, residual, 0.0)
+        spread = 1.4826 * np.median(np.abs(residual[good])) if good.any() else 1.0
+        weight = good / (1.0 + (residual / max(spread, 1e-9)) ** 2)
+        # the derivative of the residual is + rate by the offset, - turned_j in row i by entry ij of a
+        # matrix that is put before the mount
+        design = np.stack(columns, axis=2)
+        information = np.einsum("nd,ndi,ndj->ij", weight, design, design)
+        gradient = np.einsum("ndi,nd->ni", design, weight * residual)
+        variance = float((weight * residual**2).sum() / max(weight.sum(), 1.0))
+        information[1, 1] += max(variance, 1e-18) / SKEW_SIGMA**2
+        pull = gradient.sum(axis=0)
+        pull[1] += max(variance, 1e-18) / SKEW_SIGMA**2 * skew
+        step = -np.linalg.solve(information + 1e-15 * np.trace(information) * np.eye(size), pull)
+        offset += float(np.clip(step[0], -0.1, 0.1))
+        skew += float(step[1])
+        if mount is not None:
+            mount = (np.eye(3) + step[2:].reshape(3, 3)) @ mount
+        block_sum = _by_blocks(t, gradient)
+        if abs(step[0]) < 1e-8 and abs(step[1]) < 1e-9:
+            break
+    inverse = np.linalg.pinv(information)
+    covariance = inverse @ block_sum @ inverse
+    to_zero = np.array([1.0, -centre])  # the offset at the mocap's zero
+    sigma = float(np.sqrt(max(to_zero @ covariance[:2, :2] @ to_zero, 0.0)))
+    return MocapClock(
+        offset_s=offset - skew * centre,
+        sigma_s=sigma,
+        skew=skew,
+        skew_sigma=float(np.sqrt(max(covariance[1, 1], 0.0))),
+        correlation=correlation,
+        by=signals.by,
+        R_A_P=_nearest_rotation(mount) if signals.solves_mount and mount is not None else None,
+        mount_sigma_rad=_turn_sigma(covariance[2:, 2:]) if signals.solves_mount else float("nan"),
+    )
+
+
+def _nearest_rotation(matrix: FloatArray) -> FloatArray:
+    U, _, Vt = np.linalg.svd(matrix)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _turn_sigma(covariance: FloatArray) -> float:
+    """Sigma of the turn, rad, of a matrix near one whose entries have this covariance (9, 9)."""
+    turn = np.zeros((3, 9))
+    for axis, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        turn[axis, 3 * i + j], turn[axis, 3 * j + i] = 0.5, -0.5
+    return float(np.sqrt(max(np.trace(turn @ covariance @ turn.T), 0.0)))
+
+
+def _by_blocks(t: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Covariance of the summed gradient (n, d), from blocks of a second that are taken to be independent."""
+    block = np.floor((t - t[0]) / BLOCK_S).astype(int)
+    sums = np.zeros((block.max() + 1, gradient.shape[1]))
+    np.add.at(sums, block, gradient)
+    return np.asarray(sums.T @ sums)
+
+
+def _first_mount(answer: FloatArray, plate: FloatArray) -> FloatArray:
+    """`R_A_P` (3, 3) that brings the plate's turns to the IMU's (Kabsch without centring)."""
+    good = np.isfinite(answer).all(axis=1) & np.isfinite(plate).all(axis=1)
+    rotation, _ = Rotation.align_vectors(answer[good], plate[good])
+    return np.asarray(rotation.as_matrix())

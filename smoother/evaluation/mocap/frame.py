@@ -1,0 +1,241 @@
+"""The mocap's frame {E} against the camera's {K}: from a calibration, or solved from what the camera saw.
+
+p_K = R_K_E p_E + t_K_E. A calibration states it for the camera's optical axes {C} (x right, y down, z
+forward); recordings may have other axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import CalibrationError, RecordingError
+from ...recording import CameraFrame, FloatArray, IntArray
+from ...result import Recovery
+from ..align import orientation_at, position_at
+from .clock import MocapClock
+from .motion import MocapMotion
+
+#: `R_K_C`: optical axes to those of a recording. `zup` is taken as ROS has it: x forward, y left, z up.
+FROM_OPTICAL = {
+    CameraFrame.OPTICAL: np.eye(3),
+    CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0]),
+    CameraFrame.ZUP: np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+}
+TABLE = "camera_from_mocap"
+#: Errors of joint centres hang together over some tenths of a second: sigmas are taken from blocks, s.
+BLOCK_S = 1.0
+#: The joint centres must spread this far in two directions, m (rms), for a transform to be solved.
+LEAST_SPREAD_M = 0.02
+
+
+@dataclass(frozen=True)
+class CameraFromMocap:
+    """The transform, p_K = R_K_E p_E + t_K_E, in the recording's own camera axes.
+
+    Attributes
+    ----------
+    R_K_E, t_K_E : (3, 3) and (3,) m.
+    rotation_sigma_deg, translation_sigma_m : square root of the trace; nan where not solved here. The
+        translation's is that of the place where the arm was.
+    residual_m : rms distance of the joint centres that it was solved from; nan where not.
+    by : what it was taken from.
+    """
+
+    R_K_E: FloatArray
+    t_K_E: FloatArray
+    by: str
+    rotation_sigma_deg: float = float("nan")
+    translation_sigma_m: float = float("nan")
+    residual_m: float = float("nan")
+
+    def place(self, points: FloatArray) -> FloatArray:
+        """Points (N, 3) of {E} in {K}, m."""
+        return np.asarray(points @ self.R_K_E.T + self.t_K_E)
+
+
+def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFromMocap:
+    """The transform of a calibration's table `camera_from_mocap`, in the axes of a recording.
+
+    Raises
+    ------
+    CalibrationError
+        The table is missing or wrong, or the recording does not say which axes it has.
+    """
+    if not isinstance(table, dict):
+        raise CalibrationError(
+            f"{source} has no [{TABLE}]; make it with `unocclude calibrate panel`, or leave --calibration out"
+            " to have the truth aligned by the motion itself"
+        )
+    rotation, translation = (
+        _numbers(table, key, size, source) for key, size in (("rotation", 4), ("translation", 3))
+    )
+    if abs(np.linalg.norm(rotation) - 1) > 1e-3:
+        raise CalibrationError(f"{source}: {TABLE}.rotation must be a unit quaternion [qw, qx, qy, qz]")
+    if frame is None:
+        raise CalibrationError(
+            f"the recording does not say which axes its camera has, so [{TABLE}] of {source} cannot be used;"
+            " leave --calibration out to have the truth aligned by the motion itself"
+        )
+    R_K_C = FROM_OPTICAL[frame]
+    R_C_E = Rotation.from_quat(rotation, scalar_first=True).as_matrix()
+    return CameraFromMocap(R_K_C @ R_C_E, R_K_C @ translation, f"[{TABLE}] of {source}")
+
+
+def _numbers(table: dict[str, Any], key: str, size: int, source: str) -> FloatArray:
+    value = table.get(key)
+    good = isinstance(value, list) and len(value) == size
+    if not good or not all(isinstance(x, int | float) and np.isfinite(x) for x in value):  # type: ignore[union-attr]
+        raise CalibrationError(f"{source}: {TABLE}.{key} must be {size} numbers")
+    return np.array(value, dtype=np.float64)
+
+
+def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> CameraFromMocap:
+    """The transform from joint centres, and the IMU, while the camera saw the forearm; robust.
+
+    Raises
+    ------
+    RecordingError
+        There is too little to solve it from.
+    """
+    rows = np.flatnonzero(~recovery.occluded)
+    t = clock.to_mocap(recovery.t_s[rows])
+    unknown = np.full((len(recovery), 3, 3), np.nan)
+    points = [
+        (recovery.joints[name], position, recovery.joint_covariance.get(name, unknown))
+        for name, position in motion.joints.items()
+        if name in recovery.joints
+    ]
+    imu = imu_in_mocap(motion)
+    if imu is not None:
+        points.append((recovery.position, imu, recovery.pose_covariance[:, :3, :3]))
+    if not points:
+        raise RecordingError(f"{motion.source}: it shares no joint with the answer, so it cannot be aligned")
+    K = np.concatenate([answer[rows] for answer, _, _ in points])
+    E = np.concatenate([position_at(motion.t_s, position, t) for _, position, _ in points])
+    owner = np.repeat(np.arange(len(points)), len(rows))
+    blocks = np.tile(np.floor(recovery.t_s[rows] / BLOCK_S).astype(int), len(points))
+    good = np.isfinite(K).all(axis=1) & np.isfinite(E).all(axis=1)
+    K, E, owner, blocks = K[good], E[good], owner[good], blocks[good]
+    if len(K) < 10:
+        raise RecordingError(
+            f"{motion.source}: truth and visible answer share {len(K)} samples, too few to align them by;"
+            " give --calibration with [camera_from_mocap]"
+        )
+    spread = np.linalg.svd(E - E.mean(axis=0), compute_uv=False) / np.sqrt(len(E))
+    if spread[1] < LEAST_SPREAD_M:
+        raise RecordingError(
+            f"{motion.source}: what the camera saw of the joint centres lies on a line, which leaves the turn"
+            " about it open; map more joints, or give --calibration with [camera_from_mocap]"
+        )
+    stated = [_typical_variance(covariance[rows]) for _, _, covariance in points]
+    return _kabsch(K, E, blocks, owner, np.array(stated))
+
+
+def _typical_variance(covariance: FloatArray) -> float:
+    """Mean variance an axis, m^2, of a point while it is seen; zero where none is stated."""
+    known = np.trace(covariance, axis1=1, axis2=2) / 3.0
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _kabsch(
+    K: FloatArray, E: FloatArray, blocks: IntArray, owner: IntArray, variance: FloatArray
+) -> CameraFromMocap:
+    """Kabsch with Cauchy weights.
+
+    Its sigma has two parts: what differs between blocks of a second, and the error that each point (`owner`)
+    has all the time, for which the answer's own variance (P,) stands; in the worst case all points share it.
+    """
+    weight = np.ones(len(K))
+    for _ in range(20):
+        centre_K, centre_E = np.average(K, axis=0, weights=weight), np.average(E, axis=0, weights=weight)
+        R = Rotation.align_vectors(K - centre_K, E - centre_E, weights=weight)[0].as_matrix()
+        residual = K - centre_K - (E - centre_E) @ R.T
+        size = np.linalg.norm(residual, axis=1)
+        fresh = 1.0 / (1.0 + (size / max(2.0 * np.median(size), 1e-9)) ** 2)
+        if np.abs(fresh - weight).max() < 1e-6:
+            break
+        weight = fresh
+    # by the rotation (about the centre) and the translation of the centre
+    turned = (E - centre_E) @ R.T
+    design = np.zeros((len(K), 3, 6))
+    for axis in range(3):
+        design[:, :, axis] = np.cross(np.eye(3)[axis], turned)
+        design[:, axis, 3 + axis] = 1.0
+    information = np.einsum("n,ndi,ndj->ij", weight, design, design)
+    gradient = np.einsum("n,ndi,nd->ni", weight, design, residual)
+    _, index = np.unique(blocks, return_inverse=True)
+    sums = np.zeros((index.max() + 1, 6))
+    np.add.at(sums, index, gradient)
+    inverse = np.linalg.inv(information)
+    covariance = inverse @ (sums.T @ sums) @ inverse
+    for point, each in enumerate(variance):
+        gain = inverse @ np.einsum("n,ndi->id", weight * (owner == point), design)
+        covariance += each * gain @ gain.T
+    shared = 3.0 * float(np.average(variance[owner], weights=weight))
+    return CameraFromMocap(
+        R,
+        centre_K - R @ centre_E,
+        "the joint centres while the camera saw them",
+        float(np.degrees(np.sqrt(np.trace(covariance[:3, :3])))),
+        float(np.sqrt(np.trace(covariance[3:, 3:]) + shared)),
+        float(np.sqrt(np.average(size**2, weights=weight))),
+    )
+
+
+def imu_in_mocap(motion: MocapMotion) -> FloatArray | None:
+    """The IMU (N, 3) m in {E}; None without a plate, or where its place on the plate is not known."""
+    if motion.p_E_P is None or motion.R_E_P is None or motion.p_A_P is None:
+        return None
+    if not motion.p_A_P.any():
+        return motion.p_E_P
+    if motion.R_A_P is None:
+        return None
+    return np.asarray(motion.p_E_P - np.einsum("nij,j->ni", motion.R_E_P, motion.R_A_P.T @ motion.p_A_P))
+
+
+def far_off_m(recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap) -> float:
+    """Median distance, m, of the truth's joint centres from the visible answer's; nan without any."""
+    rows = np.flatnonzero(~recovery.occluded)
+    t = clock.to_mocap(recovery.t_s[rows])
+    pairs = [
+        (recovery.joints[name][rows], position_at(motion.t_s, frame.place(position), t))
+        for name, position in motion.joints.items()
+        if name in recovery.joints
+    ]
+    if motion.p_E_P is not None:
+        pairs.append((recovery.position[rows], position_at(motion.t_s, frame.place(motion.p_E_P), t)))
+    away = np.concatenate([np.linalg.norm(mine - other, axis=1) for mine, other in pairs] or [np.empty(0)])
+    away = away[np.isfinite(away)]
+    return float(np.median(away)) if len(away) else float("nan")
+
+
+def solve_plate_place(
+    recovery: Recovery, motion: MocapMotion, clock: MocapClock, frame: CameraFromMocap
+) -> FloatArray:
+    """The plate's origin in the IMU's axes, `p_A_P` (3,) m, from the answer while the camera saw the arm.
+
+    Raises
+    ------
+    RecordingError
+        Plate and visible answer share no sample.
+    """
+    assert motion.R_A_P is not None and motion.p_E_P is not None
+    rows = np.flatnonzero(~recovery.occluded)
+    t = clock.to_mocap(recovery.t_s[rows])
+    quaternion = orientation_at(motion.t_s, motion.quaternion, t)
+    plate = frame.place(position_at(motion.t_s, motion.p_E_P, t))
+    away = recovery.position[rows] - plate
+    good = np.isfinite(away).all(axis=1) & np.isfinite(quaternion).all(axis=1)
+    if good.sum() < 10:
+        raise RecordingError(
+            f"{motion.source}: plate and visible answer share too few samples to find the IMU on the plate;"
+            " state the markers' places in the IMU's axes in the map, [imu_plate]"
+        )
+    R_K_P = frame.R_K_E @ Rotation.from_quat(quaternion[good], scalar_first=True).as_matrix()
+    in_plate = np.median(np.einsum("nji,nj->ni", R_K_P, away[good]), axis=0)
+    return np.asarray(-motion.R_A_P @ in_plate)

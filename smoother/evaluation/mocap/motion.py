@@ -1,0 +1,250 @@
+"""What a motion capture says of the arm, in its own frame {E} and on its own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import RecordingError
+from ...io.markers.trajectories import Markers
+from ...recording import FloatArray, Truth
+from ..align import HOLE_S
+from .fill import LONGEST_S, fill_on_plate
+from .marker_map import MarkerMap, find_markers
+from .rigid import find_shape, fit_poses, follow, plate_axes
+
+#: Joints whose markers are filled in the axes of the plate.
+ON_FOREARM = ("elbow", "wrist", "hand")
+#: Windows tried for smoothing the plate's pose, s; 0.16 s is a low-pass at about 10 Hz, as labs use it.
+SMOOTH_S = (0.06, 0.08, 0.12, 0.16, 0.2, 0.24, 0.32, 0.4)
+#: A map whose plate differs from the one that was seen by more than this is of another plate, m (rms).
+OTHER_PLATE_M = 0.005
+#: Joints next to each other are apart by this, m; a file whose unit is wrong shows by it.
+BONE_M = (0.08, 0.8)
+#: Markers that fit one body in fewer of the frames that show three of them are not on one.
+LEAST_RIGID = 0.5
+
+
+@dataclass(frozen=True)
+class MocapMotion:
+    """Joint centres, landmarks and the plate's pose.
+
+    Attributes
+    ----------
+    t_s : (N,) on the mocap's clock, s.
+    joints, landmarks : positions (N, 3) by name, m in {E}; nan where a marker of theirs was not seen.
+    R_E_P, p_E_P : (N, 3, 3) and (N, 3) m: pose of the plate's axes {P}; None without a plate.
+    R_A_P, p_A_P : the plate's axes in the IMU's, (3, 3) and (3,) m; None where to be solved.
+    source : what to call it in messages.
+    notes : what was decided, one sentence each.
+    """
+
+    t_s: FloatArray
+    joints: dict[str, FloatArray] = field(default_factory=dict)
+    landmarks: dict[str, FloatArray] = field(default_factory=dict)
+    R_E_P: FloatArray | None = None
+    p_E_P: FloatArray | None = None
+    R_A_P: FloatArray | None = None
+    p_A_P: FloatArray | None = None
+    source: str = "the motion capture"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(N, 4) qw, qx, qy, qz of `R_E_P`; nan where there is none."""
+        result = np.full((len(self.t_s), 4), np.nan)
+        if self.R_E_P is not None:
+            known = np.isfinite(self.R_E_P).all(axis=(1, 2))
+            result[known] = Rotation.from_matrix(self.R_E_P[known]).as_quat(scalar_first=True)
+        return result
+
+
+def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
+    """Joint centres as means of their markers, the plate as a rigid body.
+
+    Raises
+    ------
+    RecordingError
+        A marker of the map is not there, or the plate never shows three markers.
+    """
+
+    def places(names: Sequence[str]) -> FloatArray:
+        index = find_markers(names, markers.names, marker_map.source, markers.source)
+        return markers.position[:, index]
+
+    plate = MocapMotion(markers.t_s, source=markers.source, notes=markers.notes)
+    seen = {joint: places(names) for joint, names in marker_map.joints.items()}
+    _check_unit(seen, markers)
+    if marker_map.plate:
+        plate = _with_plate(plate, places(marker_map.plate), marker_map)
+    filled = {
+        joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in seen.items()
+    }
+    joints = {joint: each.mean(axis=1) for joint, (each, _) in filled.items()}
+    landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
+    notes = list(plate.notes)
+    if any(count for _, count in filled.values()):
+        share = ", ".join(
+            f"{joint} {100 * count / each[..., 0].size:.1f} %"
+            for joint, (each, count) in filled.items()
+            if count
+        )
+        notes.append(
+            f"Markers hidden for up to {LONGEST_S:g} s were filled in the axes of the IMU's plate ({share})."
+        )
+    for joint, centre in joints.items():
+        if not np.isfinite(centre).any():
+            raise RecordingError(
+                f"{markers.source}: the markers of the {joint} ({', '.join(marker_map.joints[joint])}) are"
+                " never seen together; mend the map"
+            )
+    return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_holes(joints)))
+
+
+def _check_unit(seen: dict[str, FloatArray], markers: Markers) -> None:
+    """Refuse bones of impossible length, from markers (N, M, 3) by joint."""
+    for one, other in (("elbow", "wrist"), ("shoulder", "elbow")):
+        if one not in seen or other not in seen:
+            continue
+        length = np.linalg.norm(seen[one].mean(axis=1) - seen[other].mean(axis=1), axis=1)
+        length = length[np.isfinite(length)]
+        if len(length) and not BONE_M[0] < float(np.median(length)) < BONE_M[1]:
+            raise RecordingError(
+                f"{markers.source}: {one} and {other} are {float(np.median(length)):.3g} m apart; check that"
+                f" the file's coordinates are in its unit, {markers.unit}, and the marker map"
+            )
+
+
+def _filled(plate: MocapMotion, seen: FloatArray) -> tuple[FloatArray, int]:
+    """Markers (N, M, 3) of a joint with short holes filled, and the number of samples that were."""
+    if plate.R_E_P is None or plate.p_E_P is None:
+        return seen, 0
+    parts = [
+        fill_on_plate(plate.t_s, seen[:, marker], plate.R_E_P, plate.p_E_P) for marker in range(seen.shape[1])
+    ]
+    return np.stack([path for path, _ in parts], axis=1), sum(count for _, count in parts)
+
+
+def motion_of_truth(truth: Truth, source: str) -> MocapMotion:
+    """A reference of poses as if a plate whose axes are the IMU's had been captured."""
+    quaternion = truth.quaternion
+    R_E_P = np.full((len(truth), 3, 3), np.nan)
+    known = np.isfinite(quaternion).all(axis=1)
+    R_E_P[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
+    position = np.where(truth.score[:, None], truth.position, np.nan)
+    return MocapMotion(truth.t_s, truth.joints, {}, R_E_P, position, np.eye(3), np.zeros(3), source=source)
+
+
+def _holes(joints: dict[str, FloatArray]) -> list[str]:
+    shares = {name: np.isfinite(value).all(axis=1).mean() for name, value in joints.items()}
+    poor = [f"{name} {100 * share:.0f} %" for name, share in shares.items() if share < 0.8]
+    return (
+        [f"The truth's joint centres are complete only part of the time: {', '.join(poor)}."] if poor else []
+    )
+
+
+def _with_plate(motion: MocapMotion, seen: FloatArray, marker_map: MarkerMap) -> MocapMotion:
+    """Add the plate's pose: its shape from the frames, its axes from the map where that states them."""
+    shape = find_shape(seen)
+    if np.isfinite(shape).all(axis=1).sum() < 3:
+        raise RecordingError(
+            f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) are never seen three at a"
+            " time, or lie on a line, so the plate has no pose"
+        )
+    shape, R_A_P, p_A_P = _in_stated_axes(shape, marker_map, motion.source)
+    found = follow(shape, seen)
+    answered = np.isfinite(found.residual_m)
+    tried = np.isfinite(seen).all(axis=2).sum(axis=1) >= 3
+    if not answered.sum() >= LEAST_RIGID * tried.sum():
+        raise RecordingError(
+            f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) do not move as one body;"
+            " mend the map"
+        )
+    notes = [
+        f"IMU plate: {len(shape)} markers, a pose in {100 * answered.mean():.1f} % of the mocap's frames,"
+        f" {1000 * np.sqrt(np.nanmean(found.residual_m**2)):.2f} mm rms from a rigid body."
+    ]
+    if found.mistaken:
+        notes.append(f"IMU plate: {found.mistaken} marker samples lay off the body and were set aside.")
+    rotation, position = smoothed(motion.t_s, found.rotation, found.position)
+    return MocapMotion(
+        motion.t_s, motion.joints, motion.landmarks, rotation, position, R_A_P, p_A_P, motion.source,
+        (*motion.notes, *notes),
+    )  # fmt: skip
+
+
+def _in_stated_axes(
+    shape: FloatArray, marker_map: MarkerMap, source: str
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """The shape in the IMU's axes where the map places its markers, else in {P}; and those axes in {A}."""
+    if marker_map.plate_A:
+        placed = np.array([marker_map.plate_A.get(name, np.full(3, np.nan)) for name in marker_map.plate])
+        both = np.isfinite(placed).all(axis=1) & np.isfinite(shape).all(axis=1)
+        R, p = fit_poses(shape, placed[None], both[None])
+        in_imu = shape @ R[0].T + p[0]
+        off = float(np.sqrt(((in_imu - placed)[both] ** 2).sum(axis=1).mean()))
+        if off > OTHER_PLATE_M:
+            raise RecordingError(
+                f"{marker_map.source}: [imu_plate] places the markers {1000 * off:.1f} mm (rms) from where"
+                f" {source} has them on the plate; check the places, their unit (m) and their names"
+            )
+        return in_imu, np.eye(3), np.zeros(3)
+    axes, origin = plate_axes(shape)
+    return (shape - origin) @ axes, marker_map.R_A_P, marker_map.p_A_P
+
+
+def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses low-passed without delay, never across a hole: a cubic about each sample (Savitzky and Golay).
+
+    The window, the same for the whole capture, is the one whose cubics predict the samples best that they
+    were not fitted to (leave-one-out): noise alone asks for a long one, quick movement for a short one. A
+    rotation is smoothed as a quaternion and brought back to unit length.
+    """
+    known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(position).all(axis=1)
+    rotation, position = rotation.copy(), position.copy()
+    rotation[~known], position[~known] = np.nan, np.nan
+    rows = np.flatnonzero(known)
+    if len(rows) < 2:
+        return rotation, position
+    period = float(np.median(np.diff(t_s)))
+    # a missing frame would shift the samples against the window, so stretches end there
+    parts = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > min(1.5 * period, HOLE_S)) + 1)
+    quaternions = [_continuous(Rotation.from_matrix(rotation[part]).as_quat()) for part in parts]
+    for part, found in zip(parts, _best_smooth(quaternions, period), strict=True):
+        rotation[part] = Rotation.from_quat(found).as_matrix()
+    for part, found in zip(parts, _best_smooth([position[part] for part in parts], period), strict=True):
+        position[part] = found
+    return rotation, position
+
+
+def _continuous(quaternion: FloatArray) -> FloatArray:
+    """The same rotations (n, 4) without jumps of sign."""
+    turned = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
+    quaternion[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
+    return quaternion
+
+
+def _best_smooth(parts: list[FloatArray], period_s: float) -> list[FloatArray]:
+    """Each stretch (n, d) smoothed with the window that predicts best; shorter stretches as they are."""
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    best, least = parts, np.inf
+    windows = sorted({2 * round(0.5 * length / period_s) + 1 for length in SMOOTH_S})
+    windows = [window for window in windows if window >= 5]
+    scored = [part for part in parts if windows and len(part) >= windows[-1]]
+    for window in windows:
+        own_share = savgol_coeffs(window, 3)[window // 2]
+        half = windows[-1] // 2  # the ends of a stretch are fitted from one side: not scored
+        error = sum(
+            float(
+                (((part - savgol_filter(part, window, 3, axis=0)) / (1 - own_share))[half:-half] ** 2).sum()
+            )
+            for part in scored
+        )
+        if scored and error < least:
+            least = error
+            best = [savgol_filter(part, window, 3, axis=0) if len(part) >= window else part for part in parts]
+    return best

@@ -1,0 +1,71 @@
+"""What a window's samples say of the clock offset once everything else has settled again."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import D
+
+from ..recording import FloatArray
+from ..window.problem import States, Window
+from .build import gathered
+
+#: Part of its bound that the information usually is; stands in where the elimination takes a weak direction
+#: for a free one.
+USUAL_PART = 0.3
+
+
+def offset_information(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
+) -> float:
+    """Information 1/s^2 on one clock offset for the whole window, all other variables eliminated.
+
+    A later offset moves every camera factor's error by the joint's velocity. The linearised graph gets that
+    column as one more variable, and elimination (`GaussianFactorGraph.marginal`) gives what the other
+    variables leave of it: states can follow a part of any shift.
+    """
+    linear = graph.linearize(values)
+    velocities, scatter = _velocities(window, states)
+    velocity = iter(velocities)
+    bound = 0.0
+    whole = gtsam.GaussianFactorGraph()
+    unit = gtsam.noiseModel.Unit.Create(3)
+    for i in range(graph.size()):
+        factor = linear.at(i)
+        if isinstance(graph.at(i), gtsam.GPSFactorArm | gtsam.GPSFactorArmCalib):
+            jacobian = gtsam.JacobianFactor(factor)
+            keys, A = jacobian.keys(), jacobian.getA()
+            weight = np.linalg.norm(A[:, 3:6]) / np.sqrt(3.0)  # whitened: a rotation times this
+            column = weight * next(velocity)[:, None]
+            bound += float(np.sum(column**2))
+            pose, b = (keys[0], A[:, :6]), jacobian.getb()
+            if len(keys) > 1:
+                factor = gtsam.JacobianFactor(*pose, keys[1], A[:, 6:], D(0), column, b, unit)
+            else:
+                factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
+        whole.push_back(factor)
+    try:
+        marginal = whole.marginal([D(0)])
+    except RuntimeError as error:
+        if "ndetermin" not in str(error):
+            raise
+        return scatter + USUAL_PART * bound
+    return scatter + float(sum(marginal.at(i).information()[0, 0] for i in range(marginal.size())))
+
+
+def _velocities(window: Window, states: States) -> tuple[list[FloatArray], float]:
+    """Velocity (3,) of the joint behind each camera factor, in the graph's order, m/s.
+
+    And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
+    """
+    found: list[FloatArray] = []
+    scatter = 0.0
+    for sight in window.sights:
+        node, _, _ = gathered(sight, window.noise.cauchy)
+        each = states.v[sight.node] + sight.velocity
+        group = np.searchsorted(node, sight.node)
+        total = np.stack([np.bincount(group, each[:, axis]) for axis in range(3)], axis=1)
+        mean = total / np.bincount(group)[:, None]
+        found += list(mean)
+        scatter += float(np.sum((each - mean[group]) ** 2 / sight.sigma_m[:, None] ** 2))
+    return found, scatter

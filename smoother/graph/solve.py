@@ -1,0 +1,223 @@
+"""Solve one window: optimise its graph, read the answer and its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+
+from ..errors import SolveError
+from ..linalg import interpolate
+from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..window.problem import Message, Solution, States, Window
+from ..window.shared import Gaussian
+from .build import bias_of_intervals, build, shared_jacobian, shared_keys
+from .clock_information import offset_information
+from .marginals import Marginals, marginals_of
+
+#: What `solve` stops at unless told otherwise.
+RELATIVE_TOLERANCE = 1e-4
+MAX_ITERATIONS = 12
+#: Sigmas of the attitude prior that are tried one after the other, as parts of it: the solver takes a
+#: direction for free once its square-root information is 4096 times weaker than its neighbour's.
+TIGHTEN = (1.0, 0.3, 0.1, 0.03)
+#: Spacing of the covariances that are computed rather than interpolated, s.
+COVARIANCE_S = 0.5
+COVARIANCE_NEAR_S = 0.1
+NEAR_S = 0.5
+SHOULDER_COVARIANCE_S = 0.1
+
+
+def solve(
+    window: Window,
+    with_covariance: bool,
+    with_offset: bool = False,
+    with_message: bool = True,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Solution:
+    """Optimise a window with Levenberg-Marquardt and read its answer.
+
+    Parameters
+    ----------
+    with_covariance : also the covariance of every node (a third of the time).
+    with_offset : also what the window says of the clock offset.
+    with_message : also the covariance of the message; its mean is there in any case.
+    tolerance : the optimiser stops when an iteration lowers the error by less than this part of it.
+
+    Raises
+    ------
+    SolveError
+        The window leaves something free; the text names the time.
+    """
+    try:
+        return _solved(window, with_covariance, with_offset, with_message, tolerance)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
+            " the camera saw there"
+        ) from error
+
+
+def _solved(
+    window: Window, with_covariance: bool, with_offset: bool, with_message: bool, tolerance: float
+) -> Solution:
+    """The answer; raises LinAlgError where something is free."""
+    for tighten in TIGHTEN:
+        # a direction that is free but for the attitude prior can be too weak for the solver's precision
+        graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
+        try:
+            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(tolerance))
+            values = optimizer.optimize()
+            marginals = marginals_of(graph, values)
+            biases = bias_of_intervals(window)
+            states = _states(values, len(window.t))
+            pose_covariance = velocity_covariance = None
+            if with_covariance:
+                pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
+                pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
+            shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
+            message = _message(values, marginals, window, biases, with_message)
+        except np.linalg.LinAlgError:
+            continue
+        except RuntimeError as error:
+            if "ndetermin" not in str(error):
+                raise
+            continue
+        return Solution(
+            index=window.index,
+            states=states,
+            pose_covariance=pose_covariance,
+            velocity_covariance=velocity_covariance,
+            shoulder=shoulder,
+            shoulder_covariance=shoulder_covariance,
+            message=message,
+            bias=_bias(values, biases),
+            residuals=_residuals(values, window, states),
+            iterations=optimizer.iterations(),
+            error=graph.error(values),
+            offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
+        )
+    raise np.linalg.LinAlgError
+
+
+def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
+    """What a tightened prior took from the attitude's covariance (3, 3) in {K} where it alone holds it."""
+    used, axes = np.linalg.eigh(window.attitude_covariance * tighten**2)
+    stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
+    missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
+    return (axes * missing) @ axes.T
+
+
+def _parameters(tolerance: float) -> gtsam.LevenbergMarquardtParams:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(MAX_ITERATIONS)
+    params.setRelativeErrorTol(tolerance)
+    params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
+    return params
+
+
+def _states(values: gtsam.Values, count: int) -> States:
+    poses = [values.atPose3(X(i)) for i in range(count)]
+    return States(
+        R=np.array([pose.rotation().matrix() for pose in poses]),
+        p=np.array([pose.translation() for pose in poses]),
+        v=np.array([values.atVector(V(i)) for i in range(count)]),
+    )
+
+
+def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
+
+    Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
+    often near a gap and in it, and interpolated between.
+    """
+    t = window.t
+    in_gap = np.isfinite(window.velocity_change)
+    some = _some(t, in_gap, COVARIANCE_S)
+    body = np.array([marginals.marginalCovariance(X(i)) for i in some])
+    velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
+    order = np.array([3, 4, 5, 0, 1, 2])
+    body = body[:, order][:, :, order]
+    turn = np.zeros((len(some), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = R[some]
+    pose = turn @ body @ np.swapaxes(turn, 1, 2)
+    return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
+
+
+def _some(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
+    """Nodes about so far apart, and finer in and near gaps, where covariances change.
+
+    Parameters
+    ----------
+    in_gap : (n - 1,) intervals in which the camera saw too little.
+    """
+
+    def every(step_s: float) -> BoolArray:
+        chosen: BoolArray = np.diff(np.floor((t - t[0]) / step_s + 1e-6), prepend=-1.0) > 0
+        return chosen
+
+    chosen = every(apart_s)
+    chosen[-1] = True
+    edge = np.flatnonzero(np.diff(in_gap, prepend=False, append=False))  # nodes where gaps begin and end
+    if len(edge):
+        chosen[edge] = True
+        after = np.clip(np.searchsorted(t[edge], t), 0, len(edge) - 1)
+        near = np.minimum(np.abs(t[edge][after] - t), np.abs(t - t[edge][np.maximum(after - 1, 0)]))
+        inside = np.append(in_gap, False) | np.append(False, in_gap)
+        chosen |= (inside | (near < NEAR_S)) & every(COVARIANCE_NEAR_S)
+    return np.flatnonzero(chosen)
+
+
+def _shoulder(
+    values: gtsam.Values, marginals: Marginals, window: Window, with_covariance: bool
+) -> tuple[FloatArray | None, FloatArray | None]:
+    if window.shoulder is None:
+        return None, None
+    t = window.t[window.shoulder.node]
+    position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
+    if not with_covariance:
+        return position, None
+    some = _some(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
+    return position, interpolate(t[some], np.array([marginals.marginalCovariance(S(k)) for k in some]), t)
+
+
+def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
+    """Bias at the nodes, (n, 6)."""
+    each = np.array([values.atConstantBias(B(k)).vector() for k in range(int(biases[-1]) + 1)])
+    return each[np.append(biases, biases[-1])]
+
+
+def _message(
+    values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray, with_covariance: bool
+) -> Message:
+    """The shared variables, jointly, in the shared vector's coordinates; nan for a covariance not wanted."""
+    layout = window.priors.layout
+    keys = shared_keys(window, biases)
+    down = values.atUnit3(G(0))
+    mean = np.empty(layout.size)
+    mean[layout.bias] = values.atConstantBias(keys[0]).vector()
+    mean[layout.gravity] = layout.gravity_axes @ down.point3()
+    if layout.has_upper_arm:
+        # the factor's error is range + U - length: the true length is shorter by U
+        mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
+    for joint in layout.joints:
+        mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
+    covariance = np.full((layout.size, layout.size), np.nan)
+    if with_covariance:
+        joint_marginal = marginals.jointMarginalCovariance(keys)
+        jacobian = shared_jacobian(layout, down)
+        blocks = np.block([[joint_marginal.at(a, b) for b in keys] for a in keys])
+        covariance = jacobian @ blocks @ jacobian.T
+    return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
+
+
+def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str, FloatArray]:
+    residuals = {}
+    for sight in window.sights:
+        key = L(JOINTS.index(sight.joint))
+        lever = values.atPoint3(key) if sight.joint in window.priors.layout.joints else np.zeros(3)
+        answer = states.p[sight.node] + states.R[sight.node] @ lever
+        residuals[sight.joint] = sight.position - sight.shift - answer
+    return residuals

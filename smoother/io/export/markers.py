@@ -1,0 +1,174 @@
+"""A recovery as markers before and after, for TRC and C3D files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import UnoccludeError
+from ...joint_angles import torso_axes
+from ...recording import JOINTS, BoolArray, FloatArray, JointState
+from ...result import Recovery
+from ..result.usable import usable
+from .c3d import C3dContent
+from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
+
+#: Axes that markers may be written in.
+FRAMES = ("camera", "opensim")
+#: Before a joint's name, what the camera said of it.
+BEFORE = "camera_"
+#: Residuals in a C3D file.
+MEASURED, COMPUTED, NONE = 1.0, 0.0, -1.0
+_RESIDUALS = (
+    "Residual of shoulder, elbow, wrist, hand, imu: 1 = the camera saw the forearm, 0 = recovered while "
+    "occluded, -1 = no answer. Of camera_*: 1 = tracked, 0 = guessed by the camera (inferred), -1 = nothing."
+)
+
+
+@dataclass(frozen=True)
+class MarkerTable:
+    """Markers of one arm with a constant time step.
+
+    Attributes
+    ----------
+    grid : the times, s after the recovery's origin.
+    names : recovered joints and `imu`, then `camera_` and a joint.
+    position : (G, M, 3) m in the chosen axes; nan where there is none.
+    residual : (G, M) as C3D files have it: 1, 0, -1 (see `_RESIDUALS`).
+    occluded : (G,) the camera did not see the forearm.
+    sigma_m : (G, A) one standard deviation of the A recovered markers, root mean square over the axes.
+    """
+
+    grid: Grid
+    names: tuple[str, ...]
+    position: FloatArray
+    residual: FloatArray
+    occluded: BoolArray
+    sigma_m: FloatArray
+
+
+def marker_table(
+    recovery: Recovery,
+    frame: str = "camera",
+    rate_hz: float | None = None,
+    level_down: FloatArray | None = None,
+) -> MarkerTable:
+    """Markers before and after.
+
+    Parameters
+    ----------
+    recovery : one arm.
+    frame : "camera", or "opensim": x horizontally towards the camera (forward for a person who faces
+        it), y up against gravity, z to that person's right; the origin stays in the camera.
+    rate_hz : rows a second; None for the IMU's rate.
+    level_down : (3,) down in the camera's axes if the camera stands level, for a method that did not
+        find gravity; None where the axes are not known.
+
+    Raises
+    ------
+    UnoccludeError
+        Gravity is needed and not known, or there are too few samples.
+    """
+    grid = constant_step(recovery, rate_hz)
+    after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
+    after["imu"] = recovery.position
+    spread = [recovery.joint_covariance.get(name) for name in list(after)[:-1]]
+    spread.append(recovery.pose_covariance[:, :3, :3])
+    near = nearest(recovery.t_s, grid)
+    sigma = [
+        np.full(len(near), np.nan) if one is None else np.sqrt(np.einsum("nii->n", one) / 3)[near]
+        for one in spread
+    ]
+    occluded = recovery.occluded[near]
+    position = [at_grid(recovery.t_s, values, grid) for values in after.values()]
+    residual = [np.where(occluded, COMPUTED, MEASURED)] * len(position)
+    before, flags = _camera(recovery, grid)
+    whole = np.stack([*position, *before.values()], axis=1)
+    marks = np.stack([*residual, *flags], axis=1)
+    marks[~np.isfinite(whole).all(axis=2)] = NONE
+    whole[marks == NONE] = np.nan
+    if frame == "opensim":
+        whole = whole @ opensim_axes(recovery, level_down)
+    names = (*after, *(BEFORE + joint for joint in before))
+    return MarkerTable(grid, names, whole, marks, occluded, np.stack(sigma, axis=1))
+
+
+def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> FloatArray:
+    """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}.
+
+    Raises
+    ------
+    UnoccludeError
+        Neither gravity nor the camera's axes are known.
+    """
+    down = recovery.gravity_direction
+    if not np.isfinite(down).all():
+        if level_down is None:
+            raise UnoccludeError(
+                f"{recovery.name}: the method '{recovery.method}' found no gravity, so that OpenSim's y-up"
+                " axes are not known; give --frame camera"
+            )
+        down = level_down
+    return torso_axes(down)
+
+
+def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str) -> C3dContent:
+    """What the C3D file of a recovery holds."""
+    answers = table.sigma_m.shape[1]
+    good = usable(recovery)[nearest(recovery.t_s, table.grid)]
+    channels = {
+        "occluded": (table.occluded.astype(float), "1"),
+        "usable": (good.astype(float), "1"),
+    }
+    for name, sigma in zip(table.names[:answers], table.sigma_m.T, strict=True):
+        channels[f"sigma_{name}"] = (np.where(np.isfinite(sigma), 1000.0 * sigma, -1.0), "mm")
+    start, end = table.grid.t_s[0], table.grid.t_s[-1]
+    events = []
+    for gap in recovery.gaps:
+        if gap.end_s >= start and gap.start_s <= end:
+            events.append(("gap start", float(np.clip(gap.start_s, start, end) - start)))
+            events.append(("gap end", float(np.clip(gap.end_s, start, end) - start)))
+    said = ["recovered"] * answers + ["as the camera delivered it"] * (len(table.names) - answers)
+    parameters = {
+        "METHOD": [recovery.method],
+        "VERSION": [version],
+        "RECORDING": [recovery.name],
+        "SIDE": [recovery.side or "not known"],
+        "FRAME": [frame],
+        "START_S": [f"{start:.9f}"],
+        "ORIGIN_NS": [str(recovery.origin_ns)],
+        "RESIDUALS": [_RESIDUALS],
+        "CHANNELS": ["occluded, usable: 0 or 1. sigma_*: one standard deviation an axis, -1 = not known."],
+        "NOTES": list(recovery.notes) or ["none"],
+    }
+    return C3dContent(
+        table.names,
+        table.position,
+        table.grid.rate_hz,
+        table.residual,
+        said,
+        channels,
+        events,
+        {"left": "Left", "right": "Right"}.get(recovery.side, "General"),
+        parameters,
+    )
+
+
+def _camera(recovery: Recovery, grid: Grid) -> tuple[dict[str, FloatArray], list[FloatArray]]:
+    """The camera's joints (G, 3) by name and their residuals (G,)."""
+    arm = recovery.arm
+    places: dict[str, FloatArray] = {}
+    flags = []
+    for number, joint in enumerate(JOINTS):
+        state = arm.state[:, number]
+        position = arm.position[:, number]
+        has = (state != JointState.NOT_TRACKED) & np.isfinite(position).all(axis=1)
+        if not has.any():
+            continue
+        tracked = (state == JointState.TRACKED).astype(float)
+        columns = frames_at_grid(arm.t_s, np.column_stack([position, tracked]), has, grid)
+        places[joint] = columns[:, :3]
+        # Between a tracked and a guessed frame it is half a guess.
+        flags.append(np.where(columns[:, 3] >= 1.0 - 1e-9, MEASURED, COMPUTED))
+    return places, flags

@@ -1,0 +1,171 @@
+"""Joint angles to a MOT file, OpenSim's format of motions."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import UnoccludeError
+from ...joint_angles import defined, recovery_angles, wrapped_deg
+from ...recording import BoolArray, FloatArray
+from ...result import Recovery
+from ...runtime.atomic import writing
+from .grid import Grid, at_grid, constant_step, nearest, runs
+
+_ROWS = 20_000
+
+
+@dataclass(frozen=True)
+class MotTable:
+    """Joint angles of one arm with a constant time step and a number in every cell.
+
+    Attributes
+    ----------
+    t_s : (G,) s after the recovery's origin.
+    rate_hz : rows a second.
+    angles : (G,) by coordinate, degrees.
+    occluded : (G,) the camera did not see the forearm.
+    answered : (G,) False where the method has no answer and a straight line bridges it.
+    notes : what a reader must know, one sentence each.
+    """
+
+    t_s: FloatArray
+    rate_hz: float
+    angles: dict[str, FloatArray]
+    occluded: BoolArray
+    answered: BoolArray
+    notes: tuple[str, ...]
+
+
+def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
+    """The joint angles by the names of OpenSim's MoBL-ARMS model of the upper extremity, degrees.
+
+    `elv_angle`, `shoulder_elv`, `shoulder_rot`: the humerus turns R_y(elv_angle) R_x(-shoulder_elv)
+    R_y(shoulder_rot - elv_angle) (Saul et al., Comput Methods Biomech Biomed Engin 18:1445, 2015), so that
+    ISB's axial rotation is shoulder_rot - elv_angle; `elbow_flexion`: 0 = straight; `pro_sup`: 0 = thumb up,
+    90 = pronated, which is ISB's pronation - 90. A left arm has the angles of its mirror image. A column
+    that the recovery cannot give is left out.
+
+    Parameters
+    ----------
+    rate_hz : rows a second; None for the IMU's rate.
+
+    Raises
+    ------
+    UnoccludeError
+        No joint angle is known anywhere: shoulder, elbow and wrist are needed.
+    """
+    grid = constant_step(recovery, rate_hz)
+    found = recovery_angles(recovery if grid.same else _resampled(recovery, grid))
+    angles = {
+        "elv_angle": found["shoulder_plane"],
+        "shoulder_elv": found["shoulder_elevation"],
+        "shoulder_rot": wrapped_deg(found["shoulder_rotation"] + found["shoulder_plane"]),
+        "elbow_flexion": found["elbow_flexion"],
+        "carrying_angle": found["carrying"],
+        "pro_sup": wrapped_deg(found["pronation"] - 90.0),
+    }
+    angles = {name: values for name, values in angles.items() if np.isfinite(values).any()}
+    if "elbow_flexion" not in angles:
+        missing = [joint for joint in ("shoulder", "elbow", "wrist") if not _known(recovery, joint)]
+        why = f"it has no {', no '.join(missing)}" if missing else "they are never all there at once"
+        raise UnoccludeError(
+            f"{recovery.name}: joint angles need shoulder, elbow and wrist, and {why}; export to csv, trc,"
+            " c3d or parquet"
+        )
+    answered: BoolArray = np.asarray(np.isfinite(np.stack(list(angles.values()))).all(axis=0))
+    if not answered.any():
+        raise UnoccludeError(
+            f"{recovery.name}: no sample has all of the angles {', '.join(angles)}; export to csv or parquet"
+        )
+    first, last = np.flatnonzero(answered)[[0, -1]]
+    part = slice(int(first), int(last) + 1)
+    place = np.arange(len(answered))
+    bridged = {name: np.interp(place, place[answered], values[answered]) for name, values in angles.items()}
+    kept = answered[part]
+    return MotTable(
+        grid.t_s[part],
+        grid.rate_hz,
+        {name: values[part] for name, values in bridged.items()},
+        recovery.occluded[nearest(recovery.t_s, grid)][part],
+        kept,
+        _notes(kept, len(answered) - len(kept), grid.rate_hz, found),
+    )
+
+
+def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery, force: bool = False) -> None:
+    """Write joint angles as OpenSim reads them.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists and `force` is not given, or it cannot be written.
+    """
+    columns = [*table.angles, "occluded", "answered"]
+    side = f" {recovery.side} arm" if recovery.side else ""
+    title = " ".join(f"unocclude {recovery.method}{side} {recovery.name}".split())
+    head = [
+        title,
+        "version=1",
+        f"nRows={len(table.t_s)}",
+        f"nColumns={len(columns) + 1}",
+        "inDegrees=yes",
+        "",
+        "Angles in degrees, coordinates of MoBL-ARMS; ISB's axial rotation is shoulder_rot - elv_angle.",
+        "occluded: 1 where the camera did not see the forearm. answered: 0 where a straight line bridges",
+        f"a stretch without an answer. Times count from {recovery.origin_ns} ns of the IMU's clock.",
+        "",
+        "endheader",
+        "\t".join(["time", *columns]),
+    ]
+    values = np.column_stack(list(table.angles.values()))
+    flags = np.column_stack([table.occluded, table.answered]).astype(int)
+    line = "%.9f" + "\t%.9f" * values.shape[1] + "\t%d\t%d\n"
+    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        file.write("\n".join(head) + "\n")
+        for start in range(0, len(values), _ROWS):
+            part = slice(start, start + _ROWS)
+            rows = zip(table.t_s[part].tolist(), values[part].tolist(), flags[part].tolist(), strict=True)
+            file.write("".join([line % (time, *row, *flag) for time, row, flag in rows]))
+
+
+def _known(recovery: Recovery, joint: str) -> bool:
+    return joint in recovery.joints and bool(np.isfinite(recovery.joints[joint]).any())
+
+
+def _resampled(recovery: Recovery, grid: Grid) -> Recovery:
+    """The joints and the orientation at the grid's times."""
+    joints = {name: at_grid(recovery.t_s, values, grid) for name, values in recovery.joints.items()}
+    quaternion = recovery.quaternion.copy()
+    # Both signs mean the same rotation: one of them goes on smoothly.
+    for run in runs(recovery.t_s, np.asarray(np.isfinite(quaternion).all(axis=1))):
+        q = quaternion[run]
+        turn = np.where((q[1:] * q[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+        q[1:] *= np.cumprod(turn)[:, None]
+    return replace(recovery, t_s=grid.t_s, joints=joints, quaternion=at_grid(recovery.t_s, quaternion, grid))
+
+
+def _notes(kept: BoolArray, cut: int, rate_hz: float, found: dict[str, FloatArray]) -> tuple[str, ...]:
+    notes = []
+    if not kept.all():
+        notes.append(
+            f"{(~kept).sum() / rate_hz:.2f} s without an answer are bridged by straight lines in the MOT"
+            " file; its column `answered` is 0 there."
+        )
+    if cut:
+        notes.append(f"{cut / rate_hz:.2f} s without an answer at the ends are left out of the MOT file.")
+    trusted = defined(found)
+    for name, of in (
+        ("pronation", "pro_sup"),
+        ("shoulder_plane", "elv_angle and shoulder_rot"),
+    ):
+        known = np.isfinite(found[name])
+        share = float((known & ~trusted[name]).sum() / max(known.sum(), 1))
+        if share > 0.01:
+            notes.append(
+                f"{of}: within 15 degrees of a posture that does not define it in {100 * share:.0f} % of the"
+                " samples (straight elbow, hanging arm), where noise turns it."
+            )
+    return tuple(notes)

@@ -1,0 +1,124 @@
+"""What is ready to be written in a format: all that can fail for the data's sake is behind us."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import UnoccludeError
+from ...recording import FloatArray
+from ...result import Recovery
+
+#: The formats, and for which of them axes and rate may be chosen.
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+WITH_FRAME = ("trc", "c3d")
+WITH_RATE = ("trc", "mot", "c3d")
+#: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
+DEFAULT_FRAME = {"trc": "opensim", "c3d": "camera"}
+
+
+@dataclass(frozen=True)
+class Export:
+    """An arm in a format.
+
+    Attributes
+    ----------
+    rows : in the file.
+    write : writes it to a path; the second argument is `force`.
+    rate_hz : rows a second where the step is constant.
+    frame : axes of the positions.
+    notes : what a reader must know, one sentence each.
+    """
+
+    rows: int
+    write: Callable[[Path, bool], None]
+    rate_hz: float | None = None
+    frame: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def prepare_export(
+    recovery: Recovery,
+    format_name: str,
+    frame: str | None = None,
+    rate_hz: float | None = None,
+    level_down: FloatArray | None = None,
+    version: str = "unknown",
+) -> Export:
+    """Bring one arm into a format, without writing yet.
+
+    Parameters
+    ----------
+    recovery : one arm.
+    format_name : one of `FORMATS`.
+    frame : "camera" or "opensim" for `trc` (default opensim) and `c3d` (default camera).
+    rate_hz : rows a second for `trc`, `mot`, `c3d`; None for the IMU's rate.
+    level_down : see `marker_table`.
+    version : of the program that made the recovery.
+
+    Raises
+    ------
+    UnoccludeError
+        The recovery has not what the format needs, or the format is not known.
+    """
+    if format_name not in FORMATS:
+        raise UnoccludeError(f"the format '{format_name}' is not available; formats: {', '.join(FORMATS)}")
+    if format_name == "mot":
+        return _mot(recovery, rate_hz)
+    if format_name in WITH_FRAME:
+        chosen = frame or DEFAULT_FRAME[format_name]
+        return _markers(recovery, format_name, chosen, rate_hz, level_down, version)
+    if format_name == "parquet":
+        from .parquet import export_parquet
+
+        return Export(
+            len(recovery), lambda path, force: export_parquet(recovery, path, version, force), frame="camera"
+        )
+    from .csv import export_csv
+
+    return Export(len(recovery), lambda path, force: export_csv(recovery, path, force), frame="camera")
+
+
+def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
+    from .mot import mot_table, write_mot
+
+    table = mot_table(recovery, rate_hz)
+    return Export(
+        len(table.t_s),
+        lambda path, force: write_mot(table, path, recovery, force),
+        table.rate_hz,
+        notes=table.notes,
+    )
+
+
+def _markers(
+    recovery: Recovery,
+    format_name: str,
+    frame: str,
+    rate_hz: float | None,
+    level_down: FloatArray | None,
+    version: str,
+) -> Export:
+    import numpy as np
+
+    from .c3d import check_frames, write_c3d
+    from .markers import c3d_content, marker_table
+    from .trc import write_trc
+
+    table = marker_table(recovery, frame, rate_hz, level_down)
+    rate, rows = table.grid.rate_hz, len(table.grid.t_s)
+    notes: tuple[str, ...] = ()
+    if frame == "opensim" and not np.isfinite(recovery.gravity_direction).all():
+        notes = (f"the method '{recovery.method}' found no gravity: the camera is taken to stand level.",)
+    if format_name == "trc":
+        return Export(
+            rows,
+            lambda path, force: write_trc(path, table.names, table.grid.t_s, table.position, rate, force),
+            rate,
+            frame,
+            notes,
+        )
+    check_frames(recovery.name, rows, rate)
+    content = c3d_content(recovery, table, frame, version)
+    return Export(rows, lambda path, force: write_c3d(path, content, force), rate, frame, notes)

@@ -1,0 +1,112 @@
+"""Messages of several channels put in the order of their times, as records of an MCAP file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from ...recording import IntArray
+from ..wire.protobuf_encode import HEAD_BYTES
+from .messages import Run
+
+#: Messages of one stream: rows (n, HEAD_BYTES + size) behind room for their heads, or one by one.
+Encoded = NDArray[np.uint8] | list[bytes]
+
+_HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<u8"),
+        ("publish", "<u8"),
+    ]
+)
+
+
+class Records(NamedTuple):
+    """Messages with their heads, as they stand in a file: channel, log time (ns) and length of each (n,)."""
+
+    channel: IntArray
+    log_ns: IntArray
+    sizes: IntArray
+    records: list[bytes]
+
+
+class Batch:
+    """Messages to be sorted and written together."""
+
+    def __init__(self) -> None:
+        self._columns: list[IntArray] = []
+        self._data: list[Encoded] = []
+
+    def extend(self, channel: int, time_ns: IntArray, data: Encoded) -> None:
+        """Our own messages, to be numbered."""
+        if not len(time_ns):
+            return
+        columns = np.full((4, len(time_ns)), -1, np.int64)
+        columns[0], columns[2:] = channel, time_ns
+        self._columns.append(columns)
+        self._data.append(data)
+
+    def add(self, run: Run, channels: list[int]) -> None:
+        """Messages carried over, which keep their numbers; `channels` of the run's topics."""
+        channel = np.array(channels, np.int64)[run.topic]
+        self._columns.append(np.stack([channel, run.sequence, run.log_ns, run.publish_ns]))
+        self._data.append(run.data)
+
+    def own(self) -> Counter[int]:
+        """How many messages of our own it has, by channel."""
+        counts: Counter[int] = Counter()
+        for columns in self._columns:
+            if columns[1, 0] < 0:
+                counts[int(columns[0, 0])] += columns.shape[1]
+        return counts
+
+    def sorted(self, numbers: Mapping[int, int]) -> Records:
+        """All messages by log time; those of one time in the order in which they came.
+
+        Parameters
+        ----------
+        numbers : the next message's number by channel; zero where there is none.
+        """
+        if not self._columns:
+            nothing = np.empty(0, np.int64)
+            return Records(nothing, nothing, nothing, [])
+        columns = np.concatenate(self._columns, axis=1)
+        channel, sequence, log_ns, publish_ns = columns
+        order = np.argsort(log_ns, kind="stable")
+        own = order[sequence[order] < 0]
+        by_channel = own[np.argsort(channel[own].astype(np.uint16), kind="stable")]
+        counts, start = np.bincount(channel[own]), 0
+        for number in np.flatnonzero(counts).tolist():
+            rows = by_channel[start : start + int(counts[number])]
+            sequence[rows] = numbers.get(number, 0) + np.arange(len(rows))
+            start += len(rows)
+        heads = np.empty(len(channel), _HEAD)
+        heads["opcode"] = Opcode.MESSAGE
+        heads["channel"], heads["sequence"] = channel, sequence
+        heads["log"], heads["publish"] = log_ns, publish_ns
+        records: list[bytes] = []
+        for data in self._data:
+            records += _records(heads[len(records) : len(records) + len(data)], data)
+        sizes = heads["length"].astype(np.int64) + 9
+        return Records(channel[order], log_ns[order], sizes[order], [records[i] for i in order.tolist()])
+
+
+def _records(heads: NDArray, data: Encoded) -> list[bytes]:
+    """Heads and messages put together; the heads learn the messages' lengths."""
+    if isinstance(data, list):
+        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + _HEAD.itemsize - 9
+        raw = heads.tobytes()
+        starts = range(0, len(raw), _HEAD.itemsize)
+        return [raw[at : at + _HEAD.itemsize] + each for at, each in zip(starts, data, strict=True)]
+    heads["length"] = data.shape[1] - 9
+    data[:, :HEAD_BYTES] = heads.view(np.uint8).reshape(len(data), -1)
+    records: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
+    return records

@@ -1,0 +1,321 @@
+"""An MCAP file as a run of messages, read front to back in flat memory.
+
+The index at a file's end is not used, so that a file that was cut off gives all that it still has.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...recording import IntArray
+from .messages import Message, Rows, Run, Topic
+from .records import HEAD, MESSAGE, find
+
+_MAGIC = b"\x89MCAP0\r\n"
+_CHUNK = struct.Struct("<QQQI")
+#: Messages outside chunks are gathered to blocks of this size.
+_GATHER = 1 << 20
+#: Chunks said to be larger than this are not believed.
+_CHUNK_LIMIT = 1 << 31
+#: Space for chunks up to this size is taken on their word.
+_AT_ONCE = 1 << 28
+
+
+class Container:
+    """A file to be read once, front to back.
+
+    Attributes
+    ----------
+    path : the file.
+    topics : channels met so far.
+    metadata : metadata records met so far, by name; later ones win.
+    notes : what was wrong with the file, one sentence each.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = Path(path)
+        self.topics: list[Topic] = []
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.notes: list[str] = []
+        self._numbers = np.full(1 << 16, -1, np.int64)  # by channel: position in `topics`
+        self._schemas: dict[int, Schema] = {}
+        self._cut = False
+
+    def rows(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, Rows]]:
+        """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
+
+        All messages are counted in their topic; payloads of topics that are not wanted are passed over.
+        Topics come in the order of their first message in the chunk.
+        """
+        for block, index in self._blocks():
+            heads, start, stop, number = self._messages_in(block, index)
+            found: dict[int, Rows] = {}
+            for position, mine in _by_number(number):
+                topic, log_ns = self.topics[position], heads["log"][mine]
+                topic.note(log_ns)
+                if wanted(topic):
+                    found[position] = Rows(log_ns.view(np.int64), block, start[mine], stop[mine])
+            if found:
+                yield found
+
+    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[Message]]]:
+        """The same with an object for each message: for topics whose messages are few, or large."""
+        for found in self.rows(wanted):
+            yield {position: self._one_by_one(position, rows) for position, rows in found.items()}
+
+    def messages(self) -> Iterator[Message]:
+        """Yield all messages in the file's order."""
+        for run in self.runs(lambda topic: True):
+            for number, log_ns, data in zip(run.topic.tolist(), run.log_ns.tolist(), run.data, strict=True):
+                yield Message(run.topics[number], log_ns, memoryview(data))
+
+    def _one_by_one(self, position: int, rows: Rows) -> list[Message]:
+        topic, view = self.topics[position], memoryview(rows.block)
+        columns = (rows.log_ns.view(np.uint64).tolist(), rows.start.tolist(), rows.stop.tolist())
+        return [
+            Message(topic, log_ns, view[start:stop]) for log_ns, start, stop in zip(*columns, strict=True)
+        ]
+
+    def runs(self, wanted: Callable[[Topic], bool]) -> Iterator[Run]:
+        """Yield the messages of wanted topics a chunk at a time, in the file's order."""
+        topics: list[Topic] = []
+        numbers: dict[int, int] = {}  # by position in `topics` of the file; -1: not wanted
+        for block, index in self._blocks():
+            heads, start, stop, number = self._messages_in(block, index)
+            of_run = np.full(len(self.topics), -1, np.int64)
+            for position, _ in _by_number(number):
+                if position not in numbers:
+                    topic = self.topics[position]
+                    numbers[position] = len(topics) if wanted(topic) else -1
+                    topics += [topic] * (numbers[position] >= 0)
+                of_run[position] = numbers[position]
+            topic_of = of_run[number]
+            kept = topic_of >= 0
+            if not kept.all():
+                heads, start, stop, topic_of = heads[kept], start[kept], stop[kept], topic_of[kept]
+            if len(heads):
+                data = [block[a:b] for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
+                sequence, log_ns, publish_ns = (
+                    heads[name].astype(np.int64) for name in ("sequence", "log", "publish")
+                )
+                yield Run(topics, topic_of, sequence, log_ns, publish_ns, data)
+
+    def _messages_in(
+        self, block: bytes, index: Sequence[bytes]
+    ) -> tuple[NDArray, IntArray, IntArray, IntArray]:
+        """Heads of a block's messages, where their payloads start and stop, the positions of their topics."""
+        found = find(block, index)
+        self._cut |= found.is_cut
+        place, heads = found.place, found.heads
+        defined = [(self._define(d.opcode, block[d.start : d.stop]), d.start) for d in found.definitions]
+        number = self._numbers[heads["channel"]]
+        for channel, start in defined:  # messages before their channel's record are not known to be of it
+            if channel is not None:
+                number[(heads["channel"] == channel) & (place < start)] = -1
+        if (number < 0).any():
+            known = number >= 0
+            heads, place, number = heads[known], place[known], number[known]
+        return heads, place + MESSAGE.itemsize, place + HEAD.size + heads["length"].astype(np.int64), number
+
+    def _define(self, opcode: int, content: bytes) -> int | None:
+        """Take in a schema or a channel; the number of a channel that is new."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self._schemas[schema.id] = schema
+                return None
+            channel = Channel.read(stream)
+        except (McapError, struct.error, UnicodeDecodeError):
+            self._damaged("a schema or channel record is damaged")
+            return None
+        if self._numbers[channel.id] >= 0:
+            return None
+        its = self._schemas.get(channel.schema_id)
+        name, encoding, data = (its.name, its.encoding, its.data) if its else ("", "", b"")
+        topic = Topic(channel.topic, name, encoding, data, channel.message_encoding, dict(channel.metadata))
+        # Recorders that split or restart make a second channel of the same topic.
+        for position, known in enumerate(self.topics):
+            if (known.name, known.schema, known.encoding) == (topic.name, topic.schema, topic.encoding):
+                self._numbers[channel.id] = position
+                break
+        else:
+            self._numbers[channel.id] = len(self.topics)
+            self.topics.append(topic)
+        return int(channel.id)
+
+    def _blocks(self) -> Iterator[tuple[bytes, list[bytes]]]:
+        """Yield runs of schema, channel and message records, each with the index records behind it."""
+        try:
+            size = self.path.stat().st_size
+            with open(self.path, "rb") as file:
+                self._check_magic(file.read(len(_MAGIC)))
+                yield from self._records(file, size)
+        except OSError as error:
+            raise RecordingError(_unreadable(self.path, error)) from error
+        if self._cut:
+            self._damaged("the file ends in the middle of the recording; everything before the cut was read")
+
+    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[bytes, list[bytes]]]:
+        gathered = bytearray()
+        waiting: list[bytes] = []  # a chunk whose index records are being read
+        index: list[bytes] = []
+        while not self._cut:
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+            left = size - file.tell()
+            if waiting and opcode == Opcode.MESSAGE_INDEX and length <= left:
+                index.append(file.read(length))
+                continue
+            if waiting:
+                yield waiting.pop(), index
+                index = []
+            if self._cut or opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                break
+            if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+                content = file.read(min(length, left))
+                if len(content) < length:
+                    self._cut = True
+                elif opcode == Opcode.METADATA:
+                    self._metadata(content)
+                else:
+                    gathered += head + content
+                if len(gathered) > _GATHER:
+                    yield bytes(gathered), []
+                    gathered.clear()
+            elif opcode == Opcode.CHUNK and length < _CHUNK_LIMIT:
+                if gathered:
+                    yield bytes(gathered), []
+                    gathered.clear()
+                waiting.append(self._unpack(file, min(length, left), length))
+            elif length > left or not head[HEAD.size - 1 :]:
+                self._cut = True
+            else:
+                file.seek(length, os.SEEK_CUR)
+        if waiting:
+            yield waiting.pop(), []
+        if gathered:
+            yield bytes(gathered), []
+
+    def _unpack(self, file: IO[bytes], there: int, length: int) -> bytes:
+        """A chunk's records; of a chunk that is cut off or damaged, those before the place.
+
+        Parameters
+        ----------
+        there : so much of the chunk's length is in the file.
+        """
+        offset = file.tell()
+        content = memoryview(file.read(there))
+        self._cut |= len(content) < length
+        if len(content) < _CHUNK.size + 4:
+            return b""
+        _, _, size, crc = _CHUNK.unpack_from(content)
+        (letters,) = struct.unpack_from("<I", content, _CHUNK.size)
+        start = _CHUNK.size + 4 + letters
+        compression = bytes(content[_CHUNK.size + 4 : start]).decode("ascii", "replace")
+        packed = content[start + 8 :]
+        data = _at_once(compression, packed, size) or _decompress(compression, packed, self.path)
+        if len(data) < size and not self._cut:
+            self._damaged(f"the chunk at byte {offset} is damaged; {len(data)} of its {size} bytes were read")
+        elif crc and len(data) == size and zlib.crc32(data) != crc:
+            self._damaged(f"the chunk at byte {offset} fails its checksum and was left out")
+            return b""
+        return data
+
+    def _metadata(self, content: bytes) -> None:
+        try:
+            record = Metadata.read(ReadDataStream(BytesIO(content)))
+        except (McapError, struct.error, UnicodeDecodeError):
+            self._damaged("a metadata record is damaged")
+            return
+        self.metadata[record.name] = dict(record.metadata)
+
+    def _damaged(self, what: str) -> None:
+        sentence = f"{self.path.name}: {what}."
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def _check_magic(self, magic: bytes) -> None:
+        if not magic:
+            raise RecordingError(f"{self.path} is empty (0 bytes); record or copy it again.")
+        if magic != _MAGIC:
+            raise RecordingError(
+                f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and plain files "
+                "with `unocclude import csv`."
+            )
+
+
+def _by_number(number: IntArray) -> list[tuple[int, IntArray]]:
+    """The numbers that occur, in the order in which they first do, and where each does."""
+    there = [(int(k), np.flatnonzero(number == k)) for k in np.flatnonzero(np.bincount(number))]
+    return sorted(there, key=lambda each: int(each[1][0]))
+
+
+def _at_once(compression: str, packed: memoryview, size: int) -> bytes | None:
+    """A zstd chunk that states its own size, as the chunk does: twice as fast; None for others."""
+    if compression != "zstd" or not 0 < size < _AT_ONCE:
+        return None
+    import zstandard
+
+    try:
+        if zstandard.get_frame_parameters(packed).content_size != size:
+            return None
+        return zstandard.ZstdDecompressor().decompress(packed)
+    except zstandard.ZstdError:
+        return None
+
+
+def _decompress(compression: str, packed: memoryview, path: Path) -> bytes:
+    """All that can be had of a chunk, block by block, up to its end or to where it is broken."""
+    make, failures = _decompressor(compression, path)
+    if make is None:
+        return bytes(packed)
+    try:
+        return bytes(make().decompress(packed))
+    except failures:
+        pass
+    # Damaged: feed it in small pieces, keep what comes out before the damage.
+    out, again = bytearray(), make()
+    try:
+        for start in range(0, len(packed), 4096):
+            out += again.decompress(packed[start : start + 4096])
+    except failures:
+        pass
+    return bytes(out)
+
+
+def _decompressor(compression: str, path: Path) -> tuple[Any, tuple[type[Exception], ...]]:
+    """What makes a decompressor (None for plain chunks), and what it raises on damaged data."""
+    if compression == "":
+        return None, ()
+    if compression == "zstd":
+        import zstandard
+
+        return zstandard.ZstdDecompressor().decompressobj, (zstandard.ZstdError,)
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+        return LZ4FrameDecompressor, (RuntimeError, EOFError)
+    raise RecordingError(f"{path} is compressed with {compression!r}; rewrite it with `mcap compress`.")
+
+
+def _unreadable(path: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"{path} does not exist; check the name."
+    if isinstance(error, IsADirectoryError) or path.is_dir():
+        return f"{path} is a folder; name an MCAP file, or bring plain files in with `unocclude import csv`."
+    return f"{path} cannot be read: {error.strerror or error}."

@@ -1,0 +1,162 @@
+"""Streams of messages to one MCAP file, in the order of their times."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+
+from ...recording import IntArray
+from ..wire.schemas import schema_data
+from .batch import Batch
+from .batch import Encoded as Encoded
+from .chunks import ChunkedFile
+from .messages import Run, Topic
+
+#: Messages that are encoded together; keeps memory flat however long the recording is.
+SLICE = 2048
+#: Messages carried over are written at the latest when they hold so many bytes.
+_HELD_BYTES = 1 << 23
+#: After all times.
+END = int(np.iinfo(np.int64).max)
+
+
+@dataclass
+class Outgoing:
+    """Messages of one channel still to be encoded.
+
+    Attributes
+    ----------
+    channel : the channel's number.
+    time_ns : (N,) log times, ns; negative ones are written as zero.
+    encode : wire form of a slice of the messages.
+    """
+
+    channel: int
+    time_ns: IntArray
+    encode: Callable[[slice], Encoded]
+
+    def __post_init__(self) -> None:
+        # Log times must not run back, or slices could not be cut; stamps inside stay as they are.
+        if len(self.time_ns):
+            self.time_ns = np.maximum(np.maximum.accumulate(self.time_ns), 0)
+
+
+class Output:
+    """An MCAP file being written; the same input gives the same bytes."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._open: IO[bytes] | None = None
+        self._channels: dict[tuple[str, str, str], int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._sequence: Counter[int] = Counter()
+        self._latest: dict[int, int] = {}
+        self._passed: Iterator[Run] = iter(())
+        self._waiting: Run | None = None
+
+    def __enter__(self) -> Output:
+        self._open = open(self._path, "wb")
+        self._file = ChunkedFile(self._open)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._open is not None
+        with self._open:
+            try:
+                if kind is None:
+                    self._file.finish()
+            finally:
+                self._file.close()
+
+    def metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a metadata record."""
+        self._file.metadata(name, values)
+
+    def channel(self, topic: str, schema: str) -> int:
+        """Number of a topic of protobuf messages by the schema's full name."""
+        return self._channel(Topic(topic, schema, "protobuf", schema_data(schema), "protobuf"))
+
+    def _channel(self, topic: Topic) -> int:
+        key = (topic.name, topic.encoding, topic.schema)
+        if key not in self._channels:
+            schema = 0
+            if topic.schema:
+                its = (topic.schema, topic.schema_encoding, topic.schema_data)
+                if its not in self._schemas:
+                    self._schemas[its] = self._file.schema(*its)
+                schema = self._schemas[its]
+            self._channels[key] = self._file.channel(topic.name, topic.encoding, schema, topic.metadata)
+        return self._channels[key]
+
+    def carry(self, passed: Iterable[Run]) -> None:
+        """Write these messages of another file between all that comes, about in the order of their times."""
+        self._passed = iter(passed)
+        self._waiting = next(self._passed, None)
+
+    def write(self, outgoing: Sequence[Outgoing], until: int = END) -> None:
+        """Write streams by log time, and between them what is carried over.
+
+        Parameters
+        ----------
+        outgoing : streams to encode.
+        until : log time before which all of them lie, and from which on others will come, ns.
+        """
+        latest = dict(self._latest)
+        for stream in outgoing:  # streams that go on where an earlier part of them ended
+            if len(stream.time_ns):
+                stream.time_ns = np.maximum(stream.time_ns, latest.get(stream.channel, 0))
+                last = int(stream.time_ns[-1])
+                self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
+        for edge, batch in _slices(outgoing, until):
+            self._write(self._with_carried(batch, edge))
+
+    def _with_carried(self, batch: Batch, edge: int) -> Batch:
+        """A batch with the messages carried over that come before an edge; some are written at once."""
+        held = 0
+        while self._waiting is not None:
+            run = self._waiting
+            late = run.log_ns >= edge
+            stop = int(np.argmax(late)) if late.any() and edge != END else len(run.data)
+            if stop:
+                part = run.part(slice(0, stop))
+                batch.add(part, [self._channel(topic) for topic in part.topics])
+                held += sum(map(len, part.data))
+            if stop < len(run.data):
+                self._waiting = run.part(slice(stop, None))
+                break
+            self._waiting = next(self._passed, None)
+            if held > _HELD_BYTES:
+                self._write(batch)
+                batch, held = Batch(), 0
+        return batch
+
+    def _write(self, batch: Batch) -> None:
+        found = batch.sorted(self._sequence)
+        self._sequence.update(batch.own())
+        self._file.messages(*found)
+
+
+def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Batch]]:
+    """Yield runs of time: where each ends, and the messages of all streams in it."""
+    streams = [stream for stream in outgoing if len(stream.time_ns)]
+    longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
+    edges = [*longest[SLICE::SLICE].tolist(), until]
+    starts = [0] * len(streams)
+    for edge in edges:
+        batch = Batch()
+        for i, stream in enumerate(streams):
+            stop = int(np.searchsorted(stream.time_ns, edge)) if edge != until else len(stream.time_ns)
+            # A stream may be far denser here than the longest is: encode it in pieces all the same.
+            for start in range(starts[i], stop, SLICE):
+                part = slice(start, min(start + SLICE, stop))
+                batch.extend(stream.channel, stream.time_ns[part], stream.encode(part))
+            starts[i] = stop
+        yield edge, batch

@@ -1,0 +1,92 @@
+"""Messages of an MCAP file and the topics that they belong to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import IntArray
+
+
+@dataclass
+class Topic:
+    """A channel of the file and what it carried.
+
+    Attributes
+    ----------
+    name : the topic.
+    schema : name of its schema; "" where there is none.
+    schema_encoding, schema_data : as the file has them.
+    encoding : of the messages (`cdr`, `protobuf`).
+    count : number of messages.
+    first_ns, last_ns : smallest and largest log time, ns.
+    """
+
+    name: str
+    schema: str
+    schema_encoding: str
+    schema_data: bytes
+    encoding: str
+    metadata: dict[str, str] = field(default_factory=dict)
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def note(self, log_ns: NDArray[np.uint64]) -> None:
+        """Count messages (n,), at least one."""
+        first, last = int(log_ns.min()), int(log_ns.max())
+        self.first_ns = min(self.first_ns, first) if self.count else first
+        self.last_ns = max(self.last_ns, last)
+        self.count += len(log_ns)
+
+
+class Message(NamedTuple):
+    """A message as it lies in the file."""
+
+    topic: Topic
+    log_ns: int
+    data: memoryview
+
+
+class Rows(NamedTuple):
+    """Messages of one topic in a run of the file's bytes, as columns (n,) in the file's order.
+
+    Attributes
+    ----------
+    log_ns : log times, ns.
+    block : the bytes; payloads stay where they lie in them.
+    start, stop : where each payload begins and ends.
+    """
+
+    log_ns: IntArray
+    block: bytes
+    start: IntArray
+    stop: IntArray
+
+
+class Run(NamedTuple):
+    """Messages of one chunk as columns, (n,) each, in the file's order.
+
+    `topic` numbers the list `topics`; `data` are copies.
+    """
+
+    topics: list[Topic]
+    topic: IntArray
+    sequence: IntArray
+    log_ns: IntArray
+    publish_ns: IntArray
+    data: list[bytes]
+
+    def part(self, rows: slice) -> Run:
+        """Some of the messages."""
+        return Run(
+            self.topics,
+            self.topic[rows],
+            self.sequence[rows],
+            self.log_ns[rows],
+            self.publish_ns[rows],
+            self.data[rows],
+        )

@@ -1,0 +1,55 @@
+"""Long columns cut into parts of time that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...recording import FloatArray, IntArray
+from ..recording.read import nanoseconds
+from .merge import END, SLICE
+
+
+class Axis(NamedTuple):
+    """Times of a stream: seconds (N,) in rising order after an origin, and log time less stamp, ns."""
+
+    t_s: FloatArray
+    origin_ns: int
+    shift_ns: int
+
+    def log_ns(self, rows: slice) -> IntArray:
+        """Log times of some rows, ns."""
+        return nanoseconds(self.t_s[rows], self.origin_ns) + self.shift_ns
+
+
+class Part(NamedTuple):
+    """A part of time: the log time that it ends before (ns), and the rows of each axis in it."""
+
+    until_ns: int
+    rows: list[slice]
+
+
+def parts_of_time(axes: Sequence[Axis], most: int = SLICE) -> Iterator[Part]:
+    """Cut streams where the densest of them has `most` rows; every row is in one part, one part at the least.
+
+    Rows that run back in time are in the part of those around them.
+    """
+    starts = [0] * len(axes)
+    while True:
+        ahead = [
+            axis.log_ns(slice(start, start + most + 1)) for axis, start in zip(axes, starts, strict=True)
+        ]
+        until = min((int(times[most]) for times in ahead if len(times) > most), default=END)
+        first = min((int(times[0]) for times in ahead if len(times)), default=END)
+        until = max(until, first + 1) if until != END else END  # on and on, also where times stand still
+        rows = []
+        for i, times in enumerate(ahead):
+            late = times >= until
+            count = int(np.argmax(late)) if late.any() and until != END else len(times)
+            rows.append(slice(starts[i], starts[i] + count))
+            starts[i] += count
+        yield Part(until, rows)
+        if until == END:
+            return

@@ -1,0 +1,122 @@
+"""Where the records of a chunk lie: by the index behind it where that is right, else record by record."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from ...recording import IntArray
+from ..wire.layout import cut_out
+
+#: Opcode and length that every record begins with.
+HEAD = struct.Struct("<BQ")
+#: A message record up to its payload.
+MESSAGE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<u8"),
+        ("publish", "<u8"),
+    ]
+)
+#: Length that a message without payload states.
+_SHORTEST = MESSAGE.itemsize - HEAD.size
+#: Channel and size in front of an index record's entries of time and place.
+_INDEX_HEAD = 6
+#: More stretches between messages than this are not looked into one by one.
+_MOST_GAPS = 64
+
+
+class Definition(NamedTuple):
+    """A schema or channel record: its opcode, and where it begins and ends."""
+
+    opcode: int
+    start: int
+    stop: int
+
+
+class Found(NamedTuple):
+    """What a chunk holds.
+
+    Attributes
+    ----------
+    place : (n,) where message records begin.
+    heads : (n,) what they begin with, `MESSAGE`.
+    definitions : schemas and channels, in order.
+    is_cut : the last record goes beyond the end.
+    """
+
+    place: IntArray
+    heads: NDArray
+    definitions: list[Definition]
+    is_cut: bool
+
+
+def find(block: bytes, index: Sequence[bytes]) -> Found:
+    """All messages, schemas and channels of a chunk.
+
+    Parameters
+    ----------
+    block : its records.
+    index : contents of the message index records behind it.
+    """
+    return _indexed(block, index) or _walked(block, 0, len(block))
+
+
+def _indexed(block: bytes, index: Sequence[bytes]) -> Found | None:
+    """The same by the index; None unless each record begins where the one before ends."""
+    try:
+        entries = [np.frombuffer(content, "<u8", offset=_INDEX_HEAD) for content in index]
+        place = np.sort(np.concatenate([each.reshape(-1, 2)[:, 1] for each in entries]))
+    except ValueError:  # no index, or not of whole entries
+        return None
+    if not len(place) or place[-1] > len(block) - MESSAGE.itemsize:
+        return None
+    place = place.astype(np.int64)
+    heads = _heads(block, place)
+    length = heads["length"]
+    if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _SHORTEST).any() or (length > len(block)).any():
+        return None
+    begin = np.append(place, len(block))
+    end = np.concatenate([np.zeros(1, np.int64), place + HEAD.size + length.astype(np.int64)])
+    gaps = np.flatnonzero(begin != end)
+    if len(gaps) > _MOST_GAPS or (end > begin).any():
+        return None
+    definitions: list[Definition] = []
+    for gap in gaps.tolist():
+        between = _walked(block, int(end[gap]), int(begin[gap]))
+        if between.is_cut or len(between.place):
+            return None
+        definitions += between.definitions
+    return Found(place, heads, definitions, False)
+
+
+def _walked(block: bytes, start: int, stop: int) -> Found:
+    places: list[int] = []
+    definitions: list[Definition] = []
+    is_cut, position = False, start
+    head, message, last, add = HEAD.unpack_from, int(Opcode.MESSAGE), stop - HEAD.size, places.append
+    while position <= last:
+        opcode, length = head(block, position)
+        end = position + HEAD.size + length
+        if end > stop:
+            is_cut = True
+            break
+        if opcode == message and length >= _SHORTEST:
+            add(position)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definitions.append(Definition(opcode, position + HEAD.size, end))
+        position = end
+    place = np.array(places, np.int64)
+    return Found(place, _heads(block, place), definitions, is_cut)
+
+
+def _heads(block: bytes, place: IntArray) -> NDArray:
+    return cut_out(block, place, MESSAGE.itemsize).reshape(-1).view(MESSAGE)

@@ -1,0 +1,169 @@
+"""Sound tracks: a WAV file, or an audio topic of an MCAP recording."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from ..mcap.container import Container
+from ..mcap.messages import Message, Topic
+from ..wire.schemas import message_class
+
+#: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
+JUMP_PART = 0.5
+_ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "audio_common_msgs/AudioStamped")
+
+
+@dataclass(frozen=True)
+class Track:
+    """A run of sound without a hole.
+
+    Attributes
+    ----------
+    samples : (N,) the loudest channel, full scale 1.
+    rate_hz : samples a second, as measured by the stamps where there are several.
+    start_s : time of the first sample: 0 for a WAV file, s on the recorder's clock for a topic.
+    source : file, and topic where there is one.
+    """
+
+    samples: FloatArray
+    rate_hz: float
+    start_s: float
+    source: str
+
+
+def read_sound(
+    path: str | os.PathLike[str], topic: str | None = None, ros_rate_hz: int = 16000
+) -> list[Track]:
+    """The tracks of a WAV file, or of the audio topic of an MCAP file.
+
+    Parameters
+    ----------
+    path : the file; anything that does not end in .mcap is read as WAV.
+    topic : the audio topic, where there are several.
+    ros_rate_hz : sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or holds no sound that can be.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".mcap":
+        return _from_mcap(path, topic, ros_rate_hz)
+    from scipy.io import wavfile
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # chunks that it does not know are of no concern
+            rate, data = wavfile.read(path)
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path} does not exist; check the name.") from error
+    except (ValueError, OSError, EOFError, IndexError, KeyError, struct.error) as error:
+        raise RecordingError(
+            f"{path} is not a WAV file that can be read ({' '.join(str(error).split())}); save it as"
+            " 16-bit PCM."
+        ) from error
+    if not len(data) or rate <= 0:
+        raise RecordingError(f"{path} holds no sound; record it again.")
+    return [Track(_loudest(_full_scale(data)), float(rate), 0.0, str(path))]
+
+
+def _full_scale(data: np.ndarray) -> FloatArray:
+    """Samples (N, channels) of any PCM type as floats between -1 and 1."""
+    values = data.reshape(len(data), -1).astype(np.float64)
+    if data.dtype == np.uint8:
+        return (values - 128.0) / 128.0
+    if np.issubdtype(data.dtype, np.integer):
+        return values / float(np.iinfo(data.dtype).max)
+    return np.nan_to_num(values)
+
+
+def _loudest(values: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(values[:, int(np.argmax(values.var(axis=0)))])
+
+
+def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int) -> list[Track]:
+    container = Container(path)
+    blocks: dict[int, list[tuple[float, FloatArray, float]]] = {}
+    for batch in container.batches(_is_audio):
+        for position, messages in batch.items():
+            blocks.setdefault(position, []).extend(_block(message, ros_rate_hz) for message in messages)
+    names = {position: container.topics[position].name for position in blocks}
+    chosen = [k for k, name in names.items() if wanted is None or wanted in name]
+    if len(chosen) != 1:
+        has = ", ".join(sorted(names.values())) or "none"
+        what = "has no audio topic that can be read" if not chosen else "has several audio topics"
+        raise RecordingError(
+            f"{path} {what} (foxglove.RawAudio, audio_common_msgs); found: {has}; name one with"
+            " --audio-topic, or"
+            " give a WAV file."
+        )
+    (position,) = chosen
+    return _tracks([block for block in blocks[position] if len(block[1])], f"{path}, {names[position]}")
+
+
+def _is_audio(topic: Topic) -> bool:
+    if topic.encoding == "protobuf":
+        return topic.schema == "foxglove.RawAudio"
+    return topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") in _ROS
+
+
+def _block(message: Message, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
+    """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
+    if message.topic.encoding == "protobuf":
+        audio = message_class("foxglove.RawAudio")()
+        audio.ParseFromString(bytes(message.data))
+        if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
+            raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
+        stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos
+        count = len(audio.data) // (2 * audio.number_of_channels)
+        data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
+        values = data.reshape(count, audio.number_of_channels) / 32767.0
+        return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
+    raw = bytes(message.data)
+    order = "<" if raw[1] else ">"
+    at, stamp = 4, 1e-9 * message.log_ns
+    if not message.topic.schema.endswith("AudioData"):  # std_msgs/Header in front
+        seconds, nanoseconds, length = np.frombuffer(raw, f"{order}u4", 3, at).tolist()
+        stamp = seconds + 1e-9 * nanoseconds or stamp
+        at += 12 + length + -length % 4
+    (size,) = np.frombuffer(raw, f"{order}u4", 1, at).tolist()
+    samples = np.frombuffer(raw, f"{order}i2", size // 2, at + 4) / 32767.0
+    return stamp, samples[:, None], float(ros_rate_hz)
+
+
+def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[Track]:
+    """Blocks put together to runs whose stamps keep step; a run's stamps are averaged to one start."""
+    tracks: list[Track] = []
+    first = 0
+    while first < len(blocks):
+        rate, last, count = blocks[first][2], first, 0
+        begin = blocks[first][0]
+        while last < len(blocks) and blocks[last][2] == rate:
+            length = len(blocks[last][1])
+            if abs(blocks[last][0] - begin - count / rate) > max(JUMP_PART * length / rate, 0.05):
+                break
+            count, last = count + length, last + 1
+        part = blocks[first:last]
+        starts = np.cumsum([0, *(len(block) for _, block, _ in part[:-1])])
+        stamps = np.array([stamp for stamp, _, _ in part])
+        offset = stamps - starts / rate
+        if len(part) >= 20:  # the sound card's crystal against the recorder's clock
+            slope, level = np.polyfit(starts / rate, offset, 1)
+            slope = slope if abs(slope) < 1e-3 else 0.0
+        else:
+            slope, level = 0.0, float(np.median(offset))
+        samples = _loudest(np.concatenate([block for _, block, _ in part]))
+        tracks.append(Track(samples, rate / (1 + slope), float(level), source))
+        first = last
+    if not tracks:
+        raise RecordingError(f"{source} holds no sound; record it again.")
+    return tracks

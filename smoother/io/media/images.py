@@ -1,0 +1,233 @@
+"""Images and lenses from an MCAP file: Foxglove's and ROS 2's messages."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ..mcap.container import Container
+from ..mcap.messages import Topic
+from ..wire.schemas import message_class
+
+IMAGES = {
+    "foxglove.RawImage",
+    "foxglove.CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+}
+LENSES = {"foxglove.CameraCalibration", "sensor_msgs/msg/CameraInfo"}
+#: Encodings of uncompressed images: numpy's type and channels.
+_ENCODINGS = {
+    "mono8": ("u1", 1),
+    "8UC1": ("u1", 1),
+    "mono16": ("u2", 1),
+    "16UC1": ("u2", 1),
+    "32FC1": ("f4", 1),
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "rgba8": ("u1", 4),
+    "bgra8": ("u1", 4),
+}
+
+
+@dataclass(frozen=True)
+class ImageMessage:
+    """An image of a recording, still packed.
+
+    Attributes
+    ----------
+    topic, frame_id : where it came from.
+    stamp_ns : its stamp; the log time where that is zero.
+    encoding : of the pixels; "" for a compressed image.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: int
+    encoding: str
+    _unpack: Callable[[], NDArray]
+
+    def pixels(self) -> NDArray:
+        """(height, width) or (height, width, 3 or 4) pixels; a colour image as its encoding orders it.
+
+        Raises
+        ------
+        RecordingError
+            The image is damaged, or its encoding is not known.
+        """
+        try:
+            return self._unpack()
+        except (ValueError, KeyError, struct.error, IndexError) as error:
+            raise RecordingError(
+                f"{self.topic}: the image at {self.stamp_ns / 1e9:.3f} s cannot be read ({error}); "
+                f"encodings read are {', '.join(_ENCODINGS)}, PNG and JPEG."
+            ) from error
+
+
+@dataclass(frozen=True)
+class LensMessage:
+    """A camera's intrinsics; distortion as OpenCV orders it, up to five terms."""
+
+    topic: str
+    frame_id: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+
+def read_images(
+    path: str | os.PathLike[str], wanted: Callable[[Topic], bool] = lambda topic: True
+) -> Iterator[ImageMessage | LensMessage]:
+    """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat.
+
+    Parameters
+    ----------
+    path : the file.
+    wanted : topics to look at; those of other schemas are passed over in any case.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    container = Container(path)
+
+    def taken(topic: Topic) -> bool:
+        return topic.schema in IMAGES | LENSES and wanted(topic)
+
+    for batch in container.batches(taken):
+        for position, messages in batch.items():
+            topic = container.topics[position]
+            for message in messages:
+                try:
+                    yield _decode(topic, bytes(message.data), message.log_ns)
+                except (ValueError, struct.error, IndexError):
+                    continue  # a damaged message says nothing of the others
+
+
+def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:
+    if topic.encoding == "protobuf":
+        return _foxglove(topic, message_class(topic.schema).FromString(data), log_ns)
+    return _ros(topic, _Cdr(data), log_ns)
+
+
+def _foxglove(topic: Topic, message: Any, log_ns: int) -> ImageMessage | LensMessage:
+    if topic.schema == "foxglove.CameraCalibration":
+        size = (message.width, message.height)
+        return _lens(topic, message.frame_id, *size, message.distortion_model, message.D, message.K)
+    stamp = message.timestamp.ToNanoseconds() or log_ns
+    if topic.schema == "foxglove.CompressedImage":
+        return ImageMessage(topic.name, message.frame_id, stamp, "", lambda: _uncompressed(message.data))
+    shape = (message.height, message.width, message.step)
+    return ImageMessage(
+        topic.name,
+        message.frame_id,
+        stamp,
+        message.encoding,
+        lambda: _raw(message.data, message.encoding, *shape, big=False),
+    )
+
+
+def _ros(topic: Topic, cdr: _Cdr, log_ns: int) -> ImageMessage | LensMessage:
+    seconds, nanoseconds = cdr.number("i"), cdr.number("I")
+    stamp = seconds * 1_000_000_000 + nanoseconds or log_ns
+    frame_id = cdr.text()
+    if topic.schema == "sensor_msgs/msg/CompressedImage":
+        cdr.text()
+        data = cdr.block()
+        return ImageMessage(topic.name, frame_id, stamp, "", lambda: _uncompressed(data))
+    height, width = cdr.number("I"), cdr.number("I")
+    if topic.schema == "sensor_msgs/msg/CameraInfo":
+        model = cdr.text()
+        distortion = cdr.doubles(cdr.number("I"))
+        return _lens(topic, frame_id, width, height, model, distortion, cdr.doubles(9))
+    encoding, big = cdr.text(), bool(cdr.number("B"))
+    step, data = cdr.number("I"), cdr.block()
+    return ImageMessage(
+        topic.name, frame_id, stamp, encoding, lambda: _raw(data, encoding, height, width, step, big)
+    )
+
+
+def _lens(
+    topic: Topic, frame_id: str, width: int, height: int, model: str, distortion: Any, K: Any
+) -> LensMessage:
+    """Eight terms of the rational model are cut to five where the last three are zero."""
+    terms = [float(x) for x in distortion]
+    if model not in ("plumb_bob", "rational_polynomial", "") or any(terms[5:]):
+        raise RecordingError(
+            f"{topic.name}: the distortion model {model or 'without a name'} with {len(terms)} terms is not "
+            "read; give the lens with --intrinsics."
+        )
+    if len(K) < 9 or K[0] <= 0 or K[4] <= 0:
+        raise ValueError("the camera is not calibrated")
+    return LensMessage(topic.name, frame_id, width, height, K[0], K[4], K[2], K[5], tuple(terms[:5]))
+
+
+def _raw(data: bytes, encoding: str, height: int, width: int, step: int, big: bool) -> NDArray:
+    kind, channels = _ENCODINGS[encoding]
+    dtype = np.dtype((">" if big else "<") + kind)
+    row = width * channels * dtype.itemsize
+    lines = np.frombuffer(data, np.uint8)[: height * (step or row)].reshape(height, step or row)[:, :row]
+    pixels = np.ascontiguousarray(lines).view(dtype).astype(dtype.newbyteorder("="))
+    return pixels if channels == 1 else pixels.reshape(height, width, channels)
+
+
+def _uncompressed(data: bytes) -> NDArray:
+    import cv2
+
+    # ROS' compressedDepth puts twelve bytes of its own before the PNG.
+    start = data.find(b"\x89PNG", 0, 64)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8)[max(start, 0) :], cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError("neither PNG nor JPEG")
+    return np.asarray(image)
+
+
+class _Cdr:
+    """Reads a CDR message value by value."""
+
+    def __init__(self, data: bytes):
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise ValueError("not plain CDR")
+        self._data, self._at = data, 4
+        self._order = "<" if data[1] else ">"
+
+    def number(self, kind: str) -> int:
+        """One integer of a `struct` kind."""
+        size = struct.calcsize(kind)
+        self._at += -(self._at - 4) % size
+        (value,) = struct.unpack_from(self._order + kind, self._data, self._at)
+        self._at += size
+        return int(value)
+
+    def doubles(self, count: int) -> tuple[float, ...]:
+        """So many doubles."""
+        if not count:
+            return ()
+        self._at += -(self._at - 4) % 8
+        values = struct.unpack_from(f"{self._order}{count}d", self._data, self._at)
+        self._at += 8 * count
+        return values
+
+    def block(self) -> bytes:
+        """A sequence of bytes."""
+        length = self.number("I")
+        self._at += length
+        if self._at > len(self._data):
+            raise ValueError("message is cut off")
+        return self._data[self._at - length : self._at]
+
+    def text(self) -> str:
+        """A string."""
+        return self.block().rstrip(b"\0").decode("utf-8", "replace")

@@ -1,0 +1,142 @@
+"""A session with the panel and motion capture from an MCAP file: images by pose, lens, and markers."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from calib.panel.definition import Intrinsics
+from calib.panel.images import View, view
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from ..mcap.container import Container
+from ..mcap.messages import Topic
+from ..wire.layout import Grouper
+from ..wire.schemas import message_class
+from .panel_session import read_pairs
+
+#: Markers within this time of a pose's images are averaged, s.
+ABOUT_S = 0.25
+_SCENE, _ARRAY = "foxglove.SceneUpdate", "visualization_msgs/MarkerArray"
+_NAMED = ("marker", "mocap")
+_BILLION = 1_000_000_000
+
+
+def read_panel_session(
+    path: str | os.PathLike[str], given: list[dict[str, FloatArray]], lens: Intrinsics | None
+) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
+    """Views of the panel, one a pose, with the mocap markers of their moment, and the lens.
+
+    Images that follow each other within a second belong to one pose, of which the middle one is taken.
+
+    Parameters
+    ----------
+    path : MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker)
+        or `visualization_msgs/MarkerArray` on a topic named `marker` or `mocap`, m.
+    given : markers by pose that take the place of the recording's; may be empty.
+    lens : takes the place of the recording's.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks images, markers or the lens.
+    """
+    path = Path(path)
+    pairs, found_lens = read_pairs(path)
+    lens = lens or found_lens
+    if lens is None:
+        raise RecordingError(
+            f"{path} holds no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
+        )
+    if given and len(given) != len(pairs):
+        raise RecordingError(
+            f"{path} shows {len(pairs)} poses of the panel and --markers is given {len(given)} times; give it"
+            " once a pose, in their order."
+        )
+    stamps = [depth.stamp_ns for depth, _ in pairs]
+    first = stamps[0]
+    views = [
+        view(depth.pixels(), infrared.pixels(), f"{path.name} at {(depth.stamp_ns - first) / 1e9:.2f} s")
+        for depth, infrared in pairs
+    ]
+    return views, given or _markers_at(path, stamps), lens
+
+
+def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
+    """Mean positions of the markers about every stamp."""
+    tracks: list[dict[str, list[FloatArray]]] = [{} for _ in stamps]
+    at = np.array(stamps)
+    any_marker = False
+    for stamp, name, position in _markers(path):
+        any_marker = True
+        nearest = int(np.argmin(np.abs(at - stamp)))
+        if abs(at[nearest] - stamp) <= ABOUT_S * _BILLION:
+            tracks[nearest].setdefault(name, []).append(position)
+    if not any_marker:
+        raise RecordingError(
+            f"{path} holds no mocap markers (SceneUpdate or MarkerArray on a topic named marker or mocap);"
+            " give --markers once a pose."
+        )
+    for stamp, track in zip(stamps, tracks, strict=True):
+        if not track:
+            raise RecordingError(
+                f"{path}: there are no mocap markers about the images at {(stamp - stamps[0]) / 1e9:.2f} s."
+            )
+    return [{name: np.mean(each, axis=0) for name, each in track.items()} for track in tracks]
+
+
+def _markers(path: Path) -> list[tuple[int, str, FloatArray]]:
+    """Stamp (ns), name and position (3,) m of every marker in the file."""
+    container = Container(path)
+    found: list[tuple[int, str, FloatArray]] = []
+    for batch in container.batches(_wanted):
+        for position, messages in batch.items():
+            topic = container.topics[position]
+            payloads = [bytes(message.data) for message in messages]
+            logs = [int(message.log_ns) for message in messages]
+            if topic.schema == _SCENE:
+                found += _scene_markers(payloads, logs)
+            else:
+                textured = b"texture_resource" in topic.schema_data or not topic.schema_data
+                found += _array_markers(payloads, logs, textured)
+    return found
+
+
+def _wanted(topic: Topic) -> bool:
+    schema = topic.schema.replace("/msg/", "/")
+    return schema in (_SCENE, _ARRAY) and any(word in topic.name.lower() for word in _NAMED)
+
+
+def _scene_markers(payloads: list[bytes], logs: list[int]) -> list[tuple[int, str, FloatArray]]:
+    rows = []
+    for payload, log in zip(payloads, logs, strict=True):
+        for entity in message_class(_SCENE).FromString(payload).entities:
+            stamp = entity.timestamp.ToNanoseconds() or log
+            for number, sphere in enumerate(entity.spheres):
+                name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"
+                place = sphere.pose.position
+                rows.append((stamp, name, np.array([place.x, place.y, place.z])))
+    return rows
+
+
+def _array_markers(
+    payloads: list[bytes], logs: list[int], textured: bool
+) -> list[tuple[int, str, FloatArray]]:
+    from ..wire.cdr import marker_array
+
+    rows = []
+    for index, block, layout in Grouper(partial(marker_array, textured=textured)).groups(payloads):
+        if not layout.counts["markers"]:
+            continue
+        seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
+        stamps = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+        names = layout.many(block, "id")[:, :, 0]
+        places = layout.many(block, "position").astype(float)
+        for row, message in enumerate(index.tolist()):
+            stamp = int(stamps[row]) or logs[message]
+            rows += [(stamp, str(n), p) for n, p in zip(names[row].tolist(), places[row], strict=True)]
+    return rows

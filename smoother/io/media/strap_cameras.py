@@ -1,0 +1,185 @@
+"""The cameras of a recording that the strap is looked for with: images, lenses, places."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.strap.strap_camera import Lens
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from ..mcap.container import Container
+from ..mcap.messages import Topic
+from ..wire.schemas import message_class
+from .images import ImageMessage, LensMessage, read_images
+
+_INFRARED = ("infrared", "/ir", "_ir", "amplitude")
+#: Child frame to its parent, R and t: p_parent = R p_child + t.
+Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
+
+
+@dataclass
+class StrapFound:
+    """What the images told, for figures and the report.
+
+    Attributes
+    ----------
+    t_s : (n,) times of the colour images looked at, s after the first.
+    position, sigma_m : (n, 3) of the sensor, m in {K}; nan where rejected.
+    along : (n,) part of the way from elbow to wrist.
+    reasons : (n,) "" where it was found.
+    """
+
+    t_s: FloatArray
+    position: FloatArray
+    sigma_m: FloatArray
+    along: FloatArray
+    reasons: list[str]
+    profiles: list[tuple[float, FloatArray]] = field(default_factory=list)
+    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
+    topics: tuple[str, str] = ("", "")
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often the strap was found, and rejected for which reason."""
+        return dict(Counter(reason or "found" for reason in self.reasons))
+
+
+def check_images(path: str | os.PathLike[str], colour: str | None = None, depth: str | None = None) -> None:
+    """Refuse a recording without colour or depth images before any work is done for it.
+
+    Raises
+    ------
+    RecordingError
+        One of them is missing.
+    """
+    cameras = Cameras(path, colour, depth, np.eye(3))
+    for _ in cameras.images():
+        if len(cameras.chosen) == 2:
+            return
+
+
+class Cameras:
+    """The colour and the depth camera of a file, found by what their topics carry."""
+
+    def __init__(
+        self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray
+    ):
+        self._path, self._asked, self._R_C_K = path, {"colour": colour, "depth": depth}, R_C_K
+        self._lenses: dict[str, LensMessage] = {}
+        self._transforms = _transforms(path)
+        self.chosen: dict[str, str] = {}
+        self.found = StrapFound(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), [])
+
+    def images(self) -> Iterator[tuple[str, ImageMessage]]:
+        """Yield ("colour" or "depth", image) in the file's order; nothing is unpacked yet."""
+        met: set[str] = set()
+        for message in read_images(self._path):
+            if isinstance(message, LensMessage):
+                self._lenses[message.frame_id] = self._lenses[message.topic.rpartition("/")[0]] = message
+                continue
+            met.add(message.topic)
+            for role, topic in self.chosen.items():
+                if topic == message.topic:
+                    yield role, message
+                    break
+            else:
+                role = self._role(message)
+                if role and role not in self.chosen:
+                    self.chosen[role] = message.topic
+                    yield role, message
+        missing = [role for role in ("colour", "depth") if role not in self.chosen]
+        if missing:
+            raise RecordingError(
+                f"{self._path} has no {' and no '.join(missing)} images that can be read; its images are"
+                f" {', '.join(sorted(met)) or 'none'}; record colour and depth (16UC1)."
+            )
+        self.found.topics = self.chosen["colour"], self.chosen["depth"]
+
+    def _role(self, message: ImageMessage) -> str:
+        """What a topic's images are, by their first one; "" for infrared and what was not asked for."""
+        is_depth = message.pixels().dtype != np.uint8
+        role = "depth" if is_depth else "colour"
+        asked = self._asked[role]
+        if asked is not None:
+            return role if asked in message.topic else ""
+        return "" if any(word in message.topic.lower() for word in _INFRARED) else role
+
+    def lens(self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage) -> Lens:
+        """The lens of an image with its place in {K}; {K} lies in the depth camera (`reference`)."""
+        own = self._lenses.get(image.frame_id) or self._lenses.get(self.chosen[role].rpartition("/")[0])
+        if own is None:
+            raise RecordingError(
+                f"{self._path}: there is no CameraCalibration (or CameraInfo) for the images of frame"
+                f" {image.frame_id!r}; record it."
+            )
+        height, width = shape[:2]
+        scale = width / own.width
+        if abs(height / own.height - scale) > 0.01:
+            raise RecordingError(
+                f"{self._path}: the intrinsics of frame {image.frame_id!r} are for {own.width} x {own.height}"
+                f" pixels, its images have {width} x {height}."
+            )
+        between = transform_between(self._transforms, reference.frame_id, image.frame_id)
+        if between is None:
+            self._note(f"no transform links {reference.frame_id} and {image.frame_id}: one place for both")
+        R, t = between or (np.eye(3), np.zeros(3))
+        numbers = (scale * own.fx, scale * own.fy, scale * own.cx, scale * own.cy)
+        bend = np.array(own.distortion, dtype=float)
+        return Lens(*numbers, width, height, bend, R @ self._R_C_K, t)
+
+    def _note(self, note: str) -> None:
+        if note not in self.found.notes:
+            self.found.notes.append(note)
+
+
+def _transforms(path: str | os.PathLike[str]) -> Transforms:
+    """The tree of frames of a file (Foxglove's transforms), as last stated."""
+
+    def wanted(topic: Topic) -> bool:
+        return topic.schema in ("foxglove.FrameTransforms", "foxglove.FrameTransform")
+
+    found: Transforms = {}
+    for batch in Container(path).batches(wanted):
+        for message in (m for messages in batch.values() for m in messages):
+            own = message_class(message.topic.schema)()
+            own.ParseFromString(bytes(message.data))
+            for each in own.transforms if hasattr(own, "transforms") else [own]:
+                q, t = each.rotation, each.translation
+                R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
+    return found
+
+
+def transform_between(
+    transforms: Transforms, source: str, target: str
+) -> tuple[FloatArray, FloatArray] | None:
+    """R and t with p_target = R p_source + t; None where the two frames do not hang together.
+
+    Parameters
+    ----------
+    transforms : child -> (parent, R, t) with p_parent = R p_child + t.
+    """
+
+    def to_root(frame: str) -> dict[str, tuple[FloatArray, FloatArray]]:
+        found, R, t = {frame: (np.eye(3), np.zeros(3))}, np.eye(3), np.zeros(3)
+        while frame in transforms and len(found) < 50:
+            parent, own, shift = transforms[frame]
+            R, t, frame = own @ R, own @ t + shift, parent
+            found[frame] = (R, t)
+        return found
+
+    here, there = to_root(source), to_root(target)
+    for frame, (R, t) in here.items():
+        if frame in there:
+            back, shift = there[frame]
+            return back.T @ R, back.T @ (t - shift)
+    return None

@@ -1,0 +1,78 @@
+"""Reception times of broadcasts: a table `round,node,t_s`."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+
+from calib.clock.links import Receptions
+
+from ...errors import RecordingError
+
+COLUMNS = ("round", "node", "t_s")
+#: Times that say "not received", in lower case.
+MISSED = ("", "nan", "na", "n/a", "none", "null", "-")
+
+
+def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Receptions:
+    """Read who received which broadcast when.
+
+    A node that missed a round has no row for it, or a time that is empty or one of `MISSED`.
+
+    Parameters
+    ----------
+    path : CSV with the columns round (any name), node, t_s (s on that node's clock).
+    resolution_s : step of the nodes' stamps, s.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, lacks a column, or a line of it is wrong; the message names the line.
+    """
+    path = Path(path)
+    rounds: dict[str, int] = {}
+    seen: dict[tuple[int, str], int] = {}
+    event, node, t = [], [], []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            rows = csv.DictReader(stream, skipinitialspace=True)
+            missing = [name for name in COLUMNS if name not in (rows.fieldnames or [])]
+            if missing:
+                raise RecordingError(
+                    f"{path} lacks the column {', '.join(missing)}; its first line must be round,node,t_s."
+                )
+            for row in rows:
+                line = rows.line_num
+                name, text = (row["node"] or "").strip(), (row["t_s"] or "").strip()
+                if text.lower() in MISSED and name:
+                    continue  # not received
+                try:
+                    time = float(text)
+                except ValueError:
+                    time = float("nan")
+                if not name or not np.isfinite(time) or not (row["round"] or "").strip():
+                    raise RecordingError(
+                        f"{path}, line {line}: round, node and a time in seconds are needed."
+                    )
+                number = rounds.setdefault(row["round"].strip(), len(rounds))
+                if (number, name) in seen:
+                    raise RecordingError(
+                        f"{path}, line {line}: {name} has a second time in round {row['round'].strip()}"
+                        f" (the first is in line {seen[number, name]}); keep the first reception of each"
+                        " round."
+                    )
+                seen[number, name] = line
+                event.append(number)
+                node.append(name)
+                t.append(time)
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path} does not exist; check the name.") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path} cannot be read as CSV: {error}.") from error
+    if len(set(node)) < 2:
+        raise RecordingError(f"{path} holds the times of {len(set(node))} node; two or more are needed.")
+    sigma = np.full(len(t), resolution_s / np.sqrt(12))  # stamps are rounded to their step
+    return Receptions(np.array(event, dtype=np.int64), node, np.array(t), sigma, f"broadcast {path.name}")

@@ -1,0 +1,327 @@
+"""Which IMU and which arm of a file belong together."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import JOINTS, FloatArray, IntArray, JointState
+from ...runtime.column import passes
+from ...runtime.store import Room
+from .bodies import join_bodies
+from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+
+_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
+_BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
+_TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
+#: Correlation that a pair must reach, and its lead over the next, to be taken by motion alone.
+_ENOUGH, _LEAD = 0.4, 0.1
+_MOTION_S = 0.3
+_LAG_S = 1.0
+_MOTION_FRAMES = 20_000
+#: Where no two joints tell a direction, the one seen most; of equals the first.
+_POINTS = ("wrist", "strap", "hand", "elbow")
+
+
+@dataclass
+class Choice:
+    """What is to be used of a file."""
+
+    imu: ImuSamples
+    arm: ArmFrames
+    side: str
+    base: ImuSamples | None = None
+    truth: PoseSamples | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def role(stream: ImuSamples) -> str:
+    """What a stream's names say it is on: "forearm", "upper_arm", "base" or ""."""
+    for words in (_words(stream.topic), _words(stream.frame_id)):
+        if "upper" in words:
+            return "upper_arm"
+        if any(word in words for word in _FOREARM_WORDS):
+            return "forearm"
+        if any(word in words for word in _BASE_WORDS):
+            return "base"
+    return ""
+
+
+def named_side(*names: str) -> str:
+    """The side that names speak of: "left", "right" or ""."""
+    for name in names:
+        words = _words(name)
+        left, right = "left" in words, "right" in words
+        if left != right:
+            return "left" if left else "right"
+    return ""
+
+
+def choose(
+    file: RecordingFile,
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+    room: Room | None = None,
+) -> Choice:
+    """Settle which IMU and arm are meant: by option, else by name, else by motion.
+
+    Raises
+    ------
+    RecordingError
+        Nothing fits, or more than one pair does; the message lists what the file has.
+    """
+    notes: list[str] = []
+    if body is None:
+        arms, notes = join_bodies(file.arms, room)
+        file = replace(file, arms=arms)
+    arms = _arms(file, skeleton, side, body)
+    imus = _imus(file, imu)
+    pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
+    if not pairs:
+        raise RecordingError(
+            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)}; "
+            "choose with --imu, --skeleton, --side or --body."
+        )
+    if prefer_side and not side:
+        preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
+        pairs = preferred or pairs
+    if len(pairs) > 1:
+        pair, why = _by_motion(file, pairs, room or Room())
+        notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")
+    else:
+        pair = pairs[0]
+        if len(file.imus) > 1 or len(file.arms) > 1:
+            notes.append(f"IMU {pair[0].topic} and skeleton {pair[1].label} were taken.")
+    chosen_side = _side(*pair) or side or ""
+    base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
+    truth, truth_notes = choose_truth(file, chosen_side)
+    return Choice(pair[0], pair[1], chosen_side, base, truth, notes + truth_notes)
+
+
+def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int | None) -> list[ArmFrames]:
+    if not file.arms and not file.frames_without_body:
+        raise RecordingError(
+            f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
+            f"it has {_topics(file)}; record the body tracking as well."
+        )
+    seen = [arm for arm in file.arms if arm.tracked]
+    if not seen:
+        frames = max((len(arm.stamp_ns) for arm in file.arms), default=file.frames_without_body)
+        raise RecordingError(
+            f"{file.path} has {frames} skeleton frames and no forearm joint is tracked in any of them; "
+            "record again with the arm in view of the camera for some seconds."
+        )
+    fitting = [
+        arm
+        for arm in seen
+        if (skeleton is None or _is_named(skeleton, arm.topic, arm.frame_id))
+        and (not side or arm.side in (side, ""))
+        and (body is None or arm.body == body)
+    ]
+    if not fitting:
+        asked = [
+            f"--{name} {value}"
+            for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
+            if value is not None
+        ]
+        raise RecordingError(
+            f"{file.path}: no tracked arm fits {' '.join(asked)}; it has "
+            f"{', '.join(arm.label for arm in seen)}."
+        )
+    return fitting
+
+
+def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
+    """The IMU of that name, of whatever limb, or the only one that there is.
+
+    Raises
+    ------
+    RecordingError
+        There is none, none of that name, or no name where there are several; the message lists them.
+    """
+    if name is None and len(file.imus) > 1:
+        listed = ", ".join(stream.topic for stream in file.imus)
+        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
+    if name is None and len(file.imus) == 1:
+        return file.imus[0]
+    return _imus(file, name)[0]
+
+
+def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
+    if not file.imus:
+        raise RecordingError(
+            f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {_topics(file)}; "
+            "record the wrist's IMU as well."
+        )
+    listed = ", ".join(stream.topic for stream in file.imus)
+    if name is not None:
+        exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
+        found = exact or [s for s in file.imus if _is_named(name, s.topic, s.frame_id)]
+        if len(found) != 1:
+            what = "more than one IMU fits" if found else "no IMU fits"
+            raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
+        return found
+    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm")]
+    if not candidates:
+        raise RecordingError(
+            f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
+        )
+    named = [s for s in candidates if role(s) == "forearm" or named_side(s.topic, s.frame_id)]
+    return named or candidates
+
+
+def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:
+    sides = {named_side(imu.topic, imu.frame_id), arm.side, side or ""} - {""}
+    return len(sides) <= 1
+
+
+def _side(imu: ImuSamples, arm: ArmFrames) -> str:
+    return arm.side or named_side(imu.topic, imu.frame_id)
+
+
+def _by_motion(
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], room: Room
+) -> tuple[tuple[ImuSamples, ArmFrames], str]:
+    scores = np.array([motion_agreement(imu, arm, room) for imu, arm in pairs])
+    order = np.argsort(-scores)
+    best, second = scores[order[0]], max(scores[order[1]], 0.0)
+    if best < _ENOUGH or best - second < _LEAD:
+        options = [("--imu", len({id(i) for i, _ in pairs}) > 1)]
+        options += [("--skeleton", len({a.topic for _, a in pairs}) > 1)]
+        options += [("--side", len({a.side for _, a in pairs}) > 1)]
+        options += [("--body", len({(a.topic, a.body) for _, a in pairs}) > 1)]
+        needed = " and ".join(name for name, is_needed in options if is_needed)
+        raise RecordingError(
+            f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
+            f"choose with {needed}."
+        )
+    return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
+
+
+def motion_agreement(imu: ImuSamples, arm: ArmFrames, room: Room | None = None) -> float:
+    """How well an IMU's turning agrees with what the camera sees of an arm.
+
+    The rotation over 0.3 s by the gyroscope is correlated with the turn of the elbow-to-wrist
+    direction over the same time (with the way of the point, where only one is tracked), at the
+    best of the time shifts within a second. Of a long recording the arm's first 20,000 frames are taken.
+
+    Parameters
+    ----------
+    imu, arm : as recorded.
+    room : where they lie; None = in memory.
+
+    Returns
+    -------
+    Correlation, -1 to 1; 0 where there is too little to compare.
+    """
+    at, moved = _arm_motion(arm, room or Room())
+    if len(at) < 20:
+        return 0.0
+    stamp, gyro = _gyro_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
+    if len(stamp) < 20:
+        return 0.0
+    zero = int(stamp[0])
+    t = (stamp - zero) / 1e9
+    steps = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None]
+    turned = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    begin = (at - zero) / 1e9
+    best = 0.0
+    for lag in np.arange(-_LAG_S, _LAG_S + 1e-9, 0.04):
+        start, stop = begin + lag, begin + lag + _MOTION_S
+        inside = (start >= t[0]) & (stop <= t[-1])
+        if inside.sum() < 20:
+            continue
+        turn = np.stack([np.interp(stop, t, c) - np.interp(start, t, c) for c in turned.T], axis=1)
+        angle = np.linalg.norm(turn, axis=1)[inside]
+        seen = moved[inside]
+        if angle.std() > 1e-6 and seen.std() > 1e-9:
+            best = max(best, float(np.corrcoef(angle, seen)[0, 1]))
+    return best
+
+
+def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
+    """Finite samples in the order of their stamps, up to the first after a time (all if stamps run back)."""
+    stamp, gyro = imu.stamp_ns, imu.gyro
+    if (stamp[1:] >= stamp[:-1]).all():
+        stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
+        stamp, gyro = stamp[:stop], gyro[:stop]
+    else:
+        order = np.argsort(stamp, kind="stable")
+        stamp, gyro = stamp[order], gyro[order]
+    finite = np.isfinite(gyro).all(axis=1)
+    return stamp[finite], gyro[finite]
+
+
+def _arm_motion(arm: ArmFrames, room: Room) -> tuple[FloatArray, FloatArray]:
+    """Start times (ns) of spans of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
+    tracked = arm.state == JointState.TRACKED
+    for part in passes(len(tracked), room):
+        tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
+    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+    both = tracked[:, elbow] & tracked[:, wrist]
+    is_pair = bool(both.sum() >= 20)
+    point = max((JOINTS.index(joint) for joint in _POINTS), key=lambda index: tracked[:, index].sum())
+    rows = np.flatnonzero(both if is_pair else tracked[:, point])
+    rows = rows[np.argsort(arm.stamp_ns[rows], kind="stable")[:_MOTION_FRAMES]]
+    stamp, seen = arm.stamp_ns[rows], arm.position[rows]
+    along = seen[:, point]
+    if is_pair:
+        along = seen[:, wrist] - seen[:, elbow]
+        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+    if len(stamp) < 2:
+        return np.empty(0), np.empty(0)
+    later = np.searchsorted(stamp, stamp + int(_MOTION_S * 1e9))
+    usable = later < len(stamp)
+    later = np.minimum(later, len(stamp) - 1)
+    span = (stamp[later] - stamp) / 1e9
+    usable &= span < 1.5 * _MOTION_S
+    moved = np.linalg.norm(along[later] - along, axis=1) * _MOTION_S / np.maximum(span, 1e-6)
+    return stamp[usable].astype(float), moved[usable]
+
+
+def choose_truth(file: RecordingFile, side: str) -> tuple[PoseSamples | None, list[str]]:
+    """The poses that are the truth of an arm, or None and why."""
+
+    def other_side(name: str) -> bool:
+        return bool(side) and named_side(name) not in ("", side)
+
+    poses = [poses for poses in file.poses if not other_side(poses.topic)]
+    if len(poses) > 1:
+        named = [p for p in poses if any(word in _words(p.topic) for word in _TRUTH_WORDS)]
+        sided = [p for p in named if named_side(p.topic) == side]
+        poses = sided if len(sided) == 1 else named
+        if len(poses) != 1:
+            return None, [
+                f"Of the poses {', '.join(p.topic for p in file.poses)} none is named as this arm's truth; "
+                "none was taken."
+            ]
+    return (poses[0], []) if poses else (None, [])
+
+
+def _is_named(asked: str, topic: str, frame_id: str) -> bool:
+    return asked.strip("/").lower() in topic.lower() or asked == frame_id
+
+
+def _words(name: str) -> str:
+    """Lower case with the parts of CamelCase apart."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+def _listing(file: RecordingFile) -> str:
+    imus = ", ".join(stream.topic for stream in file.imus)
+    arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
+    return f"IMU {imus} and skeleton {arms}"
+
+
+def _topics(file: RecordingFile) -> str:
+    listed = [f"{topic.name} ({topic.schema or 'no schema'})" for topic in file.topics if topic.count]
+    if len(listed) > 8:
+        listed = [*listed[:8], f"and {len(listed) - 8} more"]
+    return ", ".join(listed) if listed else "no messages"

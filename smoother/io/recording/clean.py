@@ -1,0 +1,228 @@
+"""Samples that cannot be used, and units that cannot be: one place for all readers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ...runtime.column import passes, sampled
+from ...runtime.store import Room
+from .streams import ArmFrames, ImuSamples, PoseSamples
+
+#: A stream that loses more of its samples than this is refused.
+_LIMIT = 0.05
+_GRAVITY = 9.80665
+#: 2000 deg/s is the widest range of common gyroscopes: 35 rad/s.
+_GYRO_LIMIT = 35.0
+#: Median rest |acc| to the unit that it looks like.
+_ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
+
+
+def increasing(stamp_ns: IntArray) -> BoolArray:
+    """Samples (N,) to keep so that stamps increase strictly.
+
+    A stamp that jumps back makes the later sample the wrong one, a stamp that jumps ahead the
+    earlier: whichever reading drops fewer samples is taken.
+    """
+    if (stamp_ns[1:] > stamp_ns[:-1]).all():
+        return np.ones(len(stamp_ns), bool)
+    after_all = np.ones(len(stamp_ns), bool)
+    after_all[1:] = stamp_ns[1:] > np.maximum.accumulate(stamp_ns)[:-1]
+    before_all = np.ones(len(stamp_ns), bool)
+    before_all[:-1] = stamp_ns[:-1] < np.minimum.accumulate(stamp_ns[::-1])[::-1][1:]
+    return after_all if after_all.sum() >= before_all.sum() else before_all
+
+
+def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tuple[ImuSamples, list[str]]:
+    """Drop what cannot be used of an IMU, and check its units.
+
+    Nothing is copied where nothing is dropped.
+
+    Parameters
+    ----------
+    stream : samples as recorded.
+    source : the file, for messages.
+    room : where what is kept is to lie; None = in memory.
+
+    Returns
+    -------
+    The stream with finite samples and increasing stamps, and what was dropped as sentences.
+
+    Raises
+    ------
+    RecordingError
+        More than 5 % of the samples would be dropped, or a unit cannot be.
+    """
+    room = room or Room()
+    finite = _finite(stream.acc, room) & _finite(stream.gyro, room)
+    keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
+    kept = replace(
+        stream,
+        stamp_ns=_kept(stream.stamp_ns, keep, room),
+        acc=_kept(stream.acc, keep, room),
+        gyro=_kept(stream.gyro, keep, room),
+        mag=None if stream.mag is None else _kept(stream.mag, keep, room),
+    )
+    if len(kept.stamp_ns) < 2:
+        raise RecordingError(
+            f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
+        )
+    _check_units(kept, source, room)
+    return kept, notes
+
+
+def clean_arm(arm: ArmFrames, source: str, room: Room | None = None) -> tuple[ArmFrames, list[str]]:
+    """Drop frames with repeated or backward stamps, and tracked joints without a position.
+
+    Parameters, returns, raises : as `clean_imu`.
+    """
+    room = room or Room()
+    keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), arm.label, source, "frames")
+    position, state = _kept(arm.position, keep, room), arm.state[keep]
+    claimed = state != JointState.NOT_TRACKED
+    there = np.empty(claimed.shape, bool)
+    for part in passes(len(position), room):
+        there[part] = np.isfinite(position[part]).all(axis=2)
+    broken = claimed & ~there
+    if broken.any():
+        if broken.sum() > _LIMIT * claimed.sum():
+            raise RecordingError(
+                f"{source}: {broken.sum()} of {claimed.sum()} joint positions of {arm.label} are not "
+                "numbers, which is too many to drop; check the recorder."
+            )
+        notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
+        state[broken] = JointState.NOT_TRACKED
+    position = _without(position, state == JointState.NOT_TRACKED, room)
+    _check_metres(position, state, arm.label, source, room)
+    return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, room), position=position, state=state), notes
+
+
+def clean_poses(poses: PoseSamples, room: Room | None = None) -> tuple[PoseSamples, list[str]]:
+    """Drop poses with repeated or backward stamps; those that are not finite stay as nan."""
+    room = room or Room()
+    keep = increasing(poses.stamp_ns)
+    dropped = int((~keep).sum())
+    notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
+    score = None if poses.score is None else poses.score[keep]
+    position, quaternion = _kept(poses.position, keep, room), _kept(poses.quaternion, keep, room)
+    turned = np.empty(len(quaternion), bool)
+    for part in passes(len(quaternion), room):
+        length = np.linalg.norm(quaternion[part], axis=1)
+        turned[part] = np.isfinite(length) & (length > 0.5)
+    return (
+        replace(
+            poses,
+            stamp_ns=_kept(poses.stamp_ns, keep, room),
+            position=_without(position, ~_finite(position, room), room),
+            quaternion=_without(quaternion, ~turned, room),
+            score=score,
+            joints={name: _kept(values, keep, room) for name, values in poses.joints.items()},
+        ),
+        notes,
+    )
+
+
+def _finite(values: FloatArray, room: Room) -> BoolArray:
+    """Rows (N,) of finite numbers."""
+    finite = np.empty(len(values), bool)
+    for part in passes(len(values), room):
+        finite[part] = np.isfinite(values[part]).all(axis=1)
+    return finite
+
+
+def _kept(values: NDArray, keep: BoolArray, room: Room) -> NDArray:
+    """The rows to keep; the same array where that is all."""
+    count = int(keep.sum())
+    if count == len(values):
+        return values
+    kept, filled = room.array((count, *values.shape[1:]), 0, values.dtype), 0
+    for part in passes(len(values), room):
+        rows = values[part][keep[part]]
+        kept[filled : filled + len(rows)] = rows
+        filled += len(rows)
+    return kept
+
+
+def _without(values: FloatArray, gone: BoolArray, room: Room) -> FloatArray:
+    """A copy with nan where values are to go; the same array where they are nan already."""
+    if all(np.isnan(values[part][gone[part]]).all() for part in passes(len(values), room)):
+        return values
+    out = room.array(values.shape, 0.0)
+    for part in passes(len(values), room):
+        out[part] = values[part]
+        out[part][gone[part]] = np.nan
+    return out
+
+
+def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str, room: Room) -> None:
+    """Judged by an even sub-sample of a long recording's frames."""
+    tracked = sampled(state, room) == JointState.TRACKED
+    if not tracked.any():
+        return
+    far = float(np.median(np.linalg.norm(sampled(position, room)[tracked], axis=1)))
+    if far > 100:
+        raise RecordingError(
+            f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
+            "millimetres; convert them to metres (position_unit in a recording.toml)."
+        )
+
+
+def _keep(
+    stamp_ns: IntArray, finite: BoolArray, topic: str, source: str, what: str
+) -> tuple[NDArray[np.bool_], list[str]]:
+    if finite.all():
+        keep = increasing(stamp_ns)
+    else:
+        keep = finite.copy()
+        keep[finite] = increasing(stamp_ns[finite])
+    dropped, total = int((~keep).sum()), len(keep)
+    if not dropped:
+        return keep, []
+    not_numbers = int((~finite).sum())
+    causes = []
+    if not_numbers:
+        causes.append(f"{not_numbers} not finite")
+    if dropped > not_numbers:
+        causes.append(f"{dropped - not_numbers} with repeated or backward stamps")
+    if dropped > _LIMIT * total:
+        raise RecordingError(
+            f"{source}: {dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
+            "which is too many to drop; check the recorder."
+        )
+    return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
+
+
+def _check_units(stream: ImuSamples, source: str, room: Room) -> None:
+    # A long recording is judged by an even sub-sample.
+    rate = np.linalg.norm(sampled(stream.gyro, room), axis=1)
+    fast = float(np.percentile(rate, 99))
+    if fast > _GYRO_LIMIT:
+        raise RecordingError(
+            f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s and "
+            "looks like deg/s; convert it to rad/s (gyroscope_unit in a recording.toml)."
+        )
+    # The quietest fifth, whatever the gyroscope's unit and offset are.
+    quiet = rate <= np.percentile(rate, 20)
+    rest = float(np.median(np.linalg.norm(sampled(stream.acc, room)[quiet], axis=1)))
+    if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
+        return
+    for low, high, unit in _ACC_UNITS:
+        if low < rest < high:
+            raise RecordingError(
+                f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81, "
+                f"which looks like {unit}; convert it to m/s^2 (accelerometer_unit in a recording.toml)."
+            )
+    why = "gravity seems to have been taken out" if rest < 0.7 else "the unit is not known"
+    raise RecordingError(
+        f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2 "
+        f"({why}); record the raw specific force in m/s^2."
+    )
+
+
+def joint_counts(arm: ArmFrames) -> dict[str, int]:
+    """Tracked frames by joint."""
+    return {joint: int((arm.state[:, i] == JointState.TRACKED).sum()) for i, joint in enumerate(JOINTS)}

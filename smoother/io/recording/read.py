@@ -1,0 +1,289 @@
+"""A recording from an MCAP file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Collection
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
+from ...runtime.column import passes
+from ...runtime.store import Room
+from ..mcap.container import Container
+from ..mcap.messages import Topic
+from .choose import choose
+from .clean import clean_arm, clean_imu, clean_poses
+from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
+from .joining import TRUTH_PREFIX, join_field, join_truth_joints
+from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
+from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+
+#: Topics that a result adds; a recording is read without them.
+RESULT_PREFIX = "/unocclude/"
+METADATA = "unocclude.recording"
+_SECOND = 1_000_000_000
+#: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
+_SMALL_NS = 1_000_000 * _SECOND
+
+#: After so many bytes of messages what was gathered may leave the memory.
+_HELD_BYTES = 1 << 22
+
+AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
+
+
+def open_recording(
+    path: str | os.PathLike[str],
+    *,
+    only: Collection[str] = (),
+    room: Room | None = None,
+    truth: bool = True,
+) -> RecordingFile:
+    """Read all streams of an MCAP file that a recording can be made of.
+
+    Streams are found by schema. Images are passed over. A file that was cut off gives what it has.
+
+    Parameters
+    ----------
+    path : the file.
+    only : topics: read on only until they and an IMU were met, for what holds from the first message on.
+    room : where the samples are to lie; None = in memory.
+    truth : False passes over poses and joints of a reference.
+
+    Returns
+    -------
+    All streams with their samples as recorded, and the list of topics.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, empty or not MCAP.
+    """
+    room = room or Room()
+    container = Container(path)
+    decoders: dict[int, AnyDecoder | None] = {}
+    by_topic: dict[int, AnyDecoder | None] = {}
+
+    def wanted(topic: Topic) -> bool:
+        if id(topic) not in by_topic:
+            by_topic[id(topic)] = _decoder(topic, room, truth)
+        return by_topic[id(topic)] is not None
+
+    held = 0
+    for batch in container.rows(wanted):
+        for position, rows in batch.items():
+            if position not in decoders:
+                decoders[position] = by_topic[id(container.topics[position])]
+            decoder = decoders[position]
+            if decoder is not None:
+                decoder.feed(rows)
+                held += int((rows.stop - rows.start).sum())
+        if held > _HELD_BYTES:
+            room.tidy()
+            held = 0
+        if only and _met(only, [container.topics[position] for position in decoders], by_topic):
+            break
+
+    file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
+    file.topics = [
+        TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
+    ]
+    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], room)
+    _take_metadata(file)
+    return file
+
+
+def _decoder(topic: Topic, room: Room, truth: bool) -> AnyDecoder | None:
+    """What decodes a topic; None where it is not wanted."""
+    if topic.name.startswith(RESULT_PREFIX):
+        return None
+    decoder = plain_decoder(topic, room) or skeleton_decoder(topic, room)
+    is_reference = isinstance(decoder, PoseDecoder) or (
+        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SkeletonDecoder | MarkerDecoder)
+    )
+    return None if is_reference and not truth else decoder
+
+
+def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
+    """Whether these and an IMU are among the topics that had messages."""
+    is_imu = any(isinstance(decoder[id(topic)], ImuDecoder) for topic in topics)
+    return is_imu and set(only) <= {topic.name for topic in topics}
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+    room: Room | None = None,
+    truth: bool = True,
+) -> Recording:
+    """Read one arm and the IMU on it from an MCAP file.
+
+    Parameters
+    ----------
+    path : the file.
+    imu, skeleton : topic (or a part of it, or its frame_id) to take.
+    side : "left" or "right".
+    body : the camera's number of the body.
+    prefer_side : side to take where the file leaves it open (a calibration's).
+    room : where samples and frames are to lie: memory stays flat with an `io.disk_room.DiskRoom`. None = in
+        memory.
+    truth : False passes over the reference motion; the recording has none.
+
+    Returns
+    -------
+    The recording; `notes` say what was dropped and what was chosen.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read or used as it is, or leaves open what is meant.
+    """
+    file = open_recording(path, room=room, truth=truth)
+    return select_recording(
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+    )
+
+
+def select_recording(
+    file: RecordingFile,
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+    room: Room | None = None,
+) -> Recording:
+    """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
+    room = room or Room()
+    choice = choose(
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+    )
+    source = str(file.path)
+    notes = [*file.notes, *choice.notes]
+    forearm, dropped = clean_imu(choice.imu, source, room)
+    arm, arm_dropped = clean_arm(choice.arm, source, room)
+    notes += dropped + arm_dropped
+    _check_overlap(forearm, arm, source)
+    base, truth = None, None
+    if choice.base is not None:
+        base, dropped = clean_imu(choice.base, source, room)
+        notes += dropped
+    if choice.truth is not None:
+        truth, dropped = clean_poses(choice.truth, room)
+        notes += dropped
+    first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
+    origin = min(first) // _SECOND * _SECOND
+    origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
+    recording = Recording(
+        imu=_imu_stream(forearm, origin, room),
+        arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, room), arm.position, arm.state),
+        side=choice.side,
+        camera_frame=file.camera_frame or arm.camera_frame,
+        gravity_hint=file.gravity_hint,
+        base_imu=None if base is None else _imu_stream(base, origin, room),
+        truth=None if truth is None else _truth(truth, origin, room),
+        origin_ns=origin,
+        name=file.name,
+        notes=tuple(notes),
+    )
+    room.tidy()
+    return recording
+
+
+def seconds(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
+    """Stamps (N,) in ns to seconds after an origin; `nanoseconds` gives the same stamps back."""
+    return (stamp_ns - origin_ns) / 1e9
+
+
+def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
+    """Seconds (N,) after an origin to stamps in ns."""
+    return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
+
+
+def _seconds(stamp_ns: IntArray, origin_ns: int, room: Room) -> FloatArray:
+    t_s = room.array((len(stamp_ns),), 0.0)
+    for part in passes(len(stamp_ns), room):
+        t_s[part] = seconds(stamp_ns[part], origin_ns)
+    return t_s
+
+
+def _gather(file: RecordingFile, decoders: list[AnyDecoder], room: Room) -> None:
+    fields: list[FieldSamples] = []
+    for decoder in decoders:
+        if decoder.grouper.broken:
+            file.notes.append(
+                f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
+            )
+        if isinstance(decoder, SkeletonDecoder | MarkerDecoder):
+            arms = decoder.arms()
+            file.arms += arms
+            if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):
+                file.frames_without_body += decoder.topic.count
+            continue
+        stream = decoder.stream()
+        if isinstance(stream, ImuSamples):
+            file.imus.append(stream)
+        elif isinstance(stream, PoseSamples):
+            file.poses.append(stream)
+        elif isinstance(stream, FieldSamples):
+            fields.append(stream)
+    join_truth_joints(file, room)
+    for field in fields:
+        join_field(file, field, room)
+
+
+def _take_metadata(file: RecordingFile) -> None:
+    record = file.metadata.get(METADATA, {})
+    try:
+        if record.get("camera_frame"):
+            file.camera_frame = CameraFrame(record["camera_frame"])
+        if record.get("gravity"):
+            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
+            file.gravity_hint = gravity / np.linalg.norm(gravity)
+        file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
+        scores = json.loads(record.get("truth_score", "{}"))
+        for poses in file.poses:
+            if poses.topic in scores:
+                poses.score = np.zeros(len(poses.stamp_ns), bool)
+                for start, stop in scores[poses.topic]:
+                    poses.score[start:stop] = True
+    except (ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
+        ) from error
+
+
+def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
+    first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
+    last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
+    if last > first:
+        return
+    apart = (first - last) / 1e9
+    raise RecordingError(
+        f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
+        f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
+        "clocks that agree to a second."
+    )
+
+
+def _span(stamp_ns: IntArray) -> str:
+    return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
+
+
+def _imu_stream(stream: ImuSamples, origin: int, room: Room) -> ImuStream:
+    t_s = _seconds(stream.stamp_ns, origin, room)
+    return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
+
+
+def _truth(poses: PoseSamples, origin: int, room: Room) -> Truth:
+    score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
+    t_s = _seconds(poses.stamp_ns, origin, room)
+    return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

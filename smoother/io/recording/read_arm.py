@@ -1,0 +1,75 @@
+"""A recording together with the calibration of its arm."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from .read import read_recording
+
+if TYPE_CHECKING:
+    from ...calibration import ArmCalibration
+    from ...recording import Recording
+    from ...runtime.store import Room
+
+#: Tables of a calibration file that concern sensors, not an arm.
+_OF_SENSORS = {"imu", "camera_from_base"}
+
+
+def read_arm(
+    path: str | os.PathLike[str],
+    calibration_file: str | os.PathLike[str] | None = None,
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    room: Room | None = None,
+    truth: bool = True,
+) -> tuple[Recording, ArmCalibration | None]:
+    """Read a recording, corrected by what a calibration file knows of its sensors.
+
+    Where the recording leaves the side open, a calibration of one arm settles it.
+
+    Parameters
+    ----------
+    path : the recording, MCAP.
+    calibration_file : TOML; None where everything is to be found.
+    imu, skeleton, side, body : what to take where the recording has several, see `read_recording`.
+    room, truth : where samples lie, and whether the reference motion is read: see there as well.
+
+    Returns
+    -------
+    The recording, and the calibration of its arm: None without a file, or where it holds sensors alone.
+
+    Raises
+    ------
+    RecordingError, CalibrationError
+        A file cannot be used, or the two do not fit.
+    """
+    if calibration_file is None:
+        return (
+            read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, room=room, truth=truth),
+            None,
+        )
+    from calib.file import read_calibration
+    from calib.imu.correction import corrected
+    from calib.world.gravity_from_base import with_gravity
+
+    calibration = read_calibration(calibration_file)
+    sides = [name for name in calibration.arms if name != "any"]
+    prefer = sides[0] if len(sides) == 1 else None
+    recording = read_recording(
+        path,
+        imu=imu,
+        skeleton=skeleton,
+        side=side,
+        body=body,
+        prefer_side=prefer,
+        room=room,
+        truth=truth,
+    )
+    recording = with_gravity(corrected(recording, calibration, room), calibration, room)
+    if not calibration.arms and _OF_SENSORS & set(calibration.tables):
+        return recording, None
+    return recording, calibration.arm(recording.side)

@@ -1,0 +1,156 @@
+"""What a file holds, before it is decided what to use: streams with the stamps as recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import FOREARM_JOINTS, JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, JointState
+
+_FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+
+
+@dataclass
+class ImuSamples:
+    """One inertial sensor.
+
+    Attributes
+    ----------
+    topic, frame_id : where it came from.
+    stamp_ns : (N,) ns, as recorded.
+    acc, gyro : (N, 3) m/s^2 and rad/s.
+    mag : (N, 3) in the sensor's unit, or None.
+    log_shift_ns : median of log time minus stamp.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: IntArray
+    acc: FloatArray
+    gyro: FloatArray
+    mag: FloatArray | None = None
+    log_shift_ns: int = 0
+
+
+@dataclass
+class FieldSamples:
+    """A magnetometer that publishes by itself; (N, 3) in its own unit."""
+
+    topic: str
+    frame_id: str
+    stamp_ns: IntArray
+    mag: FloatArray
+
+
+@dataclass
+class ArmFrames:
+    """One arm of one body as a camera saw it.
+
+    Attributes
+    ----------
+    topic, frame_id, body, side : what it is; side is "left", "right" or "".
+    stamp_ns : (F,) ns, as recorded.
+    position : (F, 5, 3) m, joints in the order of `JOINTS`; nan where there is none.
+    state : (F, 5) `JointState` values.
+    camera_frame : convention of the axes where the message type settles it.
+    """
+
+    topic: str
+    frame_id: str
+    body: int
+    side: str
+    stamp_ns: IntArray
+    position: FloatArray
+    state: NDArray[np.int8]
+    camera_frame: CameraFrame | None = None
+
+    @property
+    def label(self) -> str:
+        """For messages: topic, body and side."""
+        return f"{self.topic} (body {self.body}{', ' + self.side if self.side else ''})"
+
+    @property
+    def tracked(self) -> int:
+        """Number of frames with a tracked forearm joint."""
+        return int((self.state[:, _FOREARM] == JointState.TRACKED).any(axis=1).sum())
+
+
+@dataclass
+class PoseSamples:
+    """Poses of something in a frame: the truth, or a candidate for it.
+
+    Attributes
+    ----------
+    topic, frame_id : where it came from.
+    stamp_ns : (M,) ns.
+    position : (M, 3) m.
+    quaternion : (M, 4) qw, qx, qy, qz.
+    score : (M,) samples to score on, or None for all.
+    joints : further reference positions (M, 3) by joint.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: IntArray
+    position: FloatArray
+    quaternion: FloatArray
+    score: BoolArray | None = None
+    joints: dict[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """A topic as `info` lists it; times are log times, ns."""
+
+    name: str
+    schema: str
+    encoding: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+    @property
+    def duration_s(self) -> float:
+        """First to last message, s."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate; nan for fewer than two messages."""
+        return (self.count - 1) / self.duration_s if self.duration_s > 0 else float("nan")
+
+
+@dataclass
+class RecordingFile:
+    """All that a file (or a folder of plain files) holds, by kind.
+
+    Attributes
+    ----------
+    path : the file or folder.
+    topics : every topic, those that are not used included.
+    imus, arms, poses : streams found, samples as recorded (not cleaned).
+    camera_frame : convention of the camera's axes where the file states it.
+    gravity_hint : (3,) unit vector of down in {K}, or None.
+    notes : what was wrong with the file, and what it says of itself.
+    metadata : its metadata records, by name.
+    frames_without_body : skeleton messages were there, and none had a joint of an arm.
+    """
+
+    path: Path
+    topics: list[TopicInfo] = field(default_factory=list)
+    imus: list[ImuSamples] = field(default_factory=list)
+    arms: list[ArmFrames] = field(default_factory=list)
+    poses: list[PoseSamples] = field(default_factory=list)
+    camera_frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
+    notes: list[str] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    frames_without_body: int = 0
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.path.name

@@ -1,0 +1,208 @@
+"""A recording to an MCAP file, in Foxglove's and our own protobuf messages."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import JOINTS, IntArray, JointState, Recording
+from ...runtime.atomic import writing
+from ..mcap.merge import Encoded, Outgoing, Output
+from ..wire import protobuf_encode as wire
+from .read import METADATA, nanoseconds
+from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+
+CAMERA = "camera"
+
+
+def write_recording(
+    recording: Recording | Sequence[Recording] | RecordingFile,
+    path: str | os.PathLike[str],
+    *,
+    force: bool = False,
+) -> None:
+    """Write a recording, or several arms of one session, to an MCAP file.
+
+    `read_recording` gives it back: times to the nanosecond, values as they were.
+
+    Parameters
+    ----------
+    recording : one arm, several arms (of one camera), or all that a file held.
+    path : the file to write.
+    force : overwrite a file that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists and `force` is not given, or it cannot be written.
+    """
+    file = recording if isinstance(recording, RecordingFile) else as_file(recording)
+    metadata = {"notes": json.dumps(file.notes), "name": file.name}
+    if file.camera_frame is not None:
+        metadata["camera_frame"] = str(file.camera_frame)
+    if file.gravity_hint is not None:
+        metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
+    scores = {poses.topic: _runs(poses.score) for poses in file.poses if poses.score is not None}
+    if scores:
+        metadata["truth_score"] = json.dumps(scores)
+    with writing(path, force) as temporary, Output(temporary) as output:
+        output.metadata(METADATA, metadata)
+        outgoing = []
+        for imu in file.imus:
+            outgoing.append(imu_messages(output, imu))
+        for arm in file.arms:
+            outgoing.append(arm_messages(output, arm))
+        for poses in file.poses:
+            outgoing += _poses(output, poses)
+        output.write(outgoing)
+
+
+def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
+    """The streams of recordings under the topics that they are written to."""
+    from pathlib import Path
+
+    recordings = [recording] if isinstance(recording, Recording) else list(recording)
+    first = recordings[0]
+    file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
+    taken: set[str] = set()
+    sides: set[tuple[int, str]] = set()
+    for one in recordings:
+        file.notes += [note for note in one.notes if note not in file.notes]
+        topic = _free(imu_topic(one.imu.name, one.side), taken)
+        file.imus.append(
+            ImuSamples(
+                topic,
+                topic.rpartition("/")[2],
+                nanoseconds(one.imu.t_s, one.origin_ns),
+                one.imu.acc,
+                one.imu.gyro,
+                one.imu.mag,
+            )
+        )
+        if one.base_imu is not None and "/imu/base" not in taken:
+            taken.add("/imu/base")
+            base = one.base_imu
+            stamp = nanoseconds(base.t_s, one.origin_ns)
+            file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
+        body = 0
+        while (body, one.side) in sides:
+            body += 1
+        sides.add((body, one.side))
+        stamp = nanoseconds(one.arm.t_s, one.origin_ns)
+        file.arms.append(
+            ArmFrames("/skeleton", CAMERA, body, one.side, stamp, one.arm.position, one.arm.state)
+        )
+        if one.truth is not None:
+            suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
+            truth = one.truth
+            stamp = nanoseconds(truth.t_s, one.origin_ns)
+            score = None if truth.score.all() else truth.score
+            topic = _free(f"/truth{suffix}", taken)
+            file.poses.append(
+                PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
+            )
+    return file
+
+
+def imu_topic(name: str, side: str = "") -> str:
+    """The topic `/imu/NAME` of a forearm IMU by the name that it has."""
+    if name.startswith("/imu/"):
+        return name
+    clean = "_".join(part for part in name.strip("/").replace("/", "_").split() if part)
+    return f"/imu/{clean or 'forearm' + ('_' + side if side else '')}"
+
+
+def _free(topic: str, taken: set[str]) -> str:
+    number, free = 2, topic
+    while free in taken:
+        free, number = f"{topic}_{number}", number + 1
+    taken.add(free)
+    return free
+
+
+def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
+    """Messages of an IMU, on its topic."""
+    parts = [
+        wire.timestamp(1, "stamp"),
+        wire.text(2, imu.frame_id),
+        wire.vector(3, "acc"),
+        wire.vector(4, "gyro"),
+    ]
+    if imu.mag is not None:
+        parts.append(wire.vector(5, "mag"))
+    template = wire.join(*parts)
+
+    def encode(part: slice) -> Encoded:
+        columns: dict[str, NDArray] = {"acc": imu.acc[part], "gyro": imu.gyro[part]}
+        if imu.mag is not None:
+            columns["mag"] = imu.mag[part]
+        stamp = imu.stamp_ns[part]
+        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+
+    return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
+
+
+def arm_messages(output: Output, arm: ArmFrames, present: list[int] | None = None) -> Outgoing:
+    """Skeleton messages of an arm, on its topic; joints that are never there are left out.
+
+    `present` names the others by number, where `arm` is a part of a longer one.
+    """
+    suffix = f"_{arm.side}" if arm.side else ""
+    if present is None:
+        present = joints_there(arm.state)
+    parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
+    for i in present:
+        position = wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2))
+        parts.append(wire.message(4, wire.text(1, JOINTS[i] + suffix), position, wire.flag(3, "state", i)))
+    template = wire.join(*parts)
+
+    def encode(part: slice) -> Encoded:
+        stamp = arm.stamp_ns[part]
+        columns: dict[str, NDArray] = {
+            "position": arm.position[part].reshape(-1, 15),
+            "state": arm.state[part],
+        }
+        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+
+    return Outgoing(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
+
+
+def joints_there(state: NDArray[np.int8]) -> list[int]:
+    """Joints, by number, that are there in any frame."""
+    return np.flatnonzero((state != JointState.NOT_TRACKED).any(axis=0)).tolist()
+
+
+def _poses(output: Output, poses: PoseSamples) -> list[Outgoing]:
+    pose = wire.message(3, wire.vector(1, "position"), wire.vector(2, "quaternion", (1, 2, 3, 0)))
+    template = wire.join(wire.timestamp(1, "stamp"), wire.text(2, poses.frame_id), pose)
+
+    def encode(part: slice) -> Encoded:
+        stamp = poses.stamp_ns[part]
+        columns = {"position": poses.position[part], "quaternion": poses.quaternion[part]}
+        return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
+
+    outgoing = [Outgoing(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
+    if poses.joints:
+        outgoing.append(arm_messages(output, _truth_joints(poses, poses.stamp_ns)))
+    return outgoing
+
+
+def _truth_joints(poses: PoseSamples, stamp: IntArray) -> ArmFrames:
+    position = np.full((len(stamp), len(JOINTS), 3), np.nan)
+    state = np.zeros((len(stamp), len(JOINTS)), np.int8)
+    for joint, values in poses.joints.items():
+        position[:, JOINTS.index(joint)] = values
+        state[:, JOINTS.index(joint)] = np.where(
+            np.isfinite(values).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
+        )
+    return ArmFrames(f"{poses.topic}/joints", poses.frame_id, 0, "", stamp, position, state)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[list[int]]:
+    """Half-open index ranges where flags are set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2).tolist()

@@ -1,0 +1,94 @@
+"""What a recovery holds besides its time series, as JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...calibration import ArmCalibration, Length, LeverArm
+from ...measurements.visibility import Gap
+from ...result import Recovery
+
+
+def to_json(value: object) -> str:
+    """JSON of plain values, arrays (as lists) and dataclasses; nan stays nan, as Python reads it."""
+    return json.dumps(value, default=_plain, ensure_ascii=False)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    return str(value)
+
+
+def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
+    """The metadata record of a result: JSON by key."""
+    return {
+        key: to_json(value)
+        for key, value in {
+            "method": recovery.method,
+            "version": version,
+            "name": recovery.name,
+            "side": recovery.side,
+            "origin_ns": recovery.origin_ns,
+            "camera": recovery.arm.name,
+            "joints": list(recovery.joints),
+            "gaps": recovery.gaps,
+            "calibration": recovery.calibration,
+            "gravity_direction": recovery.gravity_direction,
+            "clock_offset_s": recovery.clock_offset_s,
+            "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
+            "has_residuals": recovery.residuals is not None,
+            "notes": recovery.notes,
+            "config": _lasting(recovery.config),
+            "figures": recovery.figures,
+        }.items()
+    }
+
+
+def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The configuration without the number of processes: it says nothing of the result."""
+    return {
+        section: {key: value for key, value in settings.items() if (section, key) != ("windows", "processes")}
+        if isinstance(settings, Mapping)
+        else settings
+        for section, settings in config.items()
+    }
+
+
+def gaps_of(values: list[dict[str, Any]]) -> tuple[Gap, ...]:
+    """Gaps from their JSON."""
+    return tuple(Gap(**value) for value in values)
+
+
+def calibration_of(value: dict[str, Any] | None) -> ArmCalibration | None:
+    """A calibration from its JSON."""
+    if value is None:
+        return None
+
+    def array(name: str) -> Any:
+        return None if value.get(name) is None else np.array(value[name], float)
+
+    return ArmCalibration(
+        side=value["side"],
+        lever_arms={
+            joint: LeverArm(np.array(lever["position_m"], float), np.array(lever["sigma_m"], float))
+            for joint, lever in value["lever_arms"].items()
+        },
+        upper_arm=None if value["upper_arm"] is None else Length(**value["upper_arm"]),
+        R_F_A=array("R_F_A"),
+        accelerometer_bias=array("accelerometer_bias"),
+        gyroscope_bias=array("gyroscope_bias"),
+    )

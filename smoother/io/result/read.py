@@ -1,0 +1,284 @@
+"""A recovery back from the MCAP file that `write_recovery` made."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...recording import JOINTS, FloatArray, IntArray, JointTracks
+from ...result import FrameResiduals, Recovery
+from ..mcap.container import Container
+from ..mcap.messages import Rows, Topic
+from ..recording.decode import proto_grouper
+from ..recording.read import RESULT_PREFIX, seconds
+from ..recording.skeletons import SkeletonDecoder, joint_code
+from ..wire import protobuf_decode as proto
+from ..wire.layout import Block, Grouper, Layout
+from .metadata import calibration_of, gaps_of
+from .write import RESULT
+
+_NEEDED = ("forearm", "skeleton", "camera", "residuals")
+
+
+def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
+    """Read the recovered motion from a result file.
+
+    Parameters
+    ----------
+    path : a file of `write_recovery`.
+
+    Returns
+    -------
+    One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
+    rounding; covariances that were nan are nan again. A sample without a position has no pose and no
+    velocity. Arrays in `figures` come back as lists.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, damaged, or holds no result.
+    """
+    container = Container(path)
+
+    def wanted(topic: Topic) -> bool:
+        kind = topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]
+        return topic.name.startswith(RESULT_PREFIX) and kind in _NEEDED
+
+    tables: dict[str, _Table] = {}
+    for batch in container.rows(wanted):
+        for position, rows in batch.items():
+            topic = container.topics[position]
+            if topic.name not in tables:
+                tables[topic.name] = _table(topic)
+            tables[topic.name].feed(rows)
+    found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
+    if not found:
+        raise RecordingError(
+            f"{path} holds no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`."
+        )
+    return [_recovery(Path(path), container, tables, name) for name in found]
+
+
+def _recovery(path: Path, container: Container, tables: dict[str, _Table], name: str) -> Recovery:
+    suffix = name.removeprefix(RESULT)
+    try:
+        values: dict[str, Any] = {key: json.loads(text) for key, text in container.metadata[name].items()}
+        origin = int(values["origin_ns"])
+        skeleton = _get(tables, "skeleton", suffix).done()
+        stamp, occluded = skeleton["stamp"], skeleton["occluded"].astype(bool)
+        row, motion = _rows(stamp, tables.get(f"{RESULT_PREFIX}forearm{suffix}"))
+        arrays = _motion(len(stamp), row, motion)
+        joints = {joint: skeleton[joint] for joint in values["joints"] if joint in skeleton}
+        spread = {joint: skeleton[f"{joint}_covariance"].reshape(-1, 3, 3) for joint in joints}
+        return Recovery(
+            method=values["method"],
+            t_s=seconds(stamp, origin),
+            occluded=occluded,
+            **arrays,
+            joints=joints,
+            joint_covariance=spread,
+            gaps=gaps_of(values["gaps"]),
+            calibration=calibration_of(values["calibration"]),
+            gravity_direction=np.array(values["gravity_direction"], float),
+            clock_offset_s=values["clock_offset_s"],
+            clock_offset_sigma_s=values["clock_offset_sigma_s"],
+            arm=_arm(tables.get(f"{RESULT_PREFIX}camera{suffix}"), values["camera"], origin),
+            residuals=_residuals(tables.get(f"{RESULT_PREFIX}residuals{suffix}"), origin)
+            if values["has_residuals"]
+            else None,
+            origin_ns=origin,
+            side=values["side"],
+            name=values["name"],
+            notes=tuple([*values["notes"], *container.notes]),
+            config=values["config"],
+            figures=values["figures"],
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise RecordingError(
+            f"{path}: its result{suffix} is damaged or of another version ({error!r}); "
+            "run `unocclude smooth` again."
+        ) from error
+
+
+def _rows(stamp: IntArray, table: _Table | None) -> tuple[IntArray, dict[str, NDArray]]:
+    """Rows of the samples that have a pose, and the poses."""
+    if table is None:
+        return np.empty(0, np.int64), {}
+    motion = table.done()
+    return np.searchsorted(stamp, motion["stamp"]), motion
+
+
+def _motion(count: int, row: IntArray, motion: dict[str, NDArray]) -> dict[str, FloatArray]:
+    from scipy.spatial.transform import Rotation
+
+    arrays: dict[str, FloatArray] = {
+        "position": np.full((count, 3), np.nan),
+        "quaternion": np.full((count, 4), np.nan),
+        "velocity": np.full((count, 3), np.nan),
+        "pose_covariance": np.full((count, 6, 6), np.nan),
+        "velocity_covariance": np.full((count, 3, 3), np.nan),
+    }
+    if not len(row):
+        return arrays
+    turned = motion["turned"].astype(bool)
+    velocity = motion["velocity"]
+    spread = motion["velocity_covariance"].reshape(-1, 6, 6)[:, :3, :3].copy()
+    if turned.any():
+        turn = Rotation.from_quat(motion["quaternion"][turned], scalar_first=True).as_matrix()
+        velocity[turned] = np.einsum("nij,nj->ni", turn, velocity[turned])
+        spread[turned] = turn @ spread[turned] @ turn.transpose(0, 2, 1)
+    arrays["position"][row] = motion["position"]
+    arrays["quaternion"][row[turned]] = motion["quaternion"][turned]
+    arrays["velocity"][row] = velocity
+    arrays["pose_covariance"][row] = _unknown(motion["covariance"].reshape(-1, 6, 6))
+    arrays["velocity_covariance"][row] = _unknown(spread)
+    return arrays
+
+
+def _unknown(covariance: FloatArray) -> FloatArray:
+    """A variance of zero means that it is not known: its row and column become nan."""
+    covariance = covariance.copy()
+    unknown = np.einsum("nii->ni", covariance) == 0
+    covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+    return covariance
+
+
+def _arm(table: _Table | None, name: str, origin: int) -> JointTracks:
+    nothing = np.full((0, len(JOINTS), 3), np.nan)
+    if table is None:
+        return JointTracks(name, np.empty(0), nothing, np.zeros((0, len(JOINTS)), np.int8))
+    assert isinstance(table, _CameraTable)
+    return table.tracks(name, origin)
+
+
+def _residuals(table: _Table | None, origin: int) -> FrameResiduals:
+    if table is None:
+        shape = (0, len(JOINTS))
+        return FrameResiduals(
+            np.empty(0), np.empty((*shape, 3)), np.zeros(shape, bool), np.zeros(shape, np.uint8)
+        )
+    assert isinstance(table, _ResidualTable)
+    values = table.done()
+    return FrameResiduals(
+        seconds(values["stamp"], origin),
+        values["residual"].reshape(-1, len(JOINTS), 3),
+        values["used"].astype(bool),
+        values["reason"],
+        tuple(table.reasons),
+    )
+
+
+def _get(tables: dict[str, _Table], kind: str, suffix: str) -> _Table:
+    return tables[f"{RESULT_PREFIX}{kind}{suffix}"]
+
+
+class _Table:
+    """Columns of one topic, gathered batch by batch in the file's order."""
+
+    def __init__(self, topic: Topic):
+        self.grouper: Grouper = proto_grouper(topic.schema)
+        self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
+        self.fed = 0
+
+    def feed(self, rows: Rows) -> None:
+        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+            stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
+            self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
+        self.fed += len(rows.start)
+
+    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+        raise NotImplementedError
+
+    def done(self) -> dict[str, NDArray]:
+        names = {name for _, columns in self.parts for name in columns}
+        # Times within a topic increase; messages of different layouts come in pieces.
+        order = np.argsort(np.concatenate([columns["stamp"] for _, columns in self.parts]), kind="stable")
+        return {name: np.concatenate([columns[name] for _, columns in self.parts])[order] for name in names}
+
+
+class _OdometryTable(_Table):
+    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+        rows = len(block)
+        turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
+        velocity = np.full((rows, 3), np.nan)
+        if "linear_velocity.x" in layout.fields:
+            velocity = layout.vector(block, [f"linear_velocity.{axis}" for axis in "xyz"])
+        return {
+            "position": layout.vector(block, [f"pose.position.{axis}" for axis in "xyz"]),
+            "quaternion": layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"]),
+            "velocity": velocity,
+            "covariance": layout.get(block, "pose_covariance"),
+            "velocity_covariance": layout.get(block, "velocity_covariance"),
+            "turned": np.full(rows, turned),
+        }
+
+
+class _SkeletonTable(_Table):
+    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+        columns: dict[str, NDArray] = {"occluded": layout.integer(block, "occluded")}
+        for i in range(layout.counts.get("joints", 0)):
+            code = joint_code(layout.texts[f"joints.{i}.name"])
+            if code is None:
+                continue
+            joint = JOINTS[code[1]]
+            columns[joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
+            columns[f"{joint}_covariance"] = layout.get(block, f"joints.{i}.position_covariance")
+        return columns
+
+
+class _ResidualTable(_Table):
+    def __init__(self, topic: Topic):
+        super().__init__(topic)
+        self.reasons = [""]
+
+    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+        rows = len(block)
+        residual = np.full((rows, len(JOINTS), 3), np.nan)
+        used = np.zeros((rows, len(JOINTS)), np.int64)
+        reason = np.zeros(len(JOINTS), np.uint8)
+        for i in range(layout.counts.get("joints", 0)):
+            joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
+            residual[:, joint] = layout.vector(block, [f"joints.{i}.residual.{axis}" for axis in "xyz"])
+            used[:, joint] = layout.integer(block, f"joints.{i}.used")
+            reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
+        return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
+
+    def _code(self, sentence: str) -> int:
+        """Number of a sentence, in the order in which they are met."""
+        if sentence not in self.reasons:
+            self.reasons.append(sentence)
+        return self.reasons.index(sentence)
+
+
+class _CameraTable(_Table):
+    def __init__(self, topic: Topic):
+        super().__init__(topic)
+        self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
+
+    def feed(self, rows: Rows) -> None:
+        self.decoder.feed(rows)
+
+    def tracks(self, name: str, origin: int) -> JointTracks:
+        stamp, arms = self.decoder.found()
+        if not arms:
+            nothing = np.full((len(stamp), len(JOINTS), 3), np.nan)
+            return JointTracks(
+                name, seconds(stamp, origin), nothing, np.zeros((len(stamp), len(JOINTS)), np.int8)
+            )
+        return JointTracks(name, seconds(arms[0].stamp_ns, origin), arms[0].position, arms[0].state)
+
+
+def _table(topic: Topic) -> _Table:
+    kinds: dict[str, type[_Table]] = {
+        "forearm": _OdometryTable,
+        "skeleton": _SkeletonTable,
+        "residuals": _ResidualTable,
+        "camera": _CameraTable,
+    }
+    return kinds[topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]](topic)

@@ -1,0 +1,310 @@
+"""The streams of messages that a recovery is written as."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ...result import FrameResiduals, Recovery
+from ..mcap.merge import Encoded, Outgoing, Output
+from ..mcap.parts import Axis
+from ..recording.read import RESULT_PREFIX, nanoseconds
+from ..recording.streams import ArmFrames
+from ..recording.write import arm_messages, joints_there
+from ..wire import protobuf_encode as wire
+from ..wire.schemas import message_class
+from . import drawing as scene
+
+Columns = Callable[[IntArray], dict[str, NDArray]]
+
+
+class RecoveryStreams:
+    """The messages of one recovery, a part of time after the other, encoded when they are written.
+
+    Parameters
+    ----------
+    output : the file.
+    recovery : what to write.
+    suffix : behind every topic (an arm among several).
+    frame_id : of the camera.
+    shift : log time less stamp, ns.
+    """
+
+    def __init__(self, output: Output, recovery: Recovery, suffix: str, frame_id: str, shift: int):
+        self.output = output
+        self.recovery = recovery
+        self.suffix = suffix
+        self.frame_id = frame_id
+        self.shift = shift
+        self.body = "forearm_imu" + suffix.replace("/", "_")
+        self.camera_joints = joints_there(recovery.arm.state)
+        self.residual_joints = [] if recovery.residuals is None else _present(recovery.residuals)
+        self._residual_templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
+        self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
+
+    def axes(self) -> list[Axis]:
+        """Times of the samples, the frames, the residuals and the gaps."""
+        r = self.recovery
+        residual_t = np.empty(0) if r.residuals is None else r.residuals.t_s
+        times = (r.t_s, r.arm.t_s, residual_t, self.gap_start_s)
+        return [Axis(t_s, r.origin_ns, self.shift) for t_s in times]
+
+    def part(self, samples: slice, frames: slice, residuals: slice, gaps: slice) -> list[Outgoing]:
+        """Every stream of a part of time, from its rows on the `axes`."""
+        part = self.recovery.rows(samples)
+        part = replace(part, arm=part.arm.select(frames), gaps=part.gaps[gaps])
+        part_residuals = None if part.residuals is None else part.residuals.rows(residuals)
+        nearest, inside = self._at_frames(samples, part)
+        return [
+            self._skeleton(part),
+            *self._odometry(part),
+            *self._camera(part),
+            *self._residuals(part_residuals),
+            *self._drawn(part, nearest, inside),
+            *self._transforms(part, nearest, inside),
+            *self._joint_states(part),
+            *self._gaps(part),
+        ]
+
+    def _stamps(self, t_s: FloatArray) -> IntArray:
+        return nanoseconds(t_s, self.recovery.origin_ns)
+
+    def _stream(
+        self,
+        topic: str,
+        schema: str,
+        template: wire.Template,
+        stamp: IntArray,
+        rows: IntArray,
+        columns: Columns,
+    ) -> Outgoing:
+        """Some rows of stamps (n,) on a topic."""
+
+        def encode(part: slice) -> Encoded:
+            chosen = rows[part]
+            return template.encode(len(chosen), columns(chosen) | wire.stamps("stamp", stamp[chosen]))
+
+        channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
+        return Outgoing(channel, stamp[rows] + self.shift, encode)
+
+    def _odometry(self, r: Recovery) -> Iterator[Outgoing]:
+        from scipy.spatial.transform import Rotation
+
+        stamp = self._stamps(r.t_s)
+        has_position = np.isfinite(r.position).all(axis=1)
+        has_turn = np.isfinite(r.quaternion).all(axis=1)
+        has_velocity = np.isfinite(r.velocity).all(axis=1)
+        head = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
+        for turned in (True, False):
+            for moving in (True, False):
+                mine = has_position & (has_turn == turned) & (has_velocity == moving)
+                if not mine.any():
+                    continue
+                turn = wire.vector(2, "quaternion", (1, 2, 3, 0))
+                if not turned:
+                    turn = wire.message(2, wire.constants(0, 0, 0, 1))
+                parts = [
+                    *head,
+                    wire.text(3, self.body if turned else self.frame_id),
+                    wire.message(4, wire.vector(1, "position"), turn),
+                ]
+                if moving:
+                    parts.append(wire.vector(5, "velocity"))
+                parts += [wire.packed(7, "covariance", 36), wire.packed(8, "velocity_covariance", 36)]
+
+                def columns(rows: IntArray, turned: bool = turned) -> dict[str, NDArray]:
+                    velocity, spread = r.velocity[rows], r.velocity_covariance[rows]
+                    if turned:
+                        quaternion = r.quaternion[rows]
+                        back = Rotation.from_quat(quaternion, scalar_first=True).inv().as_matrix()
+                        velocity = np.einsum("nij,nj->ni", back, velocity)
+                        spread = back @ spread @ back.transpose(0, 2, 1)
+                    whole = np.zeros((len(rows), 6, 6))
+                    whole[:, :3, :3] = spread
+                    return {
+                        "position": r.position[rows],
+                        "quaternion": r.quaternion[rows],
+                        "velocity": velocity,
+                        "covariance": np.nan_to_num(r.pose_covariance[rows], nan=0.0),
+                        "velocity_covariance": np.nan_to_num(whole, nan=0.0),
+                    }
+
+                rows = np.flatnonzero(mine)
+                template = wire.join(*parts)
+                yield self._stream("forearm", "foxglove.Odometry", template, stamp, rows, columns)
+
+    def _skeleton(self, r: Recovery) -> Outgoing:
+        """Every sample, so that times and occlusion are whole even where there is no answer."""
+        names = [joint for joint in JOINTS if joint in r.joints]
+        parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
+        side = f"_{r.side}" if r.side else ""
+        for joint in names:
+            parts.append(
+                wire.message(
+                    4,
+                    wire.text(1, joint + side),
+                    wire.vector(2, joint),
+                    wire.flag(3, f"{joint}_state"),
+                    wire.packed(5, f"{joint}_covariance", 9),
+                )
+            )
+        parts.append(wire.flag(5, "occluded"))
+
+        def columns(rows: IntArray) -> dict[str, NDArray]:
+            occluded = r.occluded[rows]
+            found: dict[str, NDArray] = {"occluded": occluded.astype(np.int64)}
+            for joint in names:
+                position = r.joints[joint][rows]
+                state = np.where(occluded, JointState.INFERRED, JointState.TRACKED)
+                state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
+                found |= {joint: position, f"{joint}_state": state}
+                found[f"{joint}_covariance"] = r.joint_covariance[joint][rows]
+            return found
+
+        stamp, rows = self._stamps(r.t_s), np.arange(len(r))
+        return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), stamp, rows, columns)
+
+    def _camera(self, r: Recovery) -> Iterator[Outgoing]:
+        topic = f"{RESULT_PREFIX}camera{self.suffix}"
+        stamp = self._stamps(r.arm.t_s)
+        arm = ArmFrames(topic, self.frame_id, 0, r.side, stamp, r.arm.position, r.arm.state)
+        stream = arm_messages(self.output, arm, self.camera_joints)
+        yield Outgoing(stream.channel, stream.time_ns + self.shift, stream.encode)
+
+    def _residuals(self, residuals: FrameResiduals | None) -> Iterator[Outgoing]:
+        if residuals is None or not len(residuals):
+            return
+        stamp = self._stamps(residuals.t_s)
+
+        def columns(rows: IntArray) -> dict[str, NDArray]:
+            flat = residuals.residual[rows].reshape(len(rows), -1)
+            return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
+
+        for pattern, rows in wire.alike(residuals.reason):
+            if pattern not in self._residual_templates:
+                reasons = [residuals.reasons[code] for code in pattern]
+                self._residual_templates[pattern] = self._residual_template(reasons)
+            template = self._residual_templates[pattern]
+            yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
+
+    def _residual_template(self, reasons: list[str]) -> wire.Template:
+        """One message: each joint's residual, and why its sample was set aside."""
+        parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
+        for i in self.residual_joints:
+            value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
+            used, why = wire.flag(3, "used", i), wire.text(4, reasons[i])
+            parts.append(wire.message(3, wire.text(1, JOINTS[i]), value, used, why))
+        return wire.join(*parts)
+
+    def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+        whole, stamp = self.recovery, self._stamps(r.arm.t_s)
+        after = np.full((len(nearest), len(JOINTS), 3), np.nan)
+        for joint, position in {"strap": whole.position, **whole.joints}.items():
+            after[:, JOINTS.index(joint)] = position[nearest]
+        shade = np.repeat(whole.occluded[nearest].astype(np.int64)[:, None], len(JOINTS), axis=1)
+        colors = (scene.VISIBLE, scene.RECOVERED)
+        name = f"arm{self.suffix.replace('/', '_')}"
+        for rows, template, columns in scene.drawings(after, shade, colors, self.frame_id, name):
+            yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
+        guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
+        colors = (scene.CAMERA, scene.GUESSED)
+        name += "_camera"
+        for rows, template, columns in scene.drawings(r.arm.position, guessed, colors, self.frame_id, name):
+            yield self._stream("arm_camera", "foxglove.SceneUpdate", template, stamp, rows, columns)
+
+    def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+        position, quaternion = self.recovery.position[nearest], self.recovery.quaternion[nearest]
+        rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
+        if not len(rows):
+            return
+        template = wire.message(
+            1,
+            wire.timestamp(1, "stamp"),
+            wire.text(2, self.frame_id),
+            wire.text(3, self.body),
+            wire.vector(4, "position"),
+            wire.vector(5, "quaternion", (1, 2, 3, 0)),
+        )
+
+        def columns(rows: IntArray) -> dict[str, NDArray]:
+            return {"position": position[rows], "quaternion": quaternion[rows]}
+
+        stamp = self._stamps(r.arm.t_s)[inside]
+        yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
+
+    def _joint_states(self, r: Recovery) -> Iterator[Outgoing]:
+        flexion = elbow_flexion(r.joints)
+        if flexion is None or not np.isfinite(flexion).any():
+            return
+        name = "elbow_flexion" + (f"_{r.side}" if r.side else "")
+        template = wire.join(
+            wire.timestamp(1, "stamp"), wire.message(2, wire.text(1, name), wire.double(2, "angle"))
+        )
+        rows = np.flatnonzero(np.isfinite(flexion))
+        yield self._stream(
+            "joints",
+            "foxglove.JointStates",
+            template,
+            self._stamps(r.t_s),
+            rows,
+            lambda chosen: {"angle": flexion[chosen]},
+        )
+
+    def _gaps(self, r: Recovery) -> Iterator[Outgoing]:
+        gaps = r.gaps
+        if not gaps:
+            return
+        data = []
+        start = self._stamps(np.array([gap.start_s for gap in gaps]))
+        end = self._stamps(np.array([gap.end_s for gap in gaps]))
+        for gap, start_ns, end_ns in zip(gaps, start.tolist(), end.tolist(), strict=True):
+            event = message_class("foxglove.Event")()
+            event.start_time.FromNanoseconds(start_ns)
+            event.end_time.FromNanoseconds(end_ns)
+            said = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
+            said |= {"side": r.side} if r.side else {}
+            said |= {"open": "start"} if gap.open_start else {}
+            said |= {"open": "end"} if gap.open_end else {}
+            for key, value in said.items():
+                event.metadata.add(key=key, value=value)
+            data.append(event.SerializeToString(deterministic=True))
+        channel = self.output.channel(f"{RESULT_PREFIX}gaps{self.suffix}", "foxglove.Event")
+        yield Outgoing(channel, start + self.shift, lambda part: data[part])
+
+    def _at_frames(self, samples: slice, part: Recovery) -> tuple[IntArray, BoolArray]:
+        """The IMU sample nearest to each frame that the IMU covers, and which of the part's frames those are.
+
+        Samples are numbered in the whole recovery: the nearest may lie just outside the part.
+        """
+        first = max(samples.start - 1, 0)
+        stamp, frame = self._stamps(self.recovery.t_s[first : samples.stop + 1]), self._stamps(part.arm.t_s)
+        if not len(stamp):
+            return np.empty(0, np.int64), np.zeros(len(frame), bool)
+        inside: BoolArray = (frame >= stamp[0]) & (frame <= stamp[-1])
+        at, last = frame[inside], len(stamp) - 1
+        after = np.clip(np.searchsorted(stamp, at), 1, max(last, 1))
+        before_is_nearer = at - stamp[after - 1] < stamp[np.minimum(after, last)] - at
+        return first + np.minimum(after - before_is_nearer, last), inside
+
+
+def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
+    """Angle (N,) between upper arm and forearm, rad, 0 = straight; None without the joints."""
+    if not {"shoulder", "elbow", "wrist"} <= joints.keys():
+        return None
+    upper = joints["elbow"] - joints["shoulder"]
+    forearm = joints["wrist"] - joints["elbow"]
+    across = np.linalg.norm(np.cross(upper, forearm), axis=1)
+    return np.arctan2(across, np.einsum("ni,ni->n", upper, forearm))
+
+
+def _present(residuals: FrameResiduals) -> list[int]:
+    """Joints of which there is anything to say."""
+    said = np.zeros(len(JOINTS), bool)
+    for part in residuals.blocks():
+        said |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
+        said |= (part.reason != 0).any(axis=0)
+    return np.flatnonzero(said).tolist()

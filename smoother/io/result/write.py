@@ -1,0 +1,113 @@
+"""A recovery to an MCAP file that Foxglove and Rerun show as it is."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
+
+from ...result import Recovery
+from ...runtime.atomic import check_output, writing
+from ...runtime.store import Room
+from ..mcap.container import Container
+from ..mcap.merge import Output
+from ..mcap.messages import Run, Topic
+from ..mcap.parts import parts_of_time
+from ..recording.read import METADATA, RESULT_PREFIX, open_recording
+from ..recording.write import CAMERA
+from .metadata import recovery_values
+from .streams import RecoveryStreams
+
+RESULT = "unocclude.result"
+#: Schemas that show a patient.
+_IMAGES = re.compile(r"Image|Video|PointCloud|VoxelGrid|Audio|Packet", re.IGNORECASE)
+
+
+def write_recovery(
+    recoveries: Recovery | Sequence[Recovery],
+    path: str | os.PathLike[str],
+    *,
+    source: str | os.PathLike[str] | None = None,
+    force: bool = False,
+    passthrough_images: bool = False,
+    room: Room | None = None,
+) -> None:
+    """Write the recovered motion of one arm, or of several, to an MCAP file.
+
+    Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
+    axes; an answer without orientation has body_frame_id = frame_id, one without position is left
+    out), `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
+    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded),
+    `/unocclude/gaps` (Event), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight),
+    `/unocclude/tf` (FrameTransforms), `/unocclude/camera` (the camera's joints on the IMU's clock),
+    `/unocclude/residuals`. With several arms each topic ends in the arm's side. The metadata record
+    `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
+    gives the same bytes.
+
+    Parameters
+    ----------
+    recoveries : one arm's recovery, or several of one recording.
+    path : the file to write.
+    source : the recording; its topics are carried over as they are.
+    force : overwrite a file that exists.
+    passthrough_images : carry images, depth and point clouds over as well (they show patients).
+    room : where the recoveries' columns are kept, if not in memory: what was written leaves the memory.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists and `force` is not given, or it cannot be written.
+    """
+    results = [recoveries] if isinstance(recoveries, Recovery) else list(recoveries)
+    check_output(path, force)
+    frames: dict[str, str] = {}
+    shift = 0
+    if source is not None:
+        file = open_recording(source, only={recovery.arm.name for recovery in results})
+        frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
+        shift = file.imus[0].log_shift_ns if file.imus else 0
+        # A recorder's delay is no reason to move; a sensor that counts from its own start is.
+        shift = shift if abs(shift) > 1_000_000_000 else 0
+    with writing(path, force) as temporary, Output(temporary) as output:
+        streams = []
+        for number, recovery in enumerate(results):
+            suffix = "" if len(results) == 1 else f"/{_label(results, number)}"
+            output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
+            frame_id = frames.get(recovery.arm.name, CAMERA)
+            streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
+        if source is not None:
+            container = Container(source)
+            output.carry(_carried(container, passthrough_images))
+        for part in parts_of_time([axis for each in streams for axis in each.axes()]):
+            rows = [part.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
+            outgoing = [each.part(*mine) for each, mine in zip(streams, rows, strict=True)]
+            output.write(list(chain.from_iterable(outgoing)), part.until_ns)
+            if room is not None:
+                room.tidy()
+        if source is not None and METADATA in container.metadata:  # wherever in the source it stands
+            output.metadata(METADATA, container.metadata[METADATA])
+
+
+def _label(results: Sequence[Recovery], number: int) -> str:
+    """Side of an arm among several, or its number where sides do not tell them apart."""
+    sides = [recovery.side for recovery in results]
+    side = sides[number]
+    return side if side and sides.count(side) == 1 else f"{side or 'arm'}_{number + 1}"
+
+
+def _version() -> str:
+    try:
+        return version("unocclude")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _carried(source: Container, passthrough_images: bool) -> Iterator[Run]:
+    def wanted(topic: Topic) -> bool:
+        if topic.name.startswith(RESULT_PREFIX):
+            return False
+        return passthrough_images or not _IMAGES.search(topic.schema)
+
+    return source.runs(wanted)

@@ -1,0 +1,166 @@
+"""Messages of one layout, decoded together.
+
+Recorders write a stream's messages with the same fields, strings and lengths over and over. One
+message of each kind is walked in Python; where the bytes that decide the layout agree, all others
+are cut from it by numpy.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import IntArray
+
+Block = NDArray[np.uint8]
+#: What a walk over a message that is cut off or not of its schema may raise.
+BROKEN = (struct.error, IndexError, ValueError, OverflowError)
+
+
+@dataclass
+class Layout:
+    """Where the fields of a message lie.
+
+    Attributes
+    ----------
+    mask : (size,) bits of each byte that must agree for the layout to hold.
+    want : (size,) their values.
+    fields : by name, the offsets of its occurrences, its dtype and the count of values in each.
+    varints : by name, offset and width.
+    texts : constant strings, by name.
+    counts : lengths of sequences, by name.
+    """
+
+    mask: Block
+    want: Block
+    fields: dict[str, tuple[list[int], np.dtype, int]] = field(default_factory=dict)
+    varints: dict[str, tuple[int, int]] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, data: bytes) -> Layout:
+        """A layout for messages as long as `data`, with nothing fixed yet."""
+        want = np.frombuffer(data, np.uint8)
+        return cls(np.zeros(len(want), np.uint8), want)
+
+    def fix(self, start: int, stop: int, bits: int = 0xFF) -> None:
+        """Bytes that decide the layout."""
+        self.mask[start:stop] |= np.uint8(bits)
+
+    def add(self, name: str, offset: int, dtype: str, count: int) -> None:
+        """One more occurrence of a field."""
+        self.fields.setdefault(name, ([], np.dtype(dtype), count))[0].append(offset)
+
+    def finish(self) -> None:
+        """Keep only the bytes to be compared."""
+        self._where = np.flatnonzero(self.mask)
+        self._bits = self.mask[self._where]
+        self._want = self.want[self._where] & self._bits
+
+    def matches(self, block: Block) -> NDArray[np.bool_]:
+        """Which rows of a block have this layout."""
+        return ((block[:, self._where] & self._bits) == self._want).all(axis=1)
+
+    def get(self, block: Block, name: str) -> NDArray:
+        """Values (rows, count) of a field's first occurrence."""
+        offsets, dtype, count = self.fields[name]
+        return _cut(block, offsets[0], dtype, count)
+
+    def many(self, block: Block, name: str) -> NDArray:
+        """Values (rows, occurrences, count) of a field."""
+        offsets, dtype, count = self.fields[name]
+        return np.stack([_cut(block, offset, dtype, count) for offset in offsets], axis=1)
+
+    def integer(self, block: Block, name: str) -> IntArray:
+        """Values (rows,) of a varint; zero where the field is absent."""
+        value = np.zeros(len(block), np.uint64)
+        offset, width = self.varints.get(name, (0, 0))
+        for place in range(width):
+            value |= (block[:, offset + place] & np.uint8(0x7F)).astype(np.uint64) << np.uint64(7 * place)
+        return value.view(np.int64)
+
+    def vector(self, block: Block, names: Sequence[str]) -> NDArray[np.float64]:
+        """Doubles (rows, names), zero where a field is absent (protobuf leaves zeros out)."""
+        out = np.zeros((len(block), len(names)))
+        for i, name in enumerate(names):
+            if name in self.fields:
+                out[:, i] = self.get(block, name)[:, 0]
+        return out
+
+
+@dataclass
+class Grouper:
+    """Sorts payloads by layout.
+
+    Attributes
+    ----------
+    walk : finds the layout of one message; raises one of `BROKEN` where it cannot.
+    broken : messages that could not be walked.
+    """
+
+    walk: Callable[[bytes], Layout]
+    broken: int = 0
+    _known: dict[int, list[Layout]] = field(default_factory=dict)
+
+    def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, Layout]]:
+        """Yield the indices of payloads of one layout, their bytes (rows, size), the layout."""
+        stop = np.cumsum(np.fromiter(map(len, payloads), np.int64, len(payloads)))
+        start = np.concatenate([np.zeros(1, np.int64), stop])[: len(payloads)]
+        yield from self.groups_in(b"".join(payloads), start, stop)
+
+    def groups_in(
+        self, data: bytes, start: IntArray, stop: IntArray
+    ) -> Iterator[tuple[IntArray, Block, Layout]]:
+        """The same for payloads that lie in `data` from `start` to `stop`, (n,) each."""
+        sizes = stop - start
+        for size in np.unique(sizes).tolist():
+            index = np.flatnonzero(sizes == size)
+            yield from self._split(index, cut_out(data, start[index], size))
+
+    def _split(self, index: IntArray, block: Block) -> Iterator[tuple[IntArray, Block, Layout]]:
+        known = self._known.setdefault(block.shape[1], [])
+        for layout in tuple(known):
+            if not len(index):
+                return
+            same = layout.matches(block)
+            if same.all():
+                yield index, block, layout
+                return
+            if same.any():
+                yield index[same], block[same], layout
+                index, block = index[~same], block[~same]
+        while len(index):
+            try:
+                layout = self.walk(block[0].tobytes())
+            except BROKEN:
+                self.broken += 1
+                index, block = index[1:], block[1:]
+                continue
+            layout.finish()
+            if len(known) < 64:  # a stream without regularity must not be compared with itself for ever
+                known.append(layout)
+            same = layout.matches(block)
+            yield index[same], block[same], layout
+            index, block = index[~same], block[~same]
+
+
+def cut_out(data: bytes, start: IntArray, size: int) -> Block:
+    """Stretches (n, size) of the same length from where they start (n,)."""
+    if not size or not len(start):
+        return np.empty((len(start), size), np.uint8)
+    whole = np.frombuffer(data, np.uint8)
+    rows: Block = np.lib.stride_tricks.sliding_window_view(whole, size)[start]
+    return rows
+
+
+def _cut(block: Block, offset: int, dtype: np.dtype, count: int) -> NDArray:
+    """Values (rows, count) that lie in each row from a byte on, wherever that is."""
+    if not len(block):
+        return np.empty((0, count), dtype)
+    shape, strides = (len(block), count), (block.strides[0], dtype.itemsize)
+    return np.ndarray(shape, dtype, block, offset, strides).copy()

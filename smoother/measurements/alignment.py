@@ -1,0 +1,211 @@
+"""Start values, from visible data only.
+
+Orientation: an offline inertial filter (VQF; Laidig and Seel, Information Fusion 2023) gives the
+sensor in a frame {E} with z up whose heading drifts slowly; the camera's view of the forearm's
+direction and of a joint's acceleration then gives `R_K_E` over time (Wahba's problem, SIAM Review
+1965). Positions and velocities: local polynomials through the camera's samples, cubic bridges over
+the gaps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ..calibration import ArmCalibration
+from ..linalg import interpolate
+from ..recording import JOINTS, BoolArray, FloatArray
+from .attitude import InertialAttitude
+from .inertial import InertialSignal
+from .segment import Piece
+
+GRAVITY = 9.81
+
+#: How fast the inertial filter's heading may drift: alignments share data over this time, s.
+ALIGN_SPAN_S = 30.0
+ALIGN_STEP_S = 2.0
+#: Camera accelerations are taken over windows of this half width, s.
+ACCELERATION_HALF_S = 0.4
+#: Frames that a parabola needs.
+FEWEST_FRAMES = 6
+#: Standard deviations of the pairs that are matched.
+POINT_SIGMA_M = 0.012
+FILTER_SIGMA_RAD = np.radians(3.0)
+ACCELERATION_SIGMA = 0.1
+HINT_SIGMA_RAD = np.radians(15.0)
+
+
+@dataclass(frozen=True)
+class VectorPairs:
+    """Unit or physical vectors seen from both frames: in_K = R_K_E in_E, weight = 1 / variance."""
+
+    t: FloatArray
+    in_K: FloatArray
+    in_E: FloatArray
+    weight: FloatArray
+
+
+def direction_pairs(
+    t: FloatArray, elbow: FloatArray, wrist: FloatArray, attitude: InertialAttitude, along_A: FloatArray
+) -> VectorPairs:
+    """The forearm's direction in both frames, at frames where both joints are seen."""
+    along_K = wrist - elbow
+    length = np.linalg.norm(along_K, axis=1)
+    in_E = attitude.at(t).apply(along_A)
+    sigma = np.hypot(np.sqrt(2.0) * POINT_SIGMA_M / np.median(length), FILTER_SIGMA_RAD)
+    return VectorPairs(t, along_K / length[:, None], in_E, np.full(len(t), sigma**-2))
+
+
+@dataclass(frozen=True)
+class AccelerationPairs:
+    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A), (n, ...) each."""
+
+    t: FloatArray
+    in_K: FloatArray
+    in_E: FloatArray
+    turn: FloatArray
+    weight: FloatArray
+
+    def with_lever(self, lever_A: FloatArray) -> VectorPairs:
+        """Vector pairs for a joint that sits at lever_A (3,) m in {A}."""
+        return VectorPairs(self.t, self.in_K, self.in_E + self.turn @ lever_A, self.weight)
+
+
+def acceleration_pairs(
+    t: FloatArray, point: FloatArray, attitude: InertialAttitude, signal: InertialSignal, gravity: float
+) -> AccelerationPairs:
+    """A joint's acceleration from the camera and from the IMU, both by the same local parabolas.
+
+    The camera's samples p(t_j), the IMU's double integral and the lever's turning go through the same
+    linear functional (the quadratic coefficient of a least-squares parabola), so no filter differs.
+    """
+    step = 0.01
+    grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
+    force = signal.mean(grid[:-1], grid[1:])[:, :3]
+    acc_E = attitude.at(0.5 * (grid[1:] + grid[:-1])).apply(force) - np.array([0.0, 0.0, gravity])
+    velocity = np.vstack([np.zeros(3), np.cumsum(acc_E * step, axis=0)])
+    path = np.vstack([np.zeros(3), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step, axis=0)])
+    inertial = interpolate(grid, path, t)
+    R_E_A = attitude.at(t).as_matrix()
+    half = ACCELERATION_HALF_S
+    centre = np.arange(t[0] + half, t[-1] - half, 0.5 * half)
+    lo, hi = np.searchsorted(t, [centre - half, centre + half])
+    if not len(centre) or (hi - lo).max() < FEWEST_FRAMES:
+        none = np.zeros((0, 3))
+        return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
+    # every window as one row of indices, short ones filled up and masked
+    index = np.minimum(lo[:, None] + np.arange((hi - lo).max()), len(t) - 1)
+    inside = np.arange(index.shape[1]) < (hi - lo)[:, None]
+    u = np.where(inside, t[index] - centre[:, None], 0.0)
+    first, last = t[lo], t[np.maximum(hi - 1, 0)]
+    hole = np.where(inside[:, 1:], np.diff(t[index], axis=1), 0.0).max(axis=1)
+    good = (hi - lo >= FEWEST_FRAMES) & (hole < 0.35 * half) & (last - first > 1.6 * half)
+    u, index, inside, centre = u[good], index[good], inside[good], centre[good]
+    basis = np.stack([inside.astype(float), u, u**2], axis=2)
+    functional = (
+        2.0 * np.linalg.solve(np.einsum("wka,wkb->wab", basis, basis), np.swapaxes(basis, 1, 2))[:, 2]
+    )
+    variance = POINT_SIGMA_M**2 * np.sum(functional**2, axis=1) + ACCELERATION_SIGMA**2
+    return AccelerationPairs(
+        centre,
+        np.einsum("wk,wka->wa", functional, point[index]),
+        np.einsum("wk,wka->wa", functional, inertial[index]),
+        np.einsum("wk,wkab->wab", functional, R_E_A[index]),
+        1.0 / variance,
+    )
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """`R_K_E` over time and its covariance (3, 3) rad^2 in {K} at each of the times t (n,)."""
+
+    t: FloatArray
+    R_K_E: Rotation
+    covariance: FloatArray
+
+    def at(self, t: FloatArray) -> Rotation:
+        """`R_K_E` at the given times, held beyond the ends."""
+        if len(self.t) == 1:
+            return Rotation.from_matrix(np.tile(self.R_K_E.as_matrix(), (len(t), 1, 1)))
+        return self._curve(np.clip(t, self.t[0], self.t[-1]))
+
+    @cached_property
+    def _curve(self) -> Slerp:
+        return Slerp(self.t, self.R_K_E)
+
+    def covariance_at(self, t: float) -> FloatArray:
+        """Covariance at the nearest of its times."""
+        return self.covariance[int(np.argmin(np.abs(self.t - t)))]
+
+
+def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatArray) -> Alignment:
+    """`R_K_E` over time by Wahba's problem on pairs weighted by their distance in time.
+
+    Parameters
+    ----------
+    down_K : (3,) rough direction of gravity in {K}; decides only what the pairs leave open.
+    """
+    t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
+    times = np.concatenate([pair.t for pair in pairs])
+    in_K = np.vstack([pair.in_K for pair in pairs])
+    in_E = np.vstack([pair.in_E for pair in pairs])
+    weight = np.concatenate([pair.weight for pair in pairs])
+    cell = np.clip(((times - start_s) / ALIGN_STEP_S).astype(int), 0, len(t) - 1)
+    profile = np.zeros((len(t), 3, 3))
+    outer = weight[:, None, None] * in_K[:, :, None] * in_E[:, None, :]
+    np.add.at(profile, cell, outer)
+    profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_SPAN_S))
+    profile += np.outer(down_K, [0.0, 0.0, -1.0]) / HINT_SIGMA_RAD**2
+    U, _, Vt = np.linalg.svd(profile)
+    sign = np.sign(np.linalg.det(U @ Vt))
+    middle = np.tile(np.eye(3), (len(t), 1, 1))
+    middle[:, 2, 2] = sign
+    R = U @ middle @ Vt
+    # information of Wahba's loss about the attitude, in {K}: tr(M) I - M with M = R B' symmetrised
+    M = R @ np.swapaxes(profile, 1, 2)
+    information = np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (M + np.swapaxes(M, 1, 2))
+    covariance = np.linalg.inv(information + np.eye(3)) + FILTER_SIGMA_RAD**2 * np.eye(3)
+    return Alignment(t, Rotation.from_matrix(R), covariance)
+
+
+def _spread(cells: FloatArray, keep: float) -> FloatArray:
+    """Exponentially weighted sum over the neighbours on both sides."""
+    forward, backward = cells.copy(), cells.copy()
+    for i in range(1, len(cells)):
+        forward[i] += keep * forward[i - 1]
+        backward[-1 - i] += keep * backward[-i]
+    return forward + backward - cells
+
+
+def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
+    """A joint's lever arm (3,) m in {A}; zero for the strap, None where unknown."""
+    if joint in calibration.lever_arms:
+        return calibration.lever_arms[joint].position_m
+    return np.zeros(3) if joint == "strap" else None
+
+
+def pairs(
+    piece: Piece, frame_t: FloatArray, accepted: BoolArray, calibration: ArmCalibration
+) -> list[VectorPairs]:
+    """What camera and IMU both saw: the forearm's direction, and the acceleration of one joint."""
+    found: list[VectorPairs] = []
+    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+    along_A = calibration.forearm_direction
+    both = accepted[:, elbow] & accepted[:, wrist]
+    if along_A is not None and both.any():
+        position = piece.position[both]
+        found.append(
+            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], piece.attitude, along_A)
+        )
+    for joint in ("strap", "wrist", "hand", "elbow"):  # the first that is known: nearest to the IMU
+        lever, column = lever_of(calibration, joint), JOINTS.index(joint)
+        rows = accepted[:, column]
+        if lever is not None and rows.sum() >= 8:
+            point = piece.position[rows, column]
+            both_saw = acceleration_pairs(frame_t[rows], point, piece.attitude, piece.signal, GRAVITY)
+            found.append(both_saw.with_lever(lever))
+            break
+    return found

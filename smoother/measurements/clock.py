@@ -1,0 +1,78 @@
+"""The camera's clock against the IMU's: an offset that may drift, found from the residuals.
+
+A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
+Their projection, summed over a second or less, is a local estimate of the offset; how fast the offset may
+wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural
+time series models, 1989), and their smoothed mean is the clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..recording import FloatArray
+
+#: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
+LARGEST_OFFSET_S = 0.4
+OFFSET_SIGMA_S = 0.15
+
+#: Times that are taken together, so that a long recording's need no memory of their own.
+TOGETHER = 1 << 16
+
+
+@dataclass(frozen=True)
+class Clock:
+    """t_imu = t_camera + offset, linear between knots and held beyond them.
+
+    Attributes
+    ----------
+    t : (k,) knots, camera's clock, s.
+    offset : (k,) s.
+    sigma_s : standard deviation of the mean offset, s.
+    walk : how fast it was found to wander, s/sqrt(s).
+    skew : steady drift, s/s; zero where none shows.
+    local_sigma_s : standard deviation of the offset at any one time, s: the mean's, what its wandering
+        leaves open, and for stamps that were made up a part of the frame period.
+    """
+
+    t: FloatArray
+    offset: FloatArray
+    sigma_s: float
+    walk: float = 0.0
+    local_sigma_s: float = 0.0
+    skew: float = 0.0
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Offsets at camera times, s; beyond the knots they go on with the skew."""
+        offset = np.empty(len(t))
+        for start in range(0, len(t), TOGETHER):
+            part = np.asarray(t[start : start + TOGETHER])
+            outside = np.minimum(part - self.t[0], 0.0) + np.maximum(part - self.t[-1], 0.0)
+            offset[start : start + TOGETHER] = np.interp(part, self.t, self.offset) + self.skew * outside
+        return offset
+
+    def after(self, coarse: Clock | None) -> Clock:
+        """The clock of the stamps themselves, where it was found after `coarse` had moved them."""
+        if coarse is None:
+            return self
+        t = self.t - coarse.mean_s
+        for _ in range(3):  # coarse is nearly constant: this settles at once
+            t = self.t - coarse.at(t)
+        return replace(self, t=t, offset=self.offset + coarse.at(t), skew=self.skew + coarse.skew)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean offset, s."""
+        return float(self.offset.mean())
+
+    @property
+    def drift_s(self) -> float:
+        """Largest change of the offset over the recording, s."""
+        return float(np.ptp(self.offset))
+
+
+def constant(offset_s: float, sigma_s: float = OFFSET_SIGMA_S) -> Clock:
+    """A clock that does not drift."""
+    return Clock(np.zeros(1), np.full(1, offset_s), sigma_s)

@@ -1,0 +1,175 @@
+"""IMU samples as a continuous signal, and its integrals over any intervals.
+
+A sample is the mean over its interval, so the cumulative sum of the samples is exact at the
+interval's edges; a cubic spline through it gives the mean rate over any other interval. Holding
+samples constant instead shifts a 40 Hz sensor by half a sample (12.5 ms).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from ..recording import FloatArray, ImuStream
+
+#: Longest step of the fine integration, s.
+FINE_STEP_S = 1.0 / 240.0
+#: Intervals are done together when their step counts differ by less than this; the finer count counts.
+STEP_FACTOR = 1.42
+#: Longest stretch that one pair of equivalent samples stands for, s (see `Preintegration`).
+BLOCK_S = 0.036
+
+
+#: Share of a knock's impulse that the samples may have missed.
+ROUGH_SHARE = 0.2
+
+
+def _roughness(imu: ImuStream) -> FloatArray:
+    """How far each sample's specific force is from its neighbours' mean, m/s^2 (N,)."""
+    rough = np.zeros(len(imu))
+    rough[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
+    return rough
+
+
+class InertialSignal:
+    """The specific force and angular rate between samples.
+
+    Parameters
+    ----------
+    imu : samples with increasing times, without a pause.
+    """
+
+    def __init__(self, imu: ImuStream) -> None:
+        self._imu = imu
+        half = 0.5 * float(np.median(np.diff(imu.t_s)))
+        middle = 0.5 * (imu.t_s[1:] + imu.t_s[:-1])
+        self.edges = np.concatenate(([imu.t_s[0] - half], middle, [imu.t_s[-1] + half]))
+        samples = np.hstack([imu.acc, imu.gyro])
+        integral = np.zeros((len(self.edges), 6))
+        np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
+        self._integral = CubicSpline(self.edges, integral)
+        self._rough = np.concatenate(([0.0], np.cumsum((_roughness(imu) * np.diff(self.edges)) ** 2)))
+
+    def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
+        return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
+
+    @property
+    def start_s(self) -> float:
+        """Beginning of the first sample's interval, s."""
+        return float(self.edges[0])
+
+    @property
+    def end_s(self) -> float:
+        """End of the last sample's interval, s."""
+        return float(self.edges[-1])
+
+    def velocity_error(self, t: FloatArray) -> FloatArray:
+        """Velocity that each interval of consecutive times may have lost to knocks, m/s (n,).
+
+        Between neighbouring samples a knock is faster than the sensor follows: part of the impulse
+        is filtered, aliased or clipped. Root sum of squares over the samples.
+        """
+        return ROUGH_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._rough)), 0.0))
+
+    def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
+        """Mean (specific force m/s^2, angular rate rad/s) over intervals, (..., 6) in {A}."""
+        return (self._integral(end_s) - self._integral(start_s)) / (end_s - start_s)[..., None]
+
+
+@dataclass(frozen=True)
+class Preintegration:
+    """Motion between consecutive times, seen from the earlier one, free of gravity and start velocity.
+
+    Attributes
+    ----------
+    delta_R : (n, 3, 3) rotation of the later axes in the earlier ones.
+    delta_v, delta_p : (n, 3) velocity and position increments in the earlier axes, m/s and m.
+    dt : (n,) s.
+    """
+
+    delta_R: FloatArray
+    delta_v: FloatArray
+    delta_p: FloatArray
+    dt: FloatArray
+
+
+def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preintegration:
+    """Integrate the signal over each interval of consecutive times (Forster et al., TRO 2017, eq 33-35).
+
+    Parameters
+    ----------
+    t : (n + 1,) increasing times inside the signal, s.
+    bias : (6,) or (n, 6) accelerometer and gyroscope bias to take off, m/s^2 and rad/s.
+    """
+    return integrate_between(signal, t[:-1], t[1:], bias)
+
+
+def integrate_between(
+    signal: InertialSignal, start_s: FloatArray, end_s: FloatArray, bias: FloatArray
+) -> Preintegration:
+    """Integrate the signal over any intervals, (n,) each; as `integrate`."""
+    dt = end_s - start_s
+    bias = np.broadcast_to(bias, (len(dt), 6))
+    delta_R = np.tile(np.eye(3), (len(dt), 1, 1))
+    delta_v, delta_p = np.zeros((len(dt), 3)), np.zeros((len(dt), 3))
+    steps = np.ceil(dt / FINE_STEP_S - 1e-6)
+    group = np.maximum(np.ceil(np.log(np.maximum(steps, 1.0)) / np.log(STEP_FACTOR) - 1e-9), 0.0)
+    for each in np.unique(group):  # intervals of about equal step count go together
+        rows = np.flatnonzero(group == each)
+        count = int(np.ceil(STEP_FACTOR**each - 1e-9))
+        h = dt[rows] / count
+        edges = start_s[rows, None] + h[:, None] * np.arange(count + 1)
+        rate = signal.mean(edges[:, :-1], edges[:, 1:]) - bias[rows, None]
+        turns = (0.5 * h[:, None, None] * rate[..., 3:]).reshape(-1, 3)
+        halves = Rotation.from_rotvec(turns).as_matrix().reshape(len(rows), count, 3, 3)
+        R, v, p = np.tile(np.eye(3), (len(rows), 1, 1)), np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+        for k in range(count):
+            middle = R @ halves[:, k]
+            a = np.einsum("nij,nj->ni", middle, rate[:, k, :3])
+            p += h[:, None] * v + 0.5 * h[:, None] ** 2 * a
+            v += h[:, None] * a
+            R = middle @ halves[:, k]
+        delta_R[rows], delta_v[rows], delta_p[rows] = R, v, p
+    return Preintegration(delta_R, delta_v, delta_p, dt)
+
+
+def split_blocks(t: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Cut the intervals between times into blocks no longer than `BLOCK_S`.
+
+    Returns
+    -------
+    block_t : (m + 1,) times of the blocks' edges, s.
+    first : (n,) index of each interval's first block, and after the last one m: (n + 1,).
+    """
+    count = np.maximum(np.ceil(np.diff(t) / BLOCK_S - 1e-9).astype(int), 1)
+    first = np.concatenate(([0], np.cumsum(count)))
+    inside = np.arange(first[-1]) - np.repeat(first[:-1], count)
+    start = np.repeat(t[:-1], count)
+    block_t = start + np.repeat(np.diff(t) / count, count) * inside
+    return np.append(block_t, t[-1]), first
+
+
+def equivalent_samples(motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Two constant samples a block whose simple integration gives the block's motion exactly.
+
+    GTSAM's preintegration advances by p += v h + R a h^2/2, v += R a h, R = R Exp(w h) with R at the
+    step's start. Two such steps of half the block with one common rate have six unknowns in a: they
+    reproduce (delta_v, delta_p) of the fine integration, so that two calls stand for any number.
+
+    Returns
+    -------
+    acc : (n, 2, 3) m/s^2.
+    gyro : (n, 3) rad/s, the same in both halves.
+    h : (n,) s, half of the block.
+    """
+    h = 0.5 * motion.dt
+    gyro = Rotation.from_matrix(motion.delta_R).as_rotvec() / motion.dt[:, None]
+    # delta_v = (a1 + b) h and delta_p = (3 a1 + b) h^2/2 with b = R1 a2
+    total = motion.delta_v / h[:, None]
+    a1 = motion.delta_p / h[:, None] ** 2 - 0.5 * total
+    R1 = Rotation.from_rotvec(gyro * h[:, None]).as_matrix()
+    a2 = np.einsum("nji,nj->ni", R1, total - a1)
+    return np.stack([a1, a2], axis=1), gyro, h

@@ -1,0 +1,77 @@
+"""Times: where the IMU stream pauses, and which nodes a stretch of it is solved at."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from ..recording import FloatArray, ImuStream
+
+#: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
+CAMERA_RATES_HZ = np.array(
+    [5.0, 7.5, 10.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0]
+)
+RATE_TOLERANCE = 0.01
+
+#: Longest interval between IMU samples that is bridged, s (or so many sample periods).
+PAUSE_S = 0.1
+PAUSE_SAMPLES = 5.0
+#: Stamps that scatter by more than this part of a sample are steadied, over a span of time, s.
+STEADY_SCATTER = 0.08
+STEADY_SPAN_S = 4.0
+STEADY_FEWEST = 50
+
+
+def split_at_pauses(imu: ImuStream) -> list[slice]:
+    """Stretches of the IMU stream without a pause, in order."""
+    dt = np.diff(imu.t_s)
+    pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
+    cuts = np.flatnonzero(dt > pause_s) + 1
+    edges = [0, *cuts.tolist(), len(imu.t_s)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def steady(t: FloatArray) -> FloatArray:
+    """Sample times of a sensor that ticks evenly, from stamps that a radio or a driver made uneven.
+
+    Bluetooth sensors sample evenly, but their packets are stamped on arrival. Where the stamps scatter
+    about an even tick (and no sample is missing, so that the tick can be counted), the tick wins: a
+    straight line through the stamps plus their slow departure from it. Good stamps come back unchanged.
+
+    Parameters
+    ----------
+    t : (N,) increasing stamps, s.
+    """
+    if len(t) < STEADY_FEWEST:
+        return t
+    dt = np.diff(t)
+    tick = float(t[-1] - t[0]) / (len(t) - 1)
+    scatter = 1.4826 * float(np.median(np.abs(dt - tick)))
+    if scatter < STEADY_SCATTER * tick:
+        return t
+    count = np.arange(len(t), dtype=float)
+    slope, start = np.polyfit(count, t, 1)
+    departure = t - (start + slope * count)
+    width = max(int(STEADY_SPAN_S / slope), 3) | 1
+    slow = uniform_filter1d(departure, width, mode="nearest")
+    left = departure - slow
+    # a missing sample makes a step of a whole tick: then the stamps are all there is
+    half = width // 2
+    step = np.abs(uniform_filter1d(left, max(width // 8, 3), mode="nearest")[half:-half])
+    if not len(step) or step.max() > 0.4 * slope:
+        return t
+    steadied = start + slope * count + slow
+    return steadied if np.diff(steadied).min() > 0.2 * slope else t
+
+
+def stamps_made_up(t_s: FloatArray) -> bool:
+    """Whether frame times (F,) were spread evenly by somebody instead of measured.
+
+    They are even to a tenth of a millisecond, at a rate that no camera runs at.
+    """
+    dt = np.diff(t_s)
+    if len(dt) < 10 or np.ptp(dt) > 1e-4:
+        return False
+    return bool(np.min(np.abs(1.0 / dt.mean() / CAMERA_RATES_HZ - 1.0)) > RATE_TOLERANCE)

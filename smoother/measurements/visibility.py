@@ -1,0 +1,96 @@
+"""What is occluded: which frames, which stretches of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointTracks
+
+#: Frames farther apart than this (s, and in frame periods) leave a gap although none says `occluded`.
+MISSING_S = 0.15
+MISSING_FRAMES = 2.5
+
+
+def accepted_samples(arm: JointTracks) -> BoolArray:
+    """Samples that may take part: tracked and finite, (F, 5)."""
+    return np.stack([arm.tracked(joint) for joint in JOINTS], axis=1)
+
+
+def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:
+    """Frames in which the forearm is seen, (F,).
+
+    Two accepted forearm joints make a frame visible; one is enough where the recording has no more
+    (`strap` alone).
+    """
+    return enough_joints(accepted, joints_needed(arm))
+
+
+def joints_needed(arm: JointTracks) -> int:
+    """How many accepted forearm joints make a frame visible."""
+    return max(min(2, len([joint for joint in arm.present if joint in FOREARM_JOINTS])), 1)
+
+
+def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
+    """Frames (F,) with so many accepted forearm joints."""
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    return accepted[:, forearm].sum(axis=1) >= needed
+
+
+def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:
+    """Occluded stretches between two times.
+
+    Parameters
+    ----------
+    t_s : (F,) frame times on the IMU's clock, increasing.
+    visible : (F,) see `visible_frames`.
+    start_s, end_s : what the IMU covers.
+    """
+    inside = (t_s >= start_s) & (t_s <= end_s)
+    t_s, visible = t_s[inside], visible[inside]
+    seen = t_s[visible]
+    if len(seen) == 0:
+        return (Gap(start_s, end_s, open_start=True, open_end=True),)
+    missing_s = max(MISSING_S, MISSING_FRAMES * float(np.median(np.diff(t_s)))) if len(t_s) > 1 else MISSING_S
+    frame = np.flatnonzero(visible)
+    gaps = [
+        Gap(float(a), float(b))
+        for a, b, skipped in zip(seen[:-1], seen[1:], np.diff(frame) > 1, strict=True)
+        if skipped or b - a > missing_s
+    ]
+    if seen[0] - start_s > missing_s or frame[0] > 0:
+        gaps.insert(0, Gap(start_s, float(seen[0]), open_start=True))
+    if end_s - seen[-1] > missing_s or frame[-1] < len(t_s) - 1:
+        gaps.append(Gap(float(seen[-1]), end_s, open_end=True))
+    return tuple(gaps)
+
+
+def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
+    """Which times lie in a gap, (N,); the visible frames at its ends do not."""
+    occluded = np.zeros(len(t_s), dtype=bool)
+    for gap in gaps:
+        after = t_s >= gap.start_s if gap.open_start else t_s > gap.start_s
+        before = t_s <= gap.end_s if gap.open_end else t_s < gap.end_s
+        occluded |= after & before
+    return occluded
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A run of occluded frames, bounded by the visible frames beside it (IMU clock, s).
+
+    `start_s` is the last visible frame before the gap (the recording's first frame where the gap
+    is open at the start), `end_s` the first visible frame after it. `open_start`, `open_end`: one
+    side has no visible frame, so the gap is recovered from the other side alone.
+    """
+
+    start_s: float
+    end_s: float
+    open_start: bool = False
+    open_end: bool = False
+
+    @property
+    def length_s(self) -> float:
+        """Duration, s."""
+        return self.end_s - self.start_s

@@ -1,0 +1,312 @@
+"""A calibrated magnetometer in the second pass, where it agrees with the rest.
+
+The direction of the local field in {K} is not known. A first solution without the magnetometer turns
+its samples into {K}; their middle over the whole recording is that direction, known far better than
+the attitude in any one window. Iron and magnets show in the field's strength, which no attitude
+changes: where it is off, and where the direction is farther off than everywhere else, the samples are
+left out. How much the strength varies in what remains is how much the direction varies too, as a
+disturbance has no preferred side: this is the sigma of the factors (`AttitudeFactorPose3`, one a
+block of some seconds).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..linalg import skew
+from ..recording import BoolArray, FloatArray, ImuStream
+from ..result import Recovery
+from ..window.problem import FieldSight, Solution, Window
+from ..window.shared import axes_across
+
+#: Samples are gathered over blocks of so long: a place's disturbance lasts about as long as the arm stays.
+BLOCK_S = 2.0
+#: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
+#: stronger or weaker than where the magnetometer was calibrated is another one.
+STRENGTH_OFF = 0.1
+STRENGTH_ELSEWHERE = 0.35
+#: Blocks whose strength is off by more than this many scaled median deviations, and by so much at least, are
+#: left out, as those whose direction is; and their neighbours, which the same magnet may have reached.
+FAR = 3.5
+LEAST_FAR = 0.03
+#: A block takes part when so much of it is undisturbed.
+SHARE_NEEDED = 0.8
+#: Blocks that the field's direction needs, and the share of all that has to agree.
+BLOCKS_NEEDED = 8
+BLOCKS_SHARE = 0.5
+#: No room's field is known better than this, rad.
+LEAST_SIGMA_RAD = np.radians(0.7)
+#: No factor is trusted more than this, rad: in gaps of some seconds, what the field is off in tilt costs
+#: more than the heading gains (at 0.7 degrees 3 % of the position in a trial of BROAD, at 2 nothing).
+FACTOR_SIGMA_RAD = np.radians(2.0)
+#: How often the direction is solved anew without the blocks that contradict it.
+ROUNDS = 4
+#: A sample farther than this from a node says nothing of it, s.
+NEAR_S = 0.05
+
+
+@dataclass(frozen=True)
+class Block:
+    """The field over a block of a window.
+
+    Attributes
+    ----------
+    window : its number.
+    node, t_s : of the window of the second pass, and its time.
+    in_K, in_A : (3,) mean over the block, in the camera's axes and in the sensor's at the node.
+    share : undisturbed part.
+    attitude_covariance : (3, 3) rad^2 in {K}, of the first solution.
+    """
+
+    window: int
+    node: int
+    t_s: float
+    in_K: FloatArray
+    in_A: FloatArray
+    share: float
+    attitude_covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class Magnetometer:
+    """What became of the magnetometer.
+
+    Attributes
+    ----------
+    direction : (3,) of the field in {K}; nan where it was not found.
+    sigma_rad : of a block's direction.
+    blocks, used : how many there were, and how many took part.
+    note : a sentence for the reader, "" where there is no calibrated magnetometer.
+    """
+
+    direction: FloatArray
+    sigma_rad: float = float("nan")
+    blocks: int = 0
+    used: int = 0
+    note: str = ""
+
+    def noted(self, recovery: Recovery) -> Recovery:
+        """The recovery with a word on the magnetometer."""
+        if not self.note:
+            return recovery
+        figures: dict[str, object] = {
+            "magnetometer_blocks": self.blocks,
+            "magnetometer_blocks_used": self.used,
+        }
+        if self.used:
+            figures["magnetometer_sigma_deg"] = float(np.degrees(max(self.sigma_rad, FACTOR_SIGMA_RAD)))
+            figures["magnetic_field_direction"] = self.direction.tolist()
+        return replace(recovery, notes=(*recovery.notes, self.note), figures={**recovery.figures, **figures})
+
+
+#: A recording without one.
+NO_MAGNETOMETER = Magnetometer(np.full(3, np.nan))
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the magnetometer read in a window of the first pass.
+
+    Attributes
+    ----------
+    t_s : (n,) nodes, s.
+    in_K : (n, 3) the field; nan where there is no sample.
+    R_K_A : (n, 3, 3) the attitude, and its covariance (n, 3, 3) rad^2 in {K}.
+    """
+
+    t_s: FloatArray
+    in_K: FloatArray
+    R_K_A: FloatArray
+    attitude_covariance: FloatArray
+
+    @property
+    def strength(self) -> FloatArray:
+        """(n,) of the field."""
+        return np.linalg.norm(self.in_K, axis=1)
+
+
+def takes_part(imu: ImuStream) -> bool:
+    """Whether there is a calibrated magnetometer."""
+    return imu.mag is not None and imu.mag_calibrated
+
+
+def observe(imu: ImuStream, window: Window, solution: Solution) -> Observed:
+    """What a window's solution, with covariance, makes of the magnetometer's samples."""
+    assert imu.mag is not None and solution.pose_covariance is not None
+    have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
+    in_K = np.full((len(window.t), 3), np.nan) if len(have) < 2 else _in_camera(have, window, solution)
+    return Observed(window.t, in_K, solution.states.R, solution.pose_covariance[:, 3:, 3:])
+
+
+def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer]:
+    """The field's strength over all windows; nan, and why, where it cannot be used."""
+    known = np.concatenate([each[np.isfinite(each)] for each in strengths])
+    if not len(known):
+        return float("nan"), _without("it has no samples while the arm was solved")
+    strength = float(np.median(known))
+    if not abs(strength - 1.0) < STRENGTH_ELSEWHERE:
+        return float("nan"), _without(
+            f"the field is {strength:.2f} times as strong as where it was calibrated; a magnet is near, or"
+            " the calibration is not of this sensor"
+        )
+    return strength, NO_MAGNETOMETER
+
+
+def decide(blocks: Sequence[Block]) -> tuple[dict[int, FieldSight], Magnetometer]:
+    """What each window of the second pass is told, by its number, and what became of the magnetometer."""
+    calm = [block for block in blocks if block.share >= SHARE_NEEDED]
+    if len(blocks) < BLOCKS_NEEDED:
+        return {}, _without("the recording is too short to learn the field's direction from it")
+    if len(calm) < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+        return {}, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
+    direction, covariance, sigma, good = _agree(blocks, calm)
+    if good.sum() < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+        return {}, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
+    common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
+    kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
+    told: dict[int, list[Block]] = {}
+    for block in kept:
+        told.setdefault(block.window, []).append(block)
+    believed = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
+    note = f"the magnetometer takes part, the field's direction believed to {believed:.1f} degrees"
+    if len(kept) < len(blocks):
+        note += (
+            f"; it was left out in {len(blocks) - len(kept)} of {len(blocks)} places, as it disagrees there"
+        )
+    sights = {window: _sight(own, direction, sigma, common) for window, own in told.items()}
+    return sights, Magnetometer(direction, sigma, len(blocks), len(kept), note)
+
+
+def _without(reason: str) -> Magnetometer:
+    return Magnetometer(np.full(3, np.nan), note=reason and f"the magnetometer was left out: {reason}")
+
+
+def _agree(blocks: Sequence[Block], calm: list[Block]) -> tuple[FloatArray, FloatArray, float, BoolArray]:
+    """The field's direction that most blocks agree on, and which do.
+
+    Least squares over the windows, each with the attitude's covariance that its first solution states: the
+    blocks of a window share its attitude's error. Blocks that the rest contradicts are taken out, and it is
+    done again.
+
+    Returns
+    -------
+    direction : (3,) unit vector in {K}.
+    covariance : (2, 2) rad^2 across it.
+    sigma : of a block's direction, from the strengths, rad.
+    good : (c,) of the calm blocks.
+    """
+    in_K = np.array([block.in_K for block in calm])
+    strength = np.linalg.norm(in_K, axis=1)
+    unit = in_K / strength[:, None]
+    window = np.array([block.window for block in calm])
+    attitude = np.array([block.attitude_covariance for block in calm])
+    usual = float(np.median(strength))
+    varies = 1.4826 * float(np.median(np.abs(strength - usual)))
+    calm_enough = np.abs(strength - usual) < max(FAR * varies, LEAST_FAR * usual)
+    good, direction, covariance, sigma = calm_enough, middle_direction(in_K), np.eye(2), LEAST_SIGMA_RAD
+    for _ in range(ROUNDS):
+        if not good.any():
+            break
+        sigma = max(float(np.std(strength[good])) / usual, LEAST_SIGMA_RAD)
+        across = axes_across(direction)
+        residual = unit @ across.T
+        tilt = across @ skew(direction[None])[0]  # a small turn moves the direction by turn x direction
+        own = tilt @ attitude @ tilt.T
+        information, sum_ = np.zeros((2, 2)), np.zeros(2)
+        for k in np.unique(window[good]):
+            rows = good & (window == k)
+            weight = np.linalg.inv(own[rows].mean(axis=0) + np.eye(2) * sigma**2 / rows.sum())
+            information += weight
+            sum_ += weight @ residual[rows].mean(axis=0)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
+        direction = direction + (covariance @ sum_) @ across
+        direction = direction / np.linalg.norm(direction)
+        left = unit @ axes_across(direction).T
+        expected = own + covariance + np.eye(2) * sigma**2
+        far = np.einsum("ni,nij,nj->n", left, np.linalg.inv(expected), left)
+        good = calm_enough & (far < FAR**2)
+        good &= _far_from_bad(blocks, calm, good)
+    return direction, covariance, sigma, good
+
+
+def _far_from_bad(blocks: Sequence[Block], calm: list[Block], good: BoolArray) -> BoolArray:
+    """Which of the calm blocks have no block beside them that was left out."""
+    kept = {id(block) for block, is_good in zip(calm, good, strict=True) if is_good}
+    bad = np.array([block.t_s for block in blocks if id(block) not in kept])
+    if not len(bad):
+        return np.ones(len(calm), dtype=bool)
+    t = np.array([block.t_s for block in calm])
+    return np.asarray(np.abs(t[:, None] - bad).min(axis=1) > 1.5 * BLOCK_S)
+
+
+def _off(bad: int, blocks: int, what: str) -> str:
+    return f"in {bad} of {blocks} places the field's {what} is off; magnets or iron are near"
+
+
+def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray:
+    """The field at the window's nodes (n, 3) in {K}; nan where there is no sample."""
+    assert imu.mag is not None
+    t = imu.t_s
+    after = np.clip(np.searchsorted(t, window.t), 1, len(t) - 1)
+    apart = np.minimum(np.abs(window.t - t[after - 1]), np.abs(window.t - t[after]))
+    sample = np.stack([np.interp(window.t, t, axis) for axis in imu.mag.T], axis=1)
+    sample[apart > NEAR_S] = np.nan
+    return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
+
+
+def blocks_of(
+    number: int, seen: Observed, strength: float, later_t: FloatArray, later_R: FloatArray
+) -> Iterator[Block]:
+    """Means over blocks of a window, of the samples with the field's usual strength.
+
+    Parameters
+    ----------
+    number : the window's.
+    later_t, later_R : its nodes in the second pass, s, and what is held of their attitudes (n, 3, 3).
+    """
+    t = seen.t_s
+    with np.errstate(invalid="ignore"):
+        good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF
+    count = max(round(float(t[-1] - t[0]) / BLOCK_S), 1)
+    edges = np.linspace(t[0], t[-1], count + 1)
+    of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
+    for k in range(count):
+        rows = np.flatnonzero(of == k)
+        if not len(rows):
+            continue
+        share = float(good[rows].mean())
+        mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
+        middle = rows[len(rows) // 2]
+        node = int(np.argmin(np.abs(later_t - t[middle])))
+        yield Block(
+            number,
+            node,
+            float(later_t[node]),
+            mean,
+            later_R[node].T @ mean,
+            share,
+            seen.attitude_covariance[middle],
+        )
+
+
+def middle_direction(vectors: FloatArray) -> FloatArray:
+    """Unit vector (3,) in the middle of directions (N, 3), far ones pulling less (spatial median)."""
+    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    middle = np.median(unit, axis=0)
+    for _ in range(30):  # Weiszfeld's iteration
+        weight = 1.0 / np.maximum(np.linalg.norm(unit - middle, axis=1), 1e-3)
+        middle = weight @ unit / weight.sum()
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def _sight(own: list[Block], direction: FloatArray, sigma: float, common: float) -> FieldSight:
+    """A window's blocks; together they know the direction no better than the recording does."""
+    return FieldSight(
+        node=np.array([block.node for block in own]),
+        in_A=np.array([block.in_A / np.linalg.norm(block.in_A) for block in own]),
+        in_K=direction,
+        sigma_rad=float(np.sqrt(max(sigma, FACTOR_SIGMA_RAD) ** 2 + len(own) * common**2)),
+    )

@@ -1,0 +1,99 @@
+"""What a reader must know of a result, one sentence each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from ..measurements.clock import LARGEST_OFFSET_S, Clock
+from ..measurements.timestamps import split_at_pauses, stamps_made_up
+from ..measurements.visibility import Gap
+from ..recording import Recording
+from ..result import FrameResiduals
+from ..selfcal.rounds import Knowledge
+
+#: A one-sided gap longer than this deserves a sentence, s.
+OPEN_GAP_S = 0.5
+#: Where more of the camera's samples than this are set aside, something else is wrong.
+HARDLY_AGREE = 0.3
+#: A clock that drifts more than this deserves a sentence, s.
+DRIFT_S = 0.005
+
+
+def notes_on(
+    recording: Recording,
+    known: Knowledge,
+    clock: Clock,
+    residuals: FrameResiduals,
+    gaps: tuple[Gap, ...],
+) -> tuple[str, ...]:
+    """Sentences on pauses, clocks, samples set aside and open gaps."""
+    return (
+        *recording.notes,
+        *_pauses(recording),
+        *_clock(recording, clock),
+        *_mounting(known),
+        *_set_aside(residuals),
+        *_open_gaps(gaps),
+    )
+
+
+def _pauses(recording: Recording) -> list[str]:
+    t = recording.imu.t_s
+    pieces = split_at_pauses(recording.imu)
+    return [
+        f"the IMU stream pauses from {t[a.stop - 1]:.2f} s to {t[b.start]:.2f} s: the recording is solved"
+        " apart on both sides, and nothing is recovered in between"
+        for a, b in pairwise(pieces)
+    ]
+
+
+def _clock(recording: Recording, clock: Clock) -> list[str]:
+    notes = []
+    if stamps_made_up(recording.arm.t_s):
+        notes.append(
+            "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
+            " up, dropped frames are hidden, and fast movement is known less well"
+        )
+    if abs(clock.mean_s) > LARGEST_OFFSET_S:
+        notes.append(
+            f"the camera's clock and the IMU's are {abs(clock.mean_s):.2f} s apart; that was found from the"
+            " motion: look whether the answer follows the camera"
+        )
+    if clock.drift_s > DRIFT_S:
+        notes.append(f"the camera's clock drifts by {1e3 * clock.drift_s:.0f} ms over the recording")
+    return notes
+
+
+def _mounting(known: Knowledge) -> list[str]:
+    if not known.mounting_unknown:
+        return []
+    return [
+        "the forearm hardly moved in view, or turned about the vertical only: how the sensor sits on it is"
+        " not known, so orientation and the sensor's own position are uncertain throughout; flex the elbow,"
+        " raise the arm and turn the hand over in view, or give a calibration"
+    ]
+
+
+def _set_aside(residuals: FrameResiduals) -> list[str]:
+    count = int(np.count_nonzero(residuals.reason))
+    if not count:
+        return []
+    tracked = count + int(np.count_nonzero(residuals.used))
+    said = f"{count} of {tracked} tracked samples of the camera were not believed and set aside"
+    if count > HARDLY_AGREE * tracked:
+        said += (
+            "; camera and IMU hardly agree, and the answer is not to be trusted: check that their clocks"
+            " agree to a minute, and that the IMU was on this arm"
+        )
+    return [said]
+
+
+def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:
+    return [
+        f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s is open at its"
+        f" {'start' if gap.open_start else 'end'}: it is recovered from one side, and soon not to be trusted"
+        for gap in gaps
+        if (gap.open_start or gap.open_end) and gap.length_s > OPEN_GAP_S
+    ]

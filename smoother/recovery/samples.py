@@ -1,0 +1,191 @@
+"""The answer at the samples of a section, from the joined motion of its windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ..calibration import ArmCalibration
+from ..linalg import interpolate, rotate_covariance, skew
+from ..measurements.alignment import lever_of
+from ..measurements.segment import Piece
+from ..measurements.visibility import Gap, occluded_at
+from ..recording import JOINTS, BoolArray, FloatArray
+from ..selfcal.rounds import Knowledge
+from ..window.cut import Stretch
+from ..window.trajectory import BLEND_HALF_S, Motion, at_times
+
+#: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
+COMMON_BIAS_SHARE = 1.0
+#: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
+UNKNOWN_LEVER_M = 0.08
+UNKNOWN_RAD = 1.0
+#: Where an angle's sigma reaches this, the linearised problem says half of what is open, rad (seen on arms
+#: that hang still: 28 degrees off with 15 stated).
+LINEAR_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class SectionAnswer:
+    """The answer at the samples of one section, and a little beyond its borders so that neighbours blend.
+
+    Attributes
+    ----------
+    samples : rows of the recording's IMU.
+    occluded, position, quaternion, velocity, pose_covariance, velocity_covariance, joints,
+    joint_covariance : at them, see `Recovery`.
+    border_s : where the section begins, s; -inf at the beginning of a stretch.
+    gaps : the occluded stretches that reach into the section.
+    frames : rows of the camera's frames that are the section's own.
+    residual, used, reason : at them, see `FrameResiduals`.
+    gravity : (3,) mean, m/s^2 in {K}.
+    """
+
+    samples: slice
+    occluded: BoolArray
+    position: FloatArray
+    quaternion: FloatArray
+    velocity: FloatArray
+    pose_covariance: FloatArray
+    velocity_covariance: FloatArray
+    joints: dict[str, FloatArray]
+    joint_covariance: dict[str, FloatArray]
+    border_s: float
+    gaps: tuple[Gap, ...]
+    frames: slice
+    residual: FloatArray
+    used: BoolArray
+    reason: NDArray[np.uint8]
+    gravity: FloatArray
+
+
+def answer_of(
+    imu_t: FloatArray,
+    first_sample: int,
+    piece: Piece,
+    stretch: Stretch,
+    motion: Motion,
+    calibration: ArmCalibration,
+    known: Knowledge,
+    names: Sequence[str],
+) -> SectionAnswer:
+    """The answer of a section from its joined motion.
+
+    Parameters
+    ----------
+    imu_t : (n,) the IMU's stamps, s; the first is the recording's sample `first_sample`.
+    names : joints to answer for.
+    """
+    clock = known.clocks[0]
+    start_s = max(motion.t[0], stretch.start_s - BLEND_HALF_S)
+    end_s = min(motion.t[-1], stretch.end_s + BLEND_HALF_S)
+    first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
+    t = imu_t[first:last]
+    states = at_times(motion, stretch.signal, t)
+    pose = widen_turns(interpolate(motion.t, motion.pose_covariance, t))
+    pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
+    # a clock that is off by a moment moves the whole path along itself
+    pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
+    joints = {joint: _joint(joint, states.R, states.p, pose, calibration, motion, t) for joint in names}
+    if known.mounting_unknown:  # joints that are seen are known all the same
+        pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
+    frame_t = piece.frame_t + clock.at(piece.frame_t)
+    own = slice(*np.searchsorted(frame_t, [piece.core_start_s, piece.core_end_s]).tolist())
+    seen = piece.position[own] + known.bias.found_m  # as the camera said it
+    return SectionAnswer(
+        samples=slice(first_sample + int(first), first_sample + int(last)),
+        occluded=occluded_at(t, stretch.gaps),
+        position=states.p,
+        quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
+        velocity=states.v,
+        pose_covariance=pose,
+        velocity_covariance=interpolate(motion.t, motion.velocity_covariance, t),
+        joints={joint: place for joint, (place, _) in joints.items()},
+        joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
+        border_s=piece.core_start_s,
+        gaps=tuple(
+            gap for gap in stretch.gaps if gap.end_s > stretch.start_s and gap.start_s < stretch.end_s
+        ),
+        frames=slice(piece.frames.start + own.start, piece.frames.start + own.stop),
+        residual=frame_residuals(seen, frame_t[own], stretch, motion, calibration),
+        used=piece.accepted[own],
+        reason=piece.reason[own],
+        gravity=motion.gravity.mean(axis=0),
+    )
+
+
+def widen_turns(pose_covariance: FloatArray) -> FloatArray:
+    """Pose covariances (n, 6, 6) with large angles widened, and positions by what depends on them.
+
+    A linearised problem overrates what it knows of an angle that is hardly known: an angle's variance v
+    becomes v (1 + v / LINEAR_RAD^2)^2. Small angles keep what they have.
+    """
+    turn = pose_covariance[:, 3:, 3:]
+    rows = np.flatnonzero(np.trace(turn, axis1=1, axis2=2) > (0.2 * LINEAR_RAD) ** 2)
+    if not len(rows):
+        return pose_covariance
+    variance, axes = np.linalg.eigh(turn[rows])
+    variance = np.maximum(variance, 1e-12)
+    added = variance * ((1.0 + variance / LINEAR_RAD**2) ** 2 - 1.0)
+    more = rotate_covariance(axes, added[:, :, None] * np.eye(3))
+    known = rotate_covariance(axes, (1.0 / variance)[:, :, None] * np.eye(3))
+    follows = np.concatenate(
+        [pose_covariance[rows, :3, 3:] @ known, np.tile(np.eye(3), (len(rows), 1, 1))], axis=1
+    )
+    widened = pose_covariance.copy()
+    widened[rows] += rotate_covariance(follows, more)
+    return widened
+
+
+def _joint(
+    joint: str,
+    R: FloatArray,
+    p: FloatArray,
+    pose_covariance: FloatArray,
+    calibration: ArmCalibration,
+    motion: Motion,
+    t: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
+    if joint == "shoulder":
+        if motion.shoulder is None or motion.shoulder_covariance is None:
+            return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
+        return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
+    if lever_of(calibration, joint) is None:
+        return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
+    arm = np.einsum("nij,nj->ni", R, motion.lever_at(joint, t))
+    jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
+    covariance = rotate_covariance(jacobian, pose_covariance)
+    if joint in calibration.lever_arms:
+        covariance = covariance + rotate_covariance(R, np.diag(calibration.lever_arms[joint].sigma_m ** 2))
+    return p + arm, covariance
+
+
+def frame_residuals(
+    position: FloatArray,
+    frame_t: FloatArray,
+    stretch: Stretch,
+    motion: Motion,
+    calibration: ArmCalibration,
+) -> FloatArray:
+    """Camera minus answer (f, 5, 3) m at frames (IMU clock), seen or set aside; nan where there is none."""
+    residual = np.full(position.shape, np.nan)
+    rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
+    if not len(rows):
+        return residual
+    states = at_times(motion, stretch.signal, frame_t[rows])
+    for column, joint in enumerate(JOINTS):
+        if joint == "shoulder":
+            if motion.shoulder is not None:
+                answer = interpolate(motion.t, motion.shoulder, frame_t[rows])
+                residual[rows, column] = position[rows, column] - answer
+            continue
+        if lever_of(calibration, joint) is not None:
+            lever = motion.lever_at(joint, frame_t[rows])
+            arm = np.einsum("nij,nj->ni", states.R, lever)
+            residual[rows, column] = position[rows, column] - states.p - arm
+    return residual

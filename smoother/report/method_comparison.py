@@ -1,0 +1,237 @@
+"""`write_comparison`: every method over the others in the gaps, their errors and their lag, as one page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ..evaluation.compare import Comparison, MethodResult
+from ..measurements.visibility import Gap
+from ..recording import FloatArray, Recording
+from .method_styles import line_of
+from .sheet import figure, listing, tabulated, write_sheet
+from .style import CAMERA, SHADE, TRUTH, axis_names, dress
+
+#: Gaps drawn at most: half of them the longest, half those in which the best method is worst.
+MOST_GAPS = 6
+#: Time shown on both sides of a gap, s.
+AROUND_S = 0.6
+
+
+def write_comparison(
+    found: Comparison, recording: Recording, path: str | os.PathLike[str], *, force: bool = False
+) -> None:
+    """Write a comparison as one HTML page that needs nothing else, the network included.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    write_sheet(
+        path,
+        found.title(f"Methods compared: {recording.name}"),
+        f"{len(found.rows)} methods, {len(found.gaps)} gaps, the {_point(found)} held against the truth.",
+        verdict(found),
+        _sections(found, recording),
+        force=force,
+    )
+
+
+def verdict(found: Comparison) -> list[str]:
+    """What the comparison says, in sentences."""
+    errors = {
+        row.method: figures.position_rms_m
+        for row in found.rows
+        if (figures := found.figures(row, found.part)) is not None and figures.position_rms_m is not None
+    }
+    if not errors:
+        return ["No method has an answer that the truth could be held against."]
+    ranked = [f"{name} {100 * error:.1f}" for name, error in errors.items()]
+    said = [f"Error of the {_point(found)} {found.where}, rms, cm: {', '.join(ranked)}."]
+    best = next(iter(errors))
+    if "graph" in errors and len(errors) > 1:
+        others = {name: error for name, error in errors.items() if name != "graph"}
+        nearest = min(others, key=lambda name: others[name])
+        ratio = others[nearest] / errors["graph"]
+        if best == "graph" and ratio > 1.05:
+            said.append(
+                f"The graph is the nearest to the truth; the next, {nearest}, errs {ratio:.2f} times that."
+            )
+        elif ratio >= 1 / 1.05:
+            said.append(f"graph and {nearest} are equally near to the truth ({100 * (ratio - 1):+.0f} %).")
+        else:
+            said.append(
+                f"{nearest} is nearer to the truth than the graph here: it errs {ratio:.2f} times as much."
+                " Every method is told what the graph found of calibration and clock."
+            )
+    said.append(found.camera_words + ".")
+    return said
+
+
+def _sections(found: Comparison, recording: Recording) -> Iterator[str]:
+    columns = (
+        *("method", "rms, cm", "95 %, cm", "max, cm", "rms, degrees"),
+        *("NEES", "inside 95 %", "seen: rms, cm", "seen: degrees"),
+    )
+    yield tabulated(
+        found.title(f"Errors {found.where}, the best method first"),
+        _ERRORS,
+        columns,
+        [_row(found, r) for r in found.rows],
+    )
+    yield from _joints(found)
+    yield tabulated(
+        found.title("Lag left behind the truth, ms"),
+        _LAG,
+        ("method", "all samples", "in gaps"),
+        [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in found.rows],
+    )
+    for gap in chosen_gaps(found):
+        yield figure(
+            f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long",
+            _CURVES,
+            in_gap(found, recording, gap),
+        )
+    left = len(found.gaps) - min(len(found.gaps), MOST_GAPS)
+    more = (
+        [f"{left} gaps more are not drawn: the longest are, and those with the largest errors"]
+        if left
+        else []
+    )
+    yield listing("Notes", [*more, *recording.notes, *found.notes], "There is nothing to note.")
+
+
+def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
+    hidden, seen = found.figures(row, found.part), found.figures(row, "visible")
+    if hidden is None or seen is None:
+        return (row.method, *[None] * 8)
+    return (
+        row.method,
+        *[_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
+        *[_two(each) for each in (hidden.orientation_rms_deg, hidden.nees, hidden.coverage_95)],
+        _cm(seen.position_rms_m),
+        _two(seen.orientation_rms_deg),
+    )
+
+
+def _joints(found: Comparison) -> Iterator[str]:
+    points = [row.validation.points for row in found.rows if row.validation is not None]
+    joints = list(dict.fromkeys(joint for each in points for joint in each))
+    if not joints:
+        return
+    rows = []
+    for row in found.rows:
+        each = {} if row.validation is None else row.validation.points
+        cells = [each.get(joint, {}).get(found.part) for joint in joints]
+        rows.append((row.method, *[None if cell is None else _cm(cell.position_rms_m) for cell in cells]))
+    yield tabulated(found.title(f"Joints {found.where}, rms, cm"), _JOINTS, ("method", *joints), rows)
+
+
+def chosen_gaps(found: Comparison) -> list[Gap]:
+    """The gaps to draw, in order of time."""
+    if len(found.gaps) <= MOST_GAPS:
+        return list(found.gaps)
+    longest = sorted(found.gaps, key=lambda gap: -gap.length_s)[: MOST_GAPS // 2]
+    worst = sorted((gap for gap in found.gaps if gap not in longest), key=lambda gap: -_error_in(found, gap))
+    return sorted([*longest, *worst[: MOST_GAPS - len(longest)]], key=lambda gap: gap.start_s)
+
+
+def _error_in(found: Comparison, gap: Gap) -> float:
+    path = found.rows[0].path
+    inside = (found.t_s >= gap.start_s) & (found.t_s <= gap.end_s)
+    if path is None:
+        return 0.0
+    off = np.linalg.norm(path[inside] - found.reference[inside], axis=1)
+    return float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
+
+
+def in_gap(found: Comparison, recording: Recording, gap: Gap) -> go.Figure:
+    """Coordinates of the compared point and every method's error, in one gap and a little around it."""
+    shown = (found.t_s >= gap.start_s - AROUND_S) & (found.t_s <= gap.end_s + AROUND_S)
+    t, true = found.t_s[shown], found.reference[shown]
+    drawn = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.035)
+    _camera(drawn, found, recording, t)
+    for row in reversed(found.rows):  # the best on top of the others
+        if row.path is None:
+            continue
+        path = row.path[shown]
+        for axis, values in enumerate([*path.T, 100 * np.linalg.norm(path - true, axis=1)]):
+            _line(drawn, axis, t, values, row.method, line_of(row.method))
+    for axis, values in enumerate(true.T):
+        _line(drawn, axis, t, values, "truth", {"color": TRUTH, "width": 1.6, "dash": "dash"})
+    for axis, name in enumerate(axis_names(recording.camera_frame)):
+        drawn.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
+    drawn.update_yaxes(title_text="error, cm", rangemode="tozero", row=4, col=1)
+    drawn.update_xaxes(title_text="time, s", row=4, col=1)
+    drawn.add_vrect(gap.start_s, gap.end_s, fillcolor=SHADE, line_width=0, layer="below", row="all", col=1)
+    dress(drawn, 820, head=90)
+    return drawn.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
+
+
+def _line(
+    drawn: go.Figure, axis: int, t: FloatArray, values: FloatArray, name: str, line: dict[str, object]
+) -> None:
+    trace = go.Scatter(
+        x=t.astype(np.float32), y=values.astype(np.float32), name=name, mode="lines", line=line
+    )
+    trace.update(legendgroup=name, showlegend=axis == 0)
+    drawn.add_trace(trace, row=axis + 1, col=1)
+
+
+def _camera(drawn: go.Figure, found: Comparison, recording: Recording, t: FloatArray) -> None:
+    """What the camera tracked of the compared point, on the IMU's clock."""
+    joint = "strap" if found.point == "sensor" else found.point
+    offset = found.clock_offset_s if np.isfinite(found.clock_offset_s) else 0.0
+    at = recording.arm.t_s + offset
+    kept = recording.arm.tracked(joint) & (at >= t[0]) & (at <= t[-1]) if len(t) else np.zeros(0, bool)
+    if not kept.any():
+        return
+    for axis in range(3):
+        dots = {"color": CAMERA, "size": 4}
+        trace = go.Scatter(
+            x=at[kept], y=recording.arm.joint(joint)[kept, axis], name="camera", mode="markers"
+        )
+        trace.update(marker=dots, legendgroup="camera", showlegend=axis == 0)
+        drawn.add_trace(trace, row=axis + 1, col=1)
+
+
+def _point(found: Comparison) -> str:
+    return "forearm sensor" if found.point == "sensor" else found.point
+
+
+def _cm(value: float | None) -> str | None:
+    return None if value is None else f"{100 * value:.2f}"
+
+
+def _two(value: float | None) -> str | None:
+    return None if value is None else f"{value:.2f}"
+
+
+def _ms(value: float | None) -> str | None:
+    return None if value is None else f"{1e3 * value:+.1f}"
+
+
+_ERRORS = (
+    "All methods are told the same calibration, clock and samples of the camera; only the way through the gap"
+    " is theirs. rms: root mean square. NEES: mean squared error in stated standard deviations; 1 is honest,"
+    " above 1 too bold, below 1 too shy; a dash where a method states none. Inside 95 %: 0.95 is honest."
+)
+_JOINTS = (
+    "A method that knows the sensor's way but not the elbow's places the joints by the lever arms; the"
+    " shoulder is the camera's, read straight through where it was lost."
+)
+_LAG = (
+    "How late each answer runs behind the truth: the shift at which both agree best (peak of their"
+    " cross-correlation). Under about 5 ms nothing is left of the camera's delay. A lag in the gaps alone is"
+    " that of the method, which turns too late or too early where it sees nothing; a dash: the answer"
+    " does not follow the truth at all."
+)
+_CURVES = (
+    "The shaded stretch is hidden from the camera. Dashed black is the truth. Click a name to hide its curve,"
+    " double-click to see it alone. The lowest plot is the distance from the truth."
+)

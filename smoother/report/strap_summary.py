@@ -1,0 +1,59 @@
+"""What the search for the strap says in words. Every function is pure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..io.media.strap_cameras import StrapFound
+
+#: A strap that wanders along the forearm by more than this part of it was taken for something else at times.
+WANDER = 0.06
+FEW, MANY = 0.3, 0.7
+
+_ADVICE = {
+    "nothing on the forearm is dark enough": "wear a black strap on a bare or light forearm, and light"
+    " it evenly",
+    "no dark stretch with two edges": "wear the strap some centimetres above the wrist, with skin on"
+    " both sides of it",
+    "the dark stretch is not as wide as a strap": "use a strap of 2 to 5 cm; dark sleeves hide it",
+    "no depth at the strap": "see that depth is recorded where the arm is; sunlight and shiny straps"
+    " blind it",
+    "the forearm points to the camera": "move the camera to the side of the movement",
+    "the strap is nearer to the elbow than to the wrist": "wear the strap at the wrist; no dark sleeves",
+    "no depth image": "record depth at the rate of the colour images",
+}
+
+
+def verdict(found: StrapFound) -> list[str]:
+    """How often and how well the strap was seen."""
+    total = len(found.reasons)
+    good = np.array([not reason for reason in found.reasons], dtype=bool)
+    if not good.any():
+        worst = max(found.counts, key=lambda name: found.counts[name]) if total else "there are no images"
+        return [f"the strap was found in none of {total} images: {worst}"]
+    sigma = 1e3 * float(np.sqrt(np.mean(np.median(found.sigma_m[good], axis=0) ** 2)))
+    said = [
+        f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
+        " sensor's place to"
+        f" {sigma:.0f} mm an axis"
+    ]
+    along = found.along[good]
+    middle = float(np.median(along))
+    wander = 1.4826 * float(np.median(np.abs(along - middle)))
+    said.append(
+        f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
+        " image to image"
+    )
+    if wander > WANDER:
+        said.append("that is too much for a strap that is tied on: something else was taken for it at times")
+    return said
+
+
+def next_time(found: StrapFound) -> list[str]:
+    """What to record next, one sentence each."""
+    total = max(len(found.reasons), 1)
+    said = [text for reason, text in _ADVICE.items() if found.counts.get(reason, 0) > 0.1 * total]
+    return said or ["the same again: nothing is missing"]

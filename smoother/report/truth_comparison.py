@@ -1,0 +1,228 @@
+"""A result beside its reference: error over time, joint angles, their agreement, table I."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from ..evaluation.agreement import Agreement, unwound_deg
+from ..evaluation.angle_figures import WORDS, AngleComparison
+from ..evaluation.validate import Validation, sample_errors
+from ..recording import FloatArray, Truth
+from ..result import Recovery
+from .decimate import split_line, thin
+from .style import CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress, shade
+from .tables import table
+
+#: A heading, its caption and what to draw below it (None: nothing to draw), then HTML that follows.
+Section = tuple[str, str, go.Figure | None, str]
+
+_OVER_TIME = (
+    "Distance between answer and reference, and the angle between their orientations, sample by sample; gaps"
+    " are shaded. Joints are behind the legend: click on a name."
+)
+_ANGLES = (
+    "Angles in the order of the ISB's recommendation (Wu et al. 2005), the reference as a dashed black line."
+    " Where an angle has no meaning (pronation of a straight arm, plane of elevation of one that hangs)"
+    " nothing is drawn. The thorax is not seen: shoulder angles are relative to gravity and to a person who"
+    " faces the camera."
+)
+_BLAND_ALTMAN = (
+    "Bland and Altman: answer minus reference over the mean of both, a dot a sample. The solid line is"
+    " the bias, the dashed lines the limits of agreement (bias -+ 1.96 standard"
+    " deviations): 95 of 100 differences lie between."
+)
+_TABLE = (
+    "The layout in which Jatesiktat and Ang (2017) state the errors of their wrist IMU with a Kinect: the"
+    " camera's own skeleton beside the recovered motion, over the whole recording."
+)
+
+
+def compared(recovery: Recovery, truth: Truth, found: Validation) -> Iterator[Section]:
+    """The sections of a comparison; the titles say where the reference was aligned."""
+    yield found.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), _gaps(found)
+    if found.angles is not None and found.angles.compared:
+        figures = _angle_table(found)
+        yield (
+            found.title("Joint angles, answer and reference"),
+            _ANGLES,
+            angle_curves(recovery, found.angles),
+            figures,
+        )
+        yield (
+            found.title("Agreement of the joint angles"),
+            _BLAND_ALTMAN,
+            bland_altman(recovery, found.angles, found.angle_figures["all"]),
+            "",
+        )
+    if found.table is not None and any(row.answer is not None for row in found.table.rows):
+        yield found.title("Errors in the layout of table I"), _TABLE, None, _table_one(found)
+
+
+def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
+    """Position and orientation errors over time, with the joints' to be switched on."""
+    errors = sample_errors(recovery, truth)
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    index = thin(recovery.occluded)
+    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    for row, values in ((1, 100 * errors.distance_m), (2, errors.angle_deg)):
+        if not np.isfinite(values).any():
+            continue
+        for name, part, colour in zip(
+            ("sensor, seen", "sensor, recovered"),
+            split_line(values[index], occluded),
+            (VISIBLE, OCCLUDED),
+            strict=True,
+        ):
+            line = _line(t, part, name, colour)
+            figure.add_trace(line.update(showlegend=row == 1, legendgroup=name), row=row, col=1)
+    hidden = bool(np.isfinite(errors.distance_m).any())
+    for joint, distance in errors.joint_distance_m.items():
+        line = _line(t, 100 * distance[index], joint, JOINT_COLOURS.get(joint, CAMERA))
+        figure.add_trace(line.update(visible="legendonly" if hidden else True), row=1, col=1)
+    figure.update_yaxes(title_text="position error, cm", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="orientation error, degrees", rangemode="tozero", row=2, col=1)
+    figure.update_xaxes(title_text="time, s", row=2, col=1)
+    shade(figure, recovery.gaps)
+    return dress(figure, 560)
+
+
+def angle_curves(recovery: Recovery, angles: AngleComparison) -> go.Figure:
+    """Angles of answer and reference over time, a row an angle."""
+    names = angles.compared
+    figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.03)
+    index = thin(recovery.occluded)
+    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    for row, name in enumerate(names, start=1):
+        answer, true = _unwound(angles, name)
+        for label, values, colour in zip(
+            ("seen", "recovered"), split_line(answer[index], occluded), (VISIBLE, OCCLUDED), strict=True
+        ):
+            figure.add_trace(_line(t, values, label, colour).update(showlegend=row == 1), row=row, col=1)
+        dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
+        line = go.Scatter(x=t, y=true[index], mode="lines", name="reference", line=dash, showlegend=row == 1)
+        figure.add_trace(line, row=row, col=1)
+        figure.update_yaxes(title_text=_broken(WORDS[name]), row=row, col=1)
+    figure.update_xaxes(title_text="time, s", row=len(names), col=1)
+    shade(figure, recovery.gaps)
+    return dress(figure, 120 + 170 * len(names))
+
+
+def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str, Agreement]) -> go.Figure:
+    """Difference over mean, a panel an angle."""
+    names = angles.compared
+    columns = min(2, len(names))
+    rows = -(-len(names) // columns)
+    figure = make_subplots(
+        rows=rows,
+        cols=columns,
+        subplot_titles=[WORDS[name] for name in names],
+        vertical_spacing=0.28 / rows,
+        horizontal_spacing=0.1,
+    )
+    for number, name in enumerate(names):
+        row, column = number // columns + 1, number % columns + 1
+        answer, true = _unwound(angles, name)
+        mean, difference = 0.5 * (answer + true), answer - true
+        for label, part, colour in (
+            ("while seen", ~recovery.occluded, VISIBLE),
+            ("in gaps", recovery.occluded, OCCLUDED),
+        ):
+            chosen = np.flatnonzero(part & np.isfinite(difference))
+            chosen = chosen[thin(np.zeros(len(chosen), bool), 1500)]
+            dots = go.Scatter(
+                x=mean[chosen],
+                y=difference[chosen],
+                mode="markers",
+                name=label,
+                legendgroup=label,
+                showlegend=number == 0,
+                marker={"color": colour, "size": 4, "opacity": 0.5},
+            )
+            figure.add_trace(dots, row=row, col=column)
+        found = figures[name]
+        for value, dash in ((found.bias, "solid"), (found.limits_low, "dash"), (found.limits_high, "dash")):
+            if value is not None:
+                line = {"color": TRUTH, "width": 1.2, "dash": dash}
+                text = f"{value:+.1f}"
+                figure.add_hline(value, line=line, annotation_text=text, row=row, col=column)
+        figure.update_xaxes(title_text="mean of both, degrees", row=row, col=column)
+        figure.update_yaxes(title_text="answer - reference, degrees", row=row, col=column)
+    return dress(figure, 80 + 330 * rows, head=70)
+
+
+def _unwound(angles: AngleComparison, name: str) -> tuple[FloatArray, FloatArray]:
+    """Answer and reference without jumps of a full turn; nan where either has none."""
+    answer, true = angles.answer[name].copy(), angles.truth[name].copy()
+    both = np.isfinite(answer) & np.isfinite(true)
+    answer[both], true[both] = unwound_deg(answer[both], true[both])
+    answer[~both], true[~both] = np.nan, np.nan
+    return answer, true
+
+
+def _line(x: FloatArray, y: FloatArray, name: str, colour: str) -> go.Scatter:
+    return go.Scatter(x=x, y=y, mode="lines", name=name, line={"color": colour, "width": 1.6})
+
+
+def _broken(words: str) -> str:
+    """A title in lines short enough for a low panel."""
+    first, *rest = words.split(" ")
+    return f"{first}<br>{' '.join(rest)}, deg" if rest else f"{first}, deg"
+
+
+def _gaps(found: Validation) -> str:
+    rows = [
+        (
+            f"{gap.start_s:.2f}",
+            f"{gap.length_s:.2f}",
+            _cm(figures.position_rms_m),
+            _cm(figures.position_p95_m),
+            _cm(figures.position_max_m),
+            figures.orientation_rms_deg,
+            figures.orientation_max_deg,
+            figures.nees,
+        )
+        for gap, figures in found.gaps
+    ]
+    heads = ("gap at, s", "length, s", "rms, cm", "95 % below, cm", "largest, cm")
+    return table((*heads, "rms, degrees", "largest, degrees", "NEES"), rows) if rows else ""
+
+
+def _angle_table(found: Validation) -> str:
+    parts = {"all": "all samples", "occluded": "in gaps", "visible": "while seen"}
+    assert found.angles is not None
+    rows = []
+    for name in found.angles.compared:
+        for part, words in parts.items():
+            each = found.angle_figures[part][name]
+            if each.samples:
+                limits = f"{_number(each.limits_low)} to {_number(each.limits_high)}"
+                interval = f"{_number(each.icc_low, 3)} to {_number(each.icc_high, 3)}"
+                row = (_number(each.rmse), _number(each.bias), limits, _number(each.icc, 3), interval)
+                rows.append((WORDS[name], words, *row, each.samples))
+    heads = ("angle", "", "RMSE, degrees", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
+    carrying = found.angles.carrying_truth_deg
+    more = "" if carrying is None else f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"
+    return table((*heads, "samples"), rows) + more
+
+
+def _table_one(found: Validation) -> str:
+    assert found.table is not None
+    rows = []
+    for row in found.table.rows:
+        digits = 5 if "meter" in row.errors else 2
+        gain = None if row.reduction is None else f"{100 * row.reduction:.2f}%"
+        rows.append((row.errors, row.figure, _number(row.camera, digits), _number(row.answer, digits), gain))
+    heads = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
+    return f"{table(heads, rows)}<p>{found.table.note}</p>"
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _cm(value: float | None) -> str | None:
+    return None if value is None else f"{100 * value:.2f}"

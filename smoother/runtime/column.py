@@ -1,0 +1,94 @@
+"""Columns that grow while a file is read, and passes over long ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from .store import Room
+
+#: Rows that are looked at together; keeps memory flat however long the column is.
+PASS_ROWS = 1 << 15
+#: Statistics of longer columns are taken of an even sub-sample of at least this many rows.
+_ENOUGH = 50_000
+
+
+class Column:
+    """Rows of one shape, gathered part after part in a room.
+
+    Parameters
+    ----------
+    room : where the rows lie.
+    tail : shape of a row.
+    dtype : of its values.
+    optional : rows cost nothing until the first that is not nan.
+    """
+
+    def __init__(
+        self,
+        room: Room,
+        tail: tuple[int, ...] = (),
+        dtype: DTypeLike = np.float64,
+        optional: bool = False,
+    ):
+        self._room = room
+        self._array: NDArray = np.empty((0, *tail), dtype)
+        self._count = 0
+        self._blank = optional
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, values: NDArray) -> None:
+        """Take rows (n, ...)."""
+        end = self._count + len(values)
+        if self._blank and np.isnan(values).all():
+            self._count = end
+            return
+        if self._blank:
+            before, self._count, self._blank = self._count, 0, False
+            for part in passes(before, self._room):
+                self.append(np.full((part.stop - part.start, *self._array.shape[1:]), np.nan))
+        if end > len(self._array):
+            self._array = self._moved(max(end, 2 * len(self._array)))
+        self._array[self._count : end] = values
+        self._count = end
+
+    @property
+    def is_blank(self) -> bool:
+        """Optional, and nothing but nan so far."""
+        return self._blank
+
+    def done(self) -> NDArray:
+        """All rows (none of a blank column); nothing can be taken after this."""
+        if self._blank:
+            return self._array
+        array = self._array if len(self._array) == self._count else self._moved(self._count)
+        self._array = array[:0]
+        return array
+
+    def _moved(self, length: int) -> NDArray:
+        array = self._room.array((length, *self._array.shape[1:]), 0, self._array.dtype)
+        for part in passes(self._count, self._room):
+            array[part] = self._array[part]
+        return array
+
+
+def passes(count: int, room: Room) -> Iterator[slice]:
+    """Parts of a column one after the other; those passed may leave the memory."""
+    for start in range(0, count, PASS_ROWS):
+        yield slice(start, min(start + PASS_ROWS, count))
+        if count > PASS_ROWS:
+            room.tidy()
+
+
+def sampled(values: NDArray, room: Room) -> NDArray:
+    """Rows for a statistic: all of up to 100,000, else a copy of every second, third, .. one."""
+    step = max(len(values) // _ENOUGH, 1)
+    if step == 1:
+        return values
+    return np.concatenate(
+        [values[part][-part.start % step :: step].copy() for part in passes(len(values), room)]
+    )

@@ -1,0 +1,153 @@
+"""Arrays that grow with a recording, in files instead of memory."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import mmap
+import os
+import pickle
+import tempfile
+import weakref
+from types import TracebackType
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ..errors import UnoccludeError
+from .store import Room
+
+#: Arrays smaller than this stay in memory.
+_SMALL_BYTES = 1 << 20
+#: Heap blocks from this size on lie on maps of their own (glibc's `mallopt`).
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 18
+#: Files are filled in pieces of this size.
+_PIECE_BYTES = 1 << 20
+
+
+class Kept(NamedTuple):
+    """Where a value lies that was put aside."""
+
+    offset: int
+    length: int
+
+
+def _libc() -> ctypes.CDLL | None:
+    """The C library where its allocator can be told to give memory back (glibc), else None."""
+    try:
+        library = ctypes.CDLL(None)
+        return library if hasattr(library, "malloc_trim") and hasattr(library, "mallopt") else None
+    except (OSError, TypeError):
+        return None
+
+
+class DiskRoom(Room):
+    """Space for what grows with a recording's length, in nameless temporary files.
+
+    Arrays are plain numpy arrays on shared maps of files: forked processes see what is written. A file goes
+    when its last array does, whatever happens to the program. Arrays outlive the room; values put aside
+    do not.
+
+    Parameters
+    ----------
+    folder : where the files lie; None = where the system has its temporary files (`TMPDIR`).
+
+    Raises
+    ------
+    UnoccludeError
+        On whatever needs space: the folder cannot be written to, or its disk is full.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str] | None = None):
+        self._allocator = _libc()
+        if self._allocator is not None:  # large arrays go back to the system as they are freed
+            self._allocator.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+        self._folder = os.fspath(folder) if folder is not None else tempfile.gettempdir()
+        self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._aside: IO[bytes] | None = None
+        self._kept: set[Kept] = set()
+
+    def __enter__(self) -> DiskRoom:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._aside is not None:
+            self._aside.close()
+        self._aside = None
+        self._kept.clear()
+
+    def array(self, shape: tuple[int, ...], fill: float = np.nan, dtype: DTypeLike = np.float64) -> NDArray:
+        """A new array, every value `fill`; its pages are not touched."""
+        kind = np.dtype(dtype)
+        size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
+        if size < _SMALL_BYTES or kind.hasobject:
+            return np.full(shape, fill, kind)
+        try:
+            with tempfile.TemporaryFile(dir=self._folder, buffering=0) as file:
+                _allocate(file, size, np.full(1, fill, kind))
+                mapped = mmap.mmap(file.fileno(), size)
+        except OSError as failure:
+            raise self._no_space(failure) from failure
+        self._maps.add(mapped)
+        return np.ndarray(shape, kind, mapped)
+
+    def keep(self, value: object) -> object:
+        """Put a value aside, in a file; `take` gives it back for what this returns."""
+        try:
+            if self._aside is None:
+                self._aside = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 (closed on exit)
+            if not self._kept:
+                self._aside.truncate(0)
+            offset = self._aside.seek(0, os.SEEK_END)
+            pickle.dump(value, self._aside, protocol=5)
+            self._aside.flush()
+        except OSError as failure:
+            raise self._no_space(failure) from failure
+        kept = Kept(offset, self._aside.tell() - offset)
+        self._kept.add(kept)
+        return kept
+
+    def take(self, kept: Any) -> Any:
+        """The value that was put aside; it can be taken once."""
+        self._kept.remove(kept)
+        assert self._aside is not None
+        self._aside.seek(kept.offset)
+        return pickle.load(self._aside)
+
+    def tidy(self) -> None:
+        """Let the pages of all arrays leave the memory, and what was freed; the arrays are in the files."""
+        if self._allocator is not None:
+            self._allocator.malloc_trim(0)
+        if not hasattr(mmap, "MADV_DONTNEED"):
+            return
+        for mapped in list(self._maps):
+            mapped.madvise(mmap.MADV_DONTNEED)
+
+    def _no_space(self, failure: OSError) -> UnoccludeError:
+        if failure.errno in (errno.ENOSPC, errno.EDQUOT):
+            return UnoccludeError(
+                f"There is no space left for temporary files in {self._folder}; make room there, or name a "
+                "folder on a larger disk in the environment variable TMPDIR."
+            )
+        return UnoccludeError(
+            f"No temporary files can be made in {self._folder} ({failure.strerror or failure}); name a "
+            "folder of your own in the environment variable TMPDIR."
+        )
+
+
+def _allocate(file: IO[bytes], size: int, fill: NDArray) -> None:
+    """Give a file its size and content; a map of space that is not reserved could kill the program."""
+    if not any(fill.tobytes()) and hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return
+        except OSError as failure:
+            if failure.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENODEV):
+                raise
+    piece = memoryview(np.repeat(fill, max(_PIECE_BYTES // fill.itemsize, 1)).tobytes())
+    left = size
+    while left:
+        left -= file.write(piece[: min(left, len(piece))])

@@ -1,0 +1,211 @@
+"""A clock offset of any size, roughly: before the smoother looks for it within its own reach.
+
+The forearm's direction turns as fast in the camera's frame as in any other, and never faster than the
+gyroscope says. So the two speeds are correlated over all shifts that leave enough of both; the shift whose
+correlation is the least likely to be chance is where the fine search starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ..errors import CalibrationError
+from ..measurements.clock import LARGEST_OFFSET_S, Clock
+from ..recording import FloatArray, ImuStream, JointTracks, Recording
+from .excerpts import spread_blocks
+
+#: Both speeds are taken on this grid, Hz, smoothed with this sigma, s: what joints' noise leaves of them.
+GRID_HZ, SMOOTH_S = 50.0, 0.12
+#: Frames farther apart are not bridged, s.
+HOLE_S = 0.25
+#: Both must share so much, s, at a shift that is tried.
+OVERLAP_S = 8.0
+#: A shift is believed from this correlation on; another peak as good as this part of it makes it doubtful.
+BELIEVED, RIVAL, PEAK_S = 0.6, 0.9, 1.0
+#: Of a recording longer than this only blocks are looked at: so many, with so much around each, s; and with
+#: so much of the IMU where that says nothing.
+LONG_S, BLOCKS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
+#: The fine search finds what is left over when it is below this everywhere, s.
+SMALL_S = 0.15
+#: So many blocks, and so much of those that are believed, have to lie within `SMALL_S` of a line.
+FEWEST_BLOCKS, AGREE = 3, 0.7
+
+
+def near(recording: Recording) -> tuple[Recording, Clock | None]:
+    """The recording with its camera's clock moved to where the fine search finds it, and how it was moved.
+
+    Raises
+    ------
+    CalibrationError
+        See `coarse_offset`.
+    """
+    coarse = coarse_clock(recording)
+    if coarse is None:
+        return recording, None
+    t = recording.arm.t_s
+    return replace(recording, arm=replace(recording.arm, t_s=t + coarse.at(t))), coarse
+
+
+def coarse_clock(recording: Recording) -> Clock | None:
+    """The camera's clock to some tens of milliseconds; None where the fine search reaches it by itself.
+
+    Over a long recording clocks drift apart: parts of it are looked at one by one, and a line is drawn
+    through what they say: the median of the slopes of all pairs, which a few wrong ones do not move (Sen,
+    J. Am. Stat. Assoc. 1968).
+
+    Raises
+    ------
+    CalibrationError
+        See `coarse_offset`.
+    """
+    t = recording.arm.t_s
+    if t[-1] - t[0] <= LONG_S:
+        offset = coarse_offset(recording, LARGEST_OFFSET_S)
+        return Clock(t[:1], np.array([offset]), SMALL_S) if offset else None
+    rows = _block_lags(recording, AROUND_S) or _block_lags(recording, FAR_S)
+    if not rows:
+        return None
+    at, lag = np.array(rows).T
+    i, j = np.triu_indices(len(at), 1)
+    slope = float(np.median((lag[j] - lag[i]) / (at[j] - at[i])))
+    value = float(np.median(lag - slope * at))
+    if np.mean(np.abs(lag - value - slope * at) < SMALL_S) < AGREE:
+        return None
+    ends = np.array([t[0], t[-1]])
+    line = value + slope * ends
+    return None if np.abs(line).max() < SMALL_S else Clock(ends, line, SMALL_S, skew=slope)
+
+
+def _block_lags(recording: Recording, around_s: float) -> list[tuple[float, float]]:
+    """Camera times and offsets of the blocks that are clear, s; none where they are too few."""
+    rows = []
+    for block in spread_blocks(recording, BLOCKS, AROUND_S, around_s):
+        peak = _Peak.of(recording.imu.select(block.samples), recording.arm.select(block.frames))
+        if peak is not None and peak.is_clear:
+            rows.append((0.5 * (block.start_s + block.end_s), peak.lag_s))
+    return rows if len(rows) >= FEWEST_BLOCKS else []
+
+
+def coarse_offset(recording: Recording, reach_s: float) -> float:
+    """t_imu - t_camera to some tens of milliseconds; 0 where the fine search reaches it by itself.
+
+    Parameters
+    ----------
+    recording : one arm with elbow and wrist, and its IMU; with `strap` alone nothing is looked for.
+    reach_s : the fine search finds offsets up to this.
+
+    Raises
+    ------
+    CalibrationError
+        The clocks are farther apart than the fine search reaches, and the motion does not tell how far.
+    """
+    peak = _Peak.of(recording.imu, recording.arm)
+    if peak is None or abs(peak.lag_s) <= reach_s:
+        return 0.0
+    if peak.is_clear:
+        return peak.lag_s
+    near = np.abs(peak.lags_s) <= reach_s
+    if near.any() and float(peak.score[near].max()) >= RIVAL * peak.score.max():
+        return 0.0  # the small offset explains the motion about as well
+    if peak.correlation < BELIEVED:
+        return 0.0  # no shift stands out; what the fine search finds carries its own sigma
+    raise CalibrationError(
+        f"{recording.name}: the camera's clock and the IMU's seem {abs(peak.lag_s):.1f} s apart, but"
+        " repeated motion fits other offsets as well; record 20 s of irregular motion in view"
+    )
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """The shift at which two speeds agree best.
+
+    Attributes
+    ----------
+    lag_s, correlation : t_imu - t_camera, and Pearson's correlation there.
+    lags_s, score : all shifts, and how unlikely their correlations are to be chance.
+    """
+
+    lag_s: float
+    correlation: float
+    lags_s: FloatArray
+    score: FloatArray
+
+    @classmethod
+    def of(cls, imu_stream: ImuStream, arm: JointTracks) -> _Peak | None:
+        """None where there is too little of either."""
+        camera_t, camera = _camera_speed(arm)
+        imu_t, imu = _imu_speed(imu_stream)
+        if len(camera) < OVERLAP_S * GRID_HZ or len(imu) < OVERLAP_S * GRID_HZ:
+            return None
+        r, count = _correlation(imu, camera)
+        lag = (np.arange(len(r)) - (len(camera) - 1)) / GRID_HZ + imu_t[0] - camera_t[0]
+        score = np.arctanh(np.clip(r, -0.999, 0.999)) * np.sqrt(count)
+        score[count < OVERLAP_S * GRID_HZ] = -np.inf
+        if not np.isfinite(score).any():
+            return None
+        best = int(np.argmax(score))
+        return cls(float(lag[best]), float(r[best]), lag, score)
+
+    @property
+    def is_clear(self) -> bool:
+        """The speeds agree well, and nowhere else about as well."""
+        others = np.abs(self.lags_s - self.lag_s) > PEAK_S
+        rival = float(self.score[others].max(initial=-np.inf))
+        return self.correlation >= BELIEVED and rival < RIVAL * self.score.max()
+
+
+def _camera_speed(arm: JointTracks) -> tuple[FloatArray, FloatArray]:
+    """Grid and angular speed of the elbow-wrist direction, rad/s; nan where the camera saw neither."""
+    seen = arm.tracked("elbow") & arm.tracked("wrist")
+    along = (arm.joint("wrist") - arm.joint("elbow"))[seen]
+    length = np.linalg.norm(along, axis=1)
+    t = arm.t_s[seen][length > 0]
+    if len(t) < 3:
+        return np.empty(0), np.empty(0)
+    grid = np.arange(t[0], t[-1], 1 / GRID_HZ)
+    unit = along[length > 0] / length[length > 0, None]
+    on_grid = np.stack([np.interp(grid, t, axis) for axis in unit.T], axis=1)
+    rate = gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0, order=1) * GRID_HZ
+    after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
+    hole = t[after] - t[after - 1] > HOLE_S
+    return grid, np.where(hole, np.nan, np.linalg.norm(rate, axis=1))
+
+
+def _imu_speed(imu: ImuStream) -> tuple[FloatArray, FloatArray]:
+    """Grid and the gyroscope's speed, rad/s, smoothed as the camera's; nan in holes of the stream."""
+    t = imu.t_s
+    if len(t) < 3:
+        return np.empty(0), np.empty(0)
+    grid = np.arange(t[0], t[-1], 1 / GRID_HZ)
+    rate = imu.gyro - np.median(imu.gyro, axis=0)
+    on_grid = np.stack([np.interp(grid, t, axis) for axis in rate.T], axis=1)
+    after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
+    hole = t[after] - t[after - 1] > HOLE_S
+    speed = np.linalg.norm(gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0), axis=1)
+    return grid, np.where(hole, np.nan, speed)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pearson's correlation at every shift over what both have, and how many samples that is."""
+    known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
+    a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
+    a, b = a / max(float(a.std()), 1e-12), b / max(float(b.std()), 1e-12)
+
+    size = 1 << (len(a) + len(b) - 2).bit_length()
+
+    def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
+        # as scipy.signal.correlate, whose import would cost more memory than a section of a recording
+        product = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
+        return np.asarray(np.fft.irfft(product, size)[: len(a) + len(b) - 1])
+
+    n = np.maximum(np.round(shifted(known_a, known_b)), 1.0)
+    sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)
+    spread_a = shifted(a * a, known_b) / n - (sum_a / n) ** 2
+    spread_b = shifted(known_a, b * b) / n - (sum_b / n) ** 2
+    still = (spread_a < 1e-2) | (spread_b < 1e-2)  # rest has no correlation to speak of
+    together = shifted(a, b) / n - sum_a * sum_b / n**2
+    r = together / np.sqrt(np.where(still, 1.0, spread_a * spread_b))
+    return np.where(still, 0.0, np.clip(r, -1.0, 1.0)), n

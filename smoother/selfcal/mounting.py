@@ -1,0 +1,268 @@
+"""How the IMU sits on the forearm, in closed form from visible motion: the self-calibration's start.
+
+1. Clock offset and forearm direction: for each offset and each direction f on a grid the best rotation
+   between the inertial frame and the camera is Wahba's problem, whose loss needs only the tensor
+   sum d_K (x) R_E_A; the smallest loss wins. No rest pose and no start value is needed.
+2. Lever arms: a joint's camera acceleration minus the IMU's is linear in its lever arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..calibration import ArmCalibration, LeverArm
+from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
+from ..measurements.segment import Piece
+from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+
+#: Clock offsets tried first, s.
+OFFSETS_S = np.arange(-0.30, 0.301, 0.02)
+OFFSET_SIGMA_S = 0.15
+#: Frames used for the direction, Hz.
+DIRECTION_RATE_HZ = 10.0
+#: Heading of the inertial filter is taken as constant over this time, s.
+CHUNK_S = 30.0
+#: A forearm direction of the camera, rad; frames are correlated, so it is taken large.
+DIRECTION_SIGMA_RAD = 0.15
+HINT_SIGMA_RAD = np.radians(10.0)
+#: A direction whose log-likelihood is less than this below the best one's may be the true one.
+NEARLY_AS_LIKELY = 5.0
+#: The IMU sits near the wrist: where the wrist's lever arm is expected, as a part of the forearm.
+WRIST_PART = 0.2
+LEVER_SIGMA_M = 0.06
+#: What the closed form is good to, m: prior of the graph that refines it.
+CLOSED_FORM_SIGMA_M = 0.04
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Closed-form answer: clock offset of each recording (s), and lever arms for the graph to refine.
+
+    `direction_margin` is the log-likelihood by which the forearm's direction in the sensor beats its
+    opposite; `direction_spread_rad` the angle to the farthest direction that is nearly as likely. Both
+    are nan where there was nothing to find.
+    """
+
+    offset_s: FloatArray
+    calibration: ArmCalibration
+    direction_margin: float
+    direction_spread_rad: float = float("nan")
+
+
+def find_mounting(pieces: list[Piece], known: ArmCalibration) -> Mounting:
+    """Offset, forearm direction and lever arms from the pieces of one or several recordings.
+
+    Parameters
+    ----------
+    known : lever arms that need no finding; they are kept as they are.
+    """
+    count = max(piece.recording for piece in pieces) + 1
+    along = known.forearm_direction
+    both = [_both(piece) for piece in pieces]
+    offset_s, margin, spread = np.zeros(count), float("nan"), float("nan")
+    if any(rows.sum() >= 10 for rows in both):
+        offset_s, found, margin, spread = _direction_and_offset(pieces, both, count, along)
+        along = found if along is None else along
+    if along is None and "strap" not in _seen(pieces):
+        return Mounting(offset_s, _point_levers(pieces, known), margin, spread)
+    levers = dict(known.lever_arms)
+    missing = [joint for joint in _seen(pieces) if joint not in levers and joint not in ("strap", "shoulder")]
+    if missing:
+        levers |= _levers(pieces, offset_s, along, known, missing)
+    return Mounting(
+        offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), margin, spread
+    )
+
+
+def _seen(pieces: list[Piece]) -> list[str]:
+    return [
+        joint
+        for joint in FOREARM_JOINTS
+        if sum(piece.accepted[:, JOINTS.index(joint)].sum() for piece in pieces) >= 8
+    ]
+
+
+def _both(piece: Piece) -> BoolArray:
+    """Frames of the part looked at in which elbow and wrist are accepted, thinned out."""
+    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+    inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
+    rows = inside & piece.accepted[:, elbow] & piece.accepted[:, wrist]
+    cell = np.floor(piece.frame_t * DIRECTION_RATE_HZ).astype(int)
+    first = np.concatenate(([True], np.diff(cell) > 0))
+    return rows & first if len(rows) > 200 else rows
+
+
+def _direction_and_offset(
+    pieces: list[Piece], both: list[BoolArray], count: int, known: FloatArray | None
+) -> tuple[FloatArray, FloatArray, float, float]:
+    """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
+    directions = _sphere(400) if known is None else known[None]
+    offsets = OFFSETS_S
+    choice = np.zeros(count)
+    best = directions[0]
+    margin = spread = float("nan")
+    for step in range(3):
+        loss = np.zeros((count, len(offsets), len(directions)))
+        for piece, rows in zip(pieces, both, strict=True):
+            if rows.sum() >= 5:
+                centre = choice[piece.recording] if step else 0.0
+                loss[piece.recording] += _losses(piece, rows, centre + offsets, directions)
+        for r in range(count):
+            loss[r] += 0.5 * ((offsets + (choice[r] if step else 0.0)) / OFFSET_SIGMA_S)[:, None] ** 2
+        at = loss.min(axis=1).sum(axis=0)  # each recording has its own offset
+        k = int(np.argmin(at))
+        best = directions[k]
+        if step == 0:
+            likely = directions[at < at[k] + NEARLY_AS_LIKELY]
+            spread = float(np.arccos(np.clip(likely @ best, -1.0, 1.0)).max())
+            opposite = directions @ best < -0.5
+            margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
+        for r in range(count):
+            choice[r] = (choice[r] if step else 0.0) + _vertex(offsets, loss[r, :, k])
+        width = (0.25, 0.06, 0.0)[step]
+        directions = _cap(best, width) if known is None else known[None]
+        offsets = np.linspace(-0.03, 0.03, 7)
+    return choice, best, margin, spread
+
+
+def _losses(piece: Piece, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
+    """Wahba's loss (offsets, directions), in units of the direction's variance."""
+    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
+    along = piece.position[rows, wrist] - piece.position[rows, elbow]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    t = piece.frame_t[rows]
+    chunk = ((t - t[0]) / CHUNK_S).astype(int)
+    loss = np.zeros((len(offsets), len(directions)))
+    hint = np.outer(piece.down, [0.0, 0.0, -1.0]) * (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
+    for i, offset in enumerate(offsets):
+        R_E_A = piece.attitude.at(t + offset).as_matrix()
+        for part in np.unique(chunk):
+            member = chunk == part
+            tensor = np.einsum("na,nbc->abc", along[member], R_E_A[member])
+            profile = np.einsum("abc,kc->kab", tensor, directions) + hint
+            U, S, Vt = np.linalg.svd(profile)
+            sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+            loss[i] += member.sum() - (S[:, 0] + S[:, 1] + sign * S[:, 2])
+    return loss / DIRECTION_SIGMA_RAD**2
+
+
+def _vertex(x: FloatArray, y: FloatArray) -> float:
+    """Minimum of the parabola through the lowest sample and its neighbours."""
+    k = int(np.argmin(y))
+    if k in (0, len(x) - 1):
+        return float(x[k])
+    a, b, c = y[k - 1], y[k], y[k + 1]
+    curvature = a - 2 * b + c
+    return float(x[k] + 0.5 * (x[1] - x[0]) * (a - c) / curvature) if curvature > 0 else float(x[k])
+
+
+def _sphere(count: int) -> FloatArray:
+    """Evenly spread directions (count, 3) (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def _cap(centre: FloatArray, width: float) -> FloatArray:
+    """Directions around a centre, up to `width` rad away, the centre first."""
+    if width == 0.0:
+        return centre[None]
+    side = np.linspace(-width, width, 9)
+    u, v = (grid.ravel() for grid in np.meshgrid(side, side))
+    base = np.linalg.svd(centre[None])[2][1:]
+    tilt = u[:, None] * base[0] + v[:, None] * base[1]
+    return np.vstack([centre, Rotation.from_rotvec(np.cross(centre, tilt)).apply(centre)])
+
+
+def _levers(
+    pieces: list[Piece],
+    offset_s: FloatArray,
+    along: FloatArray | None,
+    known: ArmCalibration,
+    missing: list[str],
+) -> dict[str, LeverArm]:
+    """Lever arms of the missing joints: differences between joints directly, the rest from accelerations."""
+    reference = next(
+        (joint for joint in ("strap", *known.lever_arms) if joint in _seen(pieces)),
+        "wrist" if "wrist" in missing else missing[0],
+    )
+    frames = [_aligned(piece, float(offset_s[piece.recording]), along) for piece in pieces]
+    difference = {joint: _difference(pieces, frames, joint, reference) for joint in missing}
+    if reference == "strap" or reference in known.lever_arms:
+        base = known.lever_arms[reference].position_m if reference in known.lever_arms else np.zeros(3)
+        sigma = np.full(3, CLOSED_FORM_SIGMA_M)
+    else:
+        forearm = np.linalg.norm(difference.get("elbow", np.array([0.25, 0.0, 0.0])))
+        expected = np.zeros(3) if along is None else WRIST_PART * forearm * along
+        base, sigma = _by_acceleration(pieces, frames, offset_s, reference, expected)
+        sigma = np.hypot(sigma, CLOSED_FORM_SIGMA_M)
+    return {joint: LeverArm(base + difference[joint], sigma) for joint in missing}
+
+
+def _aligned(piece: Piece, offset_s: float, along: FloatArray | None) -> Alignment:
+    """The inertial frame in the camera's, from the forearm's direction (or the strap's acceleration)."""
+    frame_t = piece.frame_t + offset_s
+    pairs = []
+    elbow, wrist, strap = (JOINTS.index(joint) for joint in ("elbow", "wrist", "strap"))
+    both = piece.accepted[:, elbow] & piece.accepted[:, wrist]
+    if along is not None and both.any():
+        position = piece.position[both]
+        pairs.append(
+            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], piece.attitude, along)
+        )
+    if piece.accepted[:, strap].sum() >= 8:
+        rows = piece.accepted[:, strap]
+        found = acceleration_pairs(
+            frame_t[rows], piece.position[rows, strap], piece.attitude, piece.signal, GRAVITY
+        )
+        pairs.append(found.with_lever(np.zeros(3)))
+    return align(pairs, piece.start_s, piece.end_s, piece.down)
+
+
+def _difference(pieces: list[Piece], frames: list[Alignment], joint: str, reference: str) -> FloatArray:
+    """Mean of (joint - reference) in {A} over frames in which both are seen, (3,) m."""
+    if joint == reference:
+        return np.zeros(3)
+    rows = []
+    a, b = JOINTS.index(joint), JOINTS.index(reference)
+    for piece, frame in zip(pieces, frames, strict=True):
+        both = piece.accepted[:, a] & piece.accepted[:, b]
+        if both.any():
+            t = piece.frame_t[both]
+            R_K_A = frame.at(t) * piece.attitude.at(t)
+            rows.append(R_K_A.inv().apply(piece.position[both, a] - piece.position[both, b]))
+    return np.median(np.vstack(rows), axis=0) if rows else np.zeros(3)
+
+
+def _by_acceleration(
+    pieces: list[Piece], frames: list[Alignment], offset_s: FloatArray, joint: str, expected: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's lever arm from R_K_E' a_K - a_E = turn lever, with a weak expectation, and its sigma, m."""
+    column = JOINTS.index(joint)
+    information = np.eye(3) / LEVER_SIGMA_M**2
+    vector = information @ expected
+    for piece, frame in zip(pieces, frames, strict=True):
+        rows = piece.accepted[:, column]
+        if rows.sum() < 8:
+            continue
+        t = piece.frame_t[rows] + offset_s[piece.recording]
+        found = acceleration_pairs(t, piece.position[rows, column], piece.attitude, piece.signal, GRAVITY)
+        if len(found.t):
+            right = frame.at(found.t).inv().apply(found.in_K) - found.in_E
+            information += np.einsum("n,nab,nac->bc", found.weight, found.turn, found.turn)
+            vector += np.einsum("n,nab,na->b", found.weight, found.turn, right)
+    covariance = np.linalg.inv(information)
+    return covariance @ vector, np.sqrt(np.diag(covariance))
+
+
+def _point_levers(pieces: list[Piece], known: ArmCalibration) -> ArmCalibration:
+    """One joint alone: it starts at the IMU, and the graph finds how far off it is."""
+    levers = dict(known.lever_arms)
+    for joint in _seen(pieces):
+        if joint not in levers and joint not in ("strap", "shoulder"):
+            levers[joint] = LeverArm(np.zeros(3), np.full(3, LEVER_SIGMA_M))
+    return ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A)

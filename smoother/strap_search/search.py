@@ -1,0 +1,234 @@
+"""The strap found in a recording's images, written into the recording as the joint `strap`; images"
+" stream by.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.strap.strap_camera import Depth
+from calib.strap.strap_in_image import Sighting, find_strap
+from calib.strap.strap_mount import Mounted
+
+from ..errors import RecordingError
+from ..io.mcap.container import Container
+from ..io.mcap.merge import Output
+from ..io.mcap.messages import Run, Topic
+from ..io.media.images import ImageMessage
+from ..io.media.strap_cameras import Cameras, StrapFound
+from ..io.media.strap_writing import arm_with_strap
+from ..io.recording.read import METADATA, open_recording
+from ..io.recording.streams import ArmFrames
+from ..io.result.write import _IMAGES
+from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
+from ..runtime.atomic import writing
+
+#: A colour image, a depth image and a skeleton frame belong together within this, s.
+TOGETHER_S = 0.02
+#: The camera's forearm may be this far from the inertial one (Jatesiktat & Ang, II-J.1), rad.
+DIRECTION_RAD = np.radians(30.0)
+#: Images of one kind are kept packed until their partners came, at most so many.
+AHEAD = 64
+#: Pictures and brightness profiles kept for a report.
+PICTURES, PROFILES = 4, 600
+#: A level optical camera's axes from {K} by the convention of {K}.
+_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0])}
+_STRAP, _ELBOW, _WRIST = (JOINTS.index(joint) for joint in ("strap", "elbow", "wrist"))
+
+
+def import_strap(
+    source: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    mounted: Mounted,
+    *,
+    skeleton: str,
+    side: str,
+    joint_sigma_m: float = 0.008,
+    colour_topic: str | None = None,
+    depth_topic: str | None = None,
+    passthrough_images: bool = False,
+    force: bool = False,
+) -> StrapFound:
+    """Find the strap in every colour image and write the recording with the joint `strap`.
+
+    Images are decoded one at a time: memory does not grow with the recording.
+
+    Parameters
+    ----------
+    skeleton, side : topic and arm that the strap belongs to.
+    joint_sigma_m : noise of the camera's elbow and wrist, m an axis.
+    colour_topic, depth_topic : (parts of) names, where there are several.
+    passthrough_images : carry the images over as well (they show patients).
+
+    Raises
+    ------
+    RecordingError
+        There are no images, no intrinsics, or no convention of the camera's axes.
+    """
+    file = open_recording(source)
+    arms = [arm for arm in file.arms if arm.topic == skeleton]
+    fitting = [arm for arm in arms if arm.side in (side, "")]
+    if not fitting:
+        raise RecordingError(f"{source}: {skeleton} has no {side} arm.")
+    arm = max(fitting, key=lambda each: each.tracked)
+    convention = file.camera_frame or arm.camera_frame
+    if convention not in _OPTICAL:
+        raise RecordingError(
+            f"{source}: it is not known how the skeleton's axes lie in the camera (kinect or optical); state"
+            " camera_frame in the recording."
+        )
+    cameras = Cameras(source, colour_topic, depth_topic, _OPTICAL[convention])
+    seen, covariances = _look(cameras, arm, mounted, joint_sigma_m)
+    position, state = arm.position.copy(), arm.state.copy()
+    rows = list(seen)
+    position[:, _STRAP], state[:, _STRAP] = np.nan, JointState.NOT_TRACKED
+    for row in rows:
+        position[row, _STRAP], state[row, _STRAP] = seen[row], JointState.TRACKED
+    spread = np.zeros((len(position), 9))
+    for row in rows:
+        spread[row] = covariances[row].ravel()
+    better = replace(arm, position=position, state=state)
+
+    def wanted(topic: Topic) -> bool:
+        return topic.name != skeleton and (passthrough_images or not _IMAGES.search(topic.schema))
+
+    with writing(path, force) as temporary, Output(temporary) as output:
+        metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
+        output.metadata(METADATA, metadata)
+        outgoing = [
+            arm_with_strap(output, better if each is arm else each, spread if each is arm else None)
+            for each in arms
+        ]
+        passed: Iterator[Run] = Container(source).runs(wanted)
+        output.carry(passed)
+        output.write(outgoing)
+    return cameras.found
+
+
+def _look(
+    cameras: Cameras, arm: ArmFrames, mounted: Mounted, joint_sigma_m: float
+) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
+    """Positions and covariances of the sensor by frame of the arm; figures go to `cameras.found`."""
+    depths: deque[ImageMessage] = deque(maxlen=AHEAD)
+    waiting: deque[ImageMessage] = deque(maxlen=AHEAD)
+    seen: dict[int, FloatArray] = {}
+    spread: dict[int, FloatArray] = {}
+    rows: list[tuple[float, FloatArray, FloatArray, float, str]] = []
+    first: int | None = None
+
+    def settle(colour: ImageMessage) -> None:
+        nonlocal first
+        first = colour.stamp_ns if first is None else first
+        t = (colour.stamp_ns - first) / 1e9
+        place, covariance, sighting = np.full(3, np.nan), np.full((3, 3), np.nan), Sighting("no depth image")
+        depth = min(depths, key=lambda each: abs(each.stamp_ns - colour.stamp_ns), default=None)
+        row = _nearest(arm.stamp_ns, colour.stamp_ns)
+        if depth is not None and abs(depth.stamp_ns - colour.stamp_ns) < TOGETHER_S * 1e9:
+            place, covariance, sighting = _one(cameras, arm, mounted, joint_sigma_m, colour, depth, row)
+        if not sighting.reason and row is not None:
+            seen[row], spread[row] = place, covariance
+        sigma = np.sqrt(np.diag(covariance))
+        rows.append((t, place, sigma, sighting.along, sighting.reason))
+        _keep(cameras.found, t, colour, sighting, len(rows))
+
+    for role, image in cameras.images():
+        if role == "depth":
+            depths.append(image)
+        else:
+            waiting.append(image)
+        while waiting and (
+            len(waiting) == AHEAD or (depths and depths[-1].stamp_ns > waiting[0].stamp_ns + TOGETHER_S * 1e9)
+        ):
+            settle(waiting.popleft())
+    while waiting:
+        settle(waiting.popleft())
+    found = cameras.found
+    if rows:
+        t_s, place, sigma, along, reasons = zip(*rows, strict=True)
+        found.t_s, found.position, found.sigma_m = np.array(t_s), np.array(place), np.array(sigma)
+        found.along, found.reasons = np.array(along), list(reasons)
+    return seen, spread
+
+
+def _nearest(stamps: IntArray, stamp_ns: int) -> int | None:
+    k = int(np.clip(np.searchsorted(stamps, stamp_ns), 1, max(len(stamps) - 1, 1)))
+    best = min((k - 1, min(k, len(stamps) - 1)), key=lambda i: abs(int(stamps[i]) - stamp_ns))
+    return best if abs(int(stamps[best]) - stamp_ns) < TOGETHER_S * 1e9 else None
+
+
+def _one(
+    cameras: Cameras,
+    arm: ArmFrames,
+    mounted: Mounted,
+    joint_sigma_m: float,
+    colour: ImageMessage,
+    depth: ImageMessage,
+    row: int | None,
+) -> tuple[FloatArray, FloatArray, Sighting]:
+    """The sensor's place in one image with its covariance, and the sighting."""
+    nothing = np.full(3, np.nan), np.full((3, 3), np.nan)
+    if row is None or not (arm.state[row, [_ELBOW, _WRIST]] == JointState.TRACKED).all():
+        return *nothing, Sighting("elbow or wrist is not tracked")
+    elbow, wrist = arm.position[row, _ELBOW], arm.position[row, _WRIST]
+    t = (int(arm.stamp_ns[row]) - mounted.origin_ns) / 1e9
+    k = int(np.argmin(np.abs(mounted.t_s - t))) if len(mounted.t_s) else 0
+    if not len(mounted.t_s) or abs(mounted.t_s[k] - t) > 0.05 or not np.isfinite(mounted.R_K_A[k]).all():
+        return *nothing, Sighting("the sensor's orientation is not known")
+    R_K_A = mounted.R_K_A[k]
+    if mounted.along is not None:
+        y = (wrist - elbow) / max(float(np.linalg.norm(wrist - elbow)), 1e-6)
+        if y @ (R_K_A @ mounted.along) < np.cos(DIRECTION_RAD):
+            return *nothing, Sighting("the camera's forearm does not point where the inertial one does")
+    grey, z = grey_of(colour), metres_of(depth)
+    sighting = find_strap(
+        grey,
+        cameras.lens("colour", grey.shape, colour, depth),
+        Depth(z, cameras.lens("depth", z.shape, depth, depth)),
+        elbow,
+        wrist,
+        radius_m=mounted.radius_m,
+        joint_sigma_m=joint_sigma_m,
+    )
+    place = sighting.core + R_K_A @ mounted.from_core
+    return place, sighting.covariance + mounted.sigma_m**2 * np.eye(3), sighting
+
+
+def _keep(found: StrapFound, t: float, colour: ImageMessage, sighting: Sighting, count: int) -> None:
+    """Keep a few pictures, and profiles thinned out so that memory stays flat."""
+    if len(sighting.profile) and count % (1 + count // PROFILES) == 0:
+        found.profiles.append((t, sighting.profile[::4]))
+        if len(found.profiles) > 2 * PROFILES:
+            found.profiles = found.profiles[::2]
+    if sighting.found and len(found.pictures) < PICTURES and count % 20 == 1:
+        import cv2
+
+        picture = cv2.cvtColor(grey_of(colour), cv2.COLOR_GRAY2BGR)
+        at = tuple(np.rint(sighting.pixel).astype(int).tolist())
+        cv2.circle(picture, at, 12, (0, 94, 213), 2)
+        size = 120
+        x, y = (min(max(at[i] - size, 0), max(picture.shape[1 - i] - 2 * size, 0)) for i in (0, 1))
+        found.pictures.append(np.asarray(picture[y : y + 2 * size, x : x + 2 * size], np.uint8))
+
+
+def grey_of(image: ImageMessage) -> NDArray[np.uint8]:
+    """Brightness (height, width) of a colour image."""
+    import cv2
+
+    pixels = image.pixels()
+    if pixels.ndim == 2:
+        return np.asarray(pixels, np.uint8)
+    code = cv2.COLOR_RGB2GRAY if image.encoding.startswith("rgb") else cv2.COLOR_BGR2GRAY
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), code), np.uint8)
+
+
+def metres_of(image: ImageMessage) -> FloatArray:
+    """Depth (height, width), m; nan where there is none. 16 bit counts millimetres, floats metres."""
+    pixels = image.pixels()
+    z = pixels * (1e-3 if pixels.dtype == np.uint16 else 1.0)
+    return np.where(z > 0, z, np.nan).astype(np.float64)

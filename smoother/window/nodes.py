@@ -1,0 +1,70 @@
+"""Which times a segment is solved at: the nodes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from ..recording import BoolArray, FloatArray, IntArray
+
+#: Node spacing where the camera gives nothing, s.
+GAP_NODE_S = 0.2
+#: Nodes keep at least so far apart, s; closer frames are left to their neighbour.
+CLOSEST_S = 0.008
+#: Frames up to so far from a node are carried to it, s, except so near to a gap, s: there the camera's last
+#: samples decide.
+CARRIED_S = 0.07
+FINE_S = 0.15
+
+
+def thin(t: FloatArray) -> BoolArray:
+    """Which of the increasing times to keep so that neighbours are `CLOSEST_S` apart."""
+    keep = np.ones(len(t), dtype=bool)
+    if len(t) < 2 or np.diff(t).min() >= CLOSEST_S:
+        return keep
+    last = t[0]
+    for i in range(1, len(t)):  # rare: only when stamps crowd
+        keep[i] = t[i] - last >= CLOSEST_S
+        last = t[i] if keep[i] else last
+    return keep
+
+
+def gather(t: FloatArray, visible: BoolArray) -> IntArray:
+    """Which frame's node each frame is told to, (n,): itself, or the middle one of an odd group.
+
+    The IMU ties frames a few hundredths of a second apart much better than the camera sees them, so
+    that far from gaps a group of them can share one node (`carry`).
+
+    Parameters
+    ----------
+    t : (n,) increasing times of the frames that saw something of the forearm, s.
+    visible : (n,) frames that saw enough of it.
+    """
+    owner = np.arange(len(t))
+    if len(t) < 3:
+        return owner
+    dt = np.diff(t)
+    step = float(np.median(dt))
+    half = int(CARRIED_S / step)
+    if half < 1:
+        return owner
+    breaks = np.flatnonzero((dt > 2.5 * step) | (visible[1:] != visible[:-1])) + 1
+    size = 2 * half + 1
+    for a, b in pairwise([0, *breaks.tolist(), len(t)]):
+        first, last = a + np.searchsorted(t[a:b], [t[a] + FINE_S, t[b - 1] - FINE_S])
+        count = (last - first) // size
+        if count > 0 and visible[a]:
+            rows = first + np.arange(count * size)
+            owner[rows] = first + half + size * np.repeat(np.arange(count), size)
+    return np.where(np.abs(t - t[owner]) <= 1.5 * CARRIED_S, owner, np.arange(len(t)))
+
+
+def fill(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
+    """Node times: the given ones, start and end, and evenly spaced ones where they are far apart."""
+    inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
+    knots = np.concatenate(([start_s], inner, [end_s]))
+    count = np.maximum(np.ceil(np.diff(knots) / GAP_NODE_S - 1e-9).astype(int), 1)
+    inside = np.arange(count.sum()) - np.repeat(np.concatenate(([0], np.cumsum(count)[:-1])), count)
+    nodes = np.repeat(knots[:-1], count) + np.repeat(np.diff(knots) / count, count) * inside
+    return np.append(nodes, knots[-1])

@@ -1,0 +1,154 @@
+"""What all windows together know of the shared quantities, and what each is told of it.
+
+Each window of the first pass answers with a Gaussian on the biases, gravity, the upper arm's length
+and the lever arms. A window is then told what the others found (never its own answer, which it would
+count twice), widened by how much the windows differ beyond their stated covariance (a random-effects
+model; DerSimonian and Laird, Control. Clin. Trials 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..linalg import inverse
+from ..recording import FloatArray
+from .problem import Message, Priors
+from .shared import Gaussian
+
+#: Slow change of the biases over a recording: m/s^2/sqrt(s) and rad/s/sqrt(s).
+SLOW_WALK = np.array([2e-3] * 3 + [5e-5] * 3)
+
+
+@dataclass(frozen=True)
+class _Information:
+    """A Gaussian in information form, or a stack of them: matrix (..., s, s) and vector (..., s)."""
+
+    matrix: FloatArray
+    vector: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+    def __add__(self, other: _Information) -> _Information:
+        return _Information(self.matrix + other.matrix, self.vector + other.vector)
+
+    def __getitem__(self, k: int) -> _Information:
+        return _Information(self.matrix[k], self.vector[k])
+
+    def sum(self) -> _Information:
+        """All of a stack together."""
+        return _Information(self.matrix.sum(axis=0), self.vector.sum(axis=0))
+
+    def gaussian(self) -> Gaussian:
+        """Mean and covariance."""
+        covariance = inverse(self.matrix)
+        return Gaussian(covariance @ self.vector, covariance)
+
+
+def tell(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
+    """The second pass's priors, one a window, in the order of time.
+
+    Parameters
+    ----------
+    messages : the first pass's answers in the order of time; not needed any more once the first is told.
+    prior : what the first pass was told, the same for all of its windows.
+    """
+    t = np.array([message.t_s for message in messages])
+    walk = np.zeros(prior.layout.size)
+    walk[prior.layout.bias] = SLOW_WALK
+    told = _others([message.shared for message in messages], prior.shared, t, walk)
+    return (replace(prior, shared=each) for each in told)
+
+
+def combine(messages: Sequence[Message], prior: Priors) -> Gaussian:
+    """The constants of the arm (upper arm, lever arms) from all windows and the prior together."""
+    part = prior.layout.constants
+    answers = [_part(message.shared, part) for message in messages]
+    start, widened, _ = _heard(answers, _part(prior.shared, part))
+    return (start + widened.sum()).gaussian()
+
+
+def _part(whole: Gaussian, part: slice) -> Gaussian:
+    return Gaussian(whole.mean[part], whole.covariance[part, part])
+
+
+def _heard(answers: Sequence[Gaussian], prior: Gaussian) -> tuple[_Information, _Information, FloatArray]:
+    """The prior, each window's own data widened by the spread between windows, and that spread."""
+    before = inverse(prior.covariance)
+    start = _Information(before, before @ prior.mean)
+    matrix = inverse(np.array([answer.covariance for answer in answers]))
+    vector = np.einsum("kij,kj->ki", matrix, np.array([answer.mean for answer in answers]))
+    # take the prior out of each answer
+    own = _Information(_positive(matrix - start.matrix), vector - start.vector)
+    spread = _excess(own)
+    return start, _widen(own, np.diag(spread)), spread
+
+
+def _others(
+    answers: Sequence[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
+) -> Iterator[Gaussian]:
+    """For each window, what the prior and all other windows say.
+
+    Forward and backward filter in information form over the windows, each component wandering by
+    `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
+    """
+    start, widened, spread = _heard(answers, prior)
+    count, size = len(t), len(prior.mean)
+
+    def on(heard: _Information, step_s: float) -> _Information:
+        return _widen(heard, np.diag(walk**2) * step_s)
+
+    heard = _Information(np.zeros((size, size)), np.zeros(size))
+    later = _Information(np.zeros((count, size, size)), np.zeros((count, size)))
+    for k in range(count - 2, -1, -1):
+        heard = on(heard + widened[k + 1], t[k + 1] - t[k])
+        later.matrix[k], later.vector[k] = heard.matrix, heard.vector
+
+    def forward() -> Iterator[Gaussian]:
+        heard = _Information(np.zeros((size, size)), np.zeros(size))
+        for k in range(count):
+            if k:
+                heard = on(heard + widened[k - 1], t[k] - t[k - 1])
+            each = (start + heard + later[k]).gaussian()
+            yield Gaussian(each.mean, each.covariance + np.diag(spread))
+
+    return forward()
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """The nearest matrices without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
+    return (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+
+
+def _widen(information: _Information, covariance: FloatArray) -> _Information:
+    """Add a covariance to what may have no information in some directions: (I + H C)^-1 H."""
+    gain = np.linalg.inv(np.eye(len(covariance)) + information.matrix @ covariance)
+    matrix = gain @ information.matrix
+    vector = (gain @ information.vector[..., None])[..., 0]
+    return _Information(0.5 * (matrix + np.swapaxes(matrix, -1, -2)), vector)
+
+
+def _excess(own: _Information) -> FloatArray:
+    """Variance between windows beyond what they state, (s,), axis by axis."""
+    size = own.matrix.shape[-1]
+    if len(own) < 3:
+        return np.zeros(size)
+    all_together = own.sum()
+    mean = _Information(all_together.matrix + 1e-9 * np.eye(size), all_together.vector).gaussian().mean
+    # each window's own estimate along an axis, others held at the common mean
+    weight = np.einsum("kii->ki", own.matrix)
+    estimate = mean + (own.vector - own.matrix @ mean) / np.maximum(weight, 1e-12)
+    spread = np.zeros(size)
+    for axis in range(size):
+        known = weight[:, axis] > 1e-6 * weight[:, axis].max()
+        w, x = weight[known, axis], estimate[known, axis]
+        if len(w) < 3:
+            continue
+        q = np.sum(w * (x - np.sum(w * x) / np.sum(w)) ** 2)
+        scale = np.sum(w) - np.sum(w**2) / np.sum(w)
+        spread[axis] = max(0.0, (q - (len(w) - 1)) / scale)
+    return spread

@@ -1,0 +1,186 @@
+"""Windows joined to one motion at the nodes, and that motion at the IMU's own times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..linalg import interpolate
+from ..measurements.inertial import InertialSignal, integrate
+from ..recording import FloatArray
+from .problem import Solution, States, Window
+
+#: Neighbouring windows are blended over this time on both sides of their border, s.
+BLEND_HALF_S = 0.5
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The arm at times t (n,): states, covariances (see `Recovery`), bias (n, 6), gravity (n, 3) m/s^2.
+
+    `levers`: by joint (n, 3) m in {A}, each window's own, which its poses go with.
+    """
+
+    t: FloatArray
+    states: States
+    pose_covariance: FloatArray
+    velocity_covariance: FloatArray
+    bias: FloatArray
+    gravity: FloatArray
+    shoulder: FloatArray | None
+    shoulder_covariance: FloatArray | None
+    levers: dict[str, FloatArray]
+
+    def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
+        """A joint's lever arm (n, 3) m in {A} at times, as the windows there had it; zero for the IMU."""
+        if joint not in self.levers:
+            return np.zeros((len(t), 3))
+        return interpolate(self.t, self.levers[joint], t)
+
+
+def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Motion:
+    """Blend the windows at the nodes t (n,) of a stretch; each window covers a run of them.
+
+    Covariances stay zero where the windows were solved without.
+    """
+    n = len(t)
+    R, p, v = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    pose, velocity = np.zeros((n, 6, 6)), np.zeros((n, 3, 3))
+    bias, gravity = np.zeros((n, 6)), np.zeros((n, 3))
+    has_shoulder = windows[0].shoulder is not None
+    shoulder, shoulder_covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    levers = {joint: np.zeros((n, 3)) for joint in windows[0].priors.layout.joints}
+    filled = np.zeros(n, dtype=bool)
+    for window, solution in zip(windows, solutions, strict=True):
+        offset = int(np.searchsorted(t, window.t[0] - 1e-9))
+        own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == n)
+        rows = offset + own
+        # share of this window against what stands there already (the window before)
+        share = share_after(window.t[own], window.core_start_s)
+        share[~filled[rows]] = 1.0
+        step = turn_to(R[rows], solution.states.R[own], filled[rows])
+        base = np.where(filled[rows, None, None], R[rows], solution.states.R[own])
+        R[rows] = base @ Rotation.from_rotvec(share[:, None] * step).as_matrix()
+        for target, value in (
+            (p, solution.states.p),
+            (v, solution.states.v),
+            (pose, solution.pose_covariance),
+            (velocity, solution.velocity_covariance),
+            (bias, solution.bias),
+            (
+                gravity,
+                np.tile(
+                    window.priors.layout.down(solution.message.shared.mean) * window.gravity_magnitude,
+                    (len(window.t), 1),
+                ),
+            ),
+        ):
+            if value is not None:
+                mix(target, rows, value[own], share)
+        for joint, values in levers.items():
+            lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
+            mix(values, rows, np.tile(lever, (len(own), 1)), share)
+        if has_shoulder:
+            knots, covariance = _shoulder_at_nodes(window, solution)
+            mix(shoulder, rows, knots[own], share)
+            if covariance is not None:
+                mix(shoulder_covariance, rows, covariance[own], share)
+        filled[rows] = True
+    return Motion(
+        t,
+        States(R, p, v),
+        pose,
+        velocity,
+        bias,
+        gravity,
+        shoulder if has_shoulder else None,
+        shoulder_covariance if has_shoulder else None,
+        levers,
+    )
+
+
+def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:
+    start = -np.inf if first else window.core_start_s - BLEND_HALF_S
+    end = np.inf if last else window.core_end_s + BLEND_HALF_S
+    return np.flatnonzero((window.t >= start) & (window.t <= end))
+
+
+def share_after(t: FloatArray, border_s: float) -> FloatArray:
+    """0 before the blend, 1 after it, smooth between."""
+    u = np.clip((t - border_s + BLEND_HALF_S) / (2 * BLEND_HALF_S), 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+def turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArray:
+    """Rotation vector from R to the target, zero where nothing stands yet."""
+    step = np.zeros((len(R), 3))
+    if filled.any():
+        step[filled] = Rotation.from_matrix(np.swapaxes(R[filled], 1, 2) @ target[filled]).as_rotvec()
+    return step
+
+
+def mix(target: FloatArray, rows: np.ndarray, value: FloatArray, share: FloatArray) -> None:
+    """Move the target's rows (k,) towards the values (k, ...) by the share (k,) of the way."""
+    weight = share.reshape(-1, *([1] * (value.ndim - 1)))
+    target[rows] = (1.0 - weight) * target[rows] + weight * value
+
+
+def _shoulder_at_nodes(window: Window, solution: Solution) -> tuple[FloatArray, FloatArray | None]:
+    """Knots interpolated linearly to the window's nodes."""
+    assert window.shoulder is not None and solution.shoulder is not None
+    knots, covariance = window.t[window.shoulder.node], solution.shoulder_covariance
+    return (
+        interpolate(knots, solution.shoulder, window.t),
+        None if covariance is None else interpolate(knots, covariance, window.t),
+    )
+
+
+def at_times(motion: Motion, signal: InertialSignal, at: FloatArray) -> States:
+    """Pose and velocity at any times within the nodes: the IMU carries each node's state forward.
+
+    What is missing at the next node (millimetres) is spread over the interval by the cubic that
+    leaves both ends where the graph put them.
+
+    Parameters
+    ----------
+    at : (N,) times between the first and the last node, increasing, s.
+    """
+    nodes = motion.t
+    union = np.union1d(nodes, at)
+    node_row = np.searchsorted(union, nodes)
+    interval = np.clip(np.searchsorted(nodes, union, side="right") - 1, 0, len(nodes) - 2)
+    piece_bias = motion.bias[interval[:-1]]
+    motion_pieces = integrate(signal, union, piece_bias)
+    R, p, v = np.zeros((len(union), 3, 3)), np.zeros((len(union), 3)), np.zeros((len(union), 3))
+    R[node_row], p[node_row], v[node_row] = motion.states.R, motion.states.p, motion.states.v
+    inside = np.diff(node_row) - 1
+    error_R, error_p, error_v = (np.zeros((len(nodes) - 1, 3)) for _ in range(3))
+    for k in range(int(inside.max(initial=0)) + 1):
+        rows = np.flatnonzero(inside >= k)
+        a = node_row[rows] + k
+        h, g = motion_pieces.dt[a, None], motion.gravity[rows]
+        next_p = p[a] + v[a] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R[a], motion_pieces.delta_p[a])
+        next_v = v[a] + g * h + np.einsum("nij,nj->ni", R[a], motion_pieces.delta_v[a])
+        next_R = R[a] @ motion_pieces.delta_R[a]
+        ends = inside[rows] == k
+        last = rows[ends]
+        if len(last):
+            error_p[last] = motion.states.p[last + 1] - next_p[ends]
+            error_v[last] = motion.states.v[last + 1] - next_v[ends]
+            turn = np.swapaxes(next_R[ends], 1, 2) @ motion.states.R[last + 1]
+            error_R[last] = Rotation.from_matrix(turn).as_rotvec()
+        go = ~ends
+        R[a[go] + 1], p[a[go] + 1], v[a[go] + 1] = next_R[go], next_p[go], next_v[go]
+    row = np.searchsorted(union, at)
+    of = interval[row]
+    length = np.diff(nodes)[of]
+    is_node = np.isin(at, nodes, assume_unique=True)
+    u = np.where(is_node, 0.0, (at - nodes[of]) / length)[:, None]
+    length = length[:, None]
+    # the cubic with value and slope 0 at the start, (error_p, error_v) at the end
+    value = error_p[of] * (3 * u**2 - 2 * u**3) + error_v[of] * length * (u**3 - u**2)
+    slope = error_p[of] * (6 * u - 6 * u**2) / length + error_v[of] * (3 * u**2 - 2 * u)
+    turned = R[row] @ Rotation.from_rotvec(error_R[of] * u).as_matrix()
+    return States(turned, p[row] + value, v[row] + slope)

@@ -1,0 +1,161 @@
+"""`camera-only`, `hold`, `pchip` and every other peer where nothing is hidden and nothing is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+from told_scenes import Told, no_gaps, told
+
+from smoother.baselines.camera import between
+from smoother.baselines.camera_only import camera_only
+from smoother.baselines.hold import hold
+from smoother.baselines.inputs import scenes_of
+from smoother.baselines.pchip import pchip
+from smoother.baselines.registry import recover
+from smoother.baselines.scene import Scene
+from smoother.recording import JOINTS, FloatArray
+
+FRAME_S = 1.0 / 30.0
+
+
+@pytest.fixture(scope="module")
+def behind() -> Scene:
+    it = told("white", 3, protocol="behind", repetitions=1)
+    (scene,) = scenes_of(it.recording, it.graph)
+    return scene
+
+
+def acceleration_of(it: Told) -> float:
+    """Largest acceleration of the IMU and of elbow and wrist, m/s^2."""
+    truth = it.made.recording.truth
+    assert truth is not None
+    paths = [truth.position, truth.joints["elbow"], truth.joints["wrist"]]
+    twice = [np.gradient(np.gradient(path, truth.t_s, axis=0), truth.t_s, axis=0) for path in paths]
+    return float(max(np.linalg.norm(each, axis=1).max() for each in twice))
+
+
+#: A straight line between frames is off by at most a h^2 / 8.
+LINE = FRAME_S**2 / 8
+#: The filter's orientation (vqf, without errors 1.5 degrees) over the mean lever arm, m.
+TILT_M = np.radians(1.5) * 0.06
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("method", ["linear-drift", "hold", "pchip"])
+def test_nothing_hidden_and_nothing_wrong(method: str, seed: int):
+    it = no_gaps(seed)
+    assert it.graph.gaps == ()
+    error = it.errors(recover(it.recording, it.graph, method))[4:-4]  # the camera starts a frame later
+    limit = acceleration_of(it) * LINE + TILT_M
+    assert np.nanmax(error) < limit
+    assert np.sqrt(np.nanmean(error**2)) < 0.5 * limit
+
+
+def test_camera_only_is_off_by_the_sensors_distance_from_the_axis():
+    it = no_gaps()
+    found = recover(it.recording, it.graph, "camera-only")
+    levers = it.made.calibration.lever_arms
+    along = it.made.calibration.forearm_direction
+    elbow = levers["elbow"].position_m
+    from_axis = float(np.linalg.norm(elbow - (elbow @ along) * along))
+    error = it.errors(found)[4:-4]
+    assert np.abs(error - from_axis).max() < acceleration_of(it) * LINE + 1e-3
+    truth = it.made.recording.truth
+    assert truth is not None
+    for joint in ("elbow", "wrist", "shoulder"):
+        off = np.linalg.norm(found.joints[joint] - truth.joints[joint], axis=1)[4:-4]
+        assert off.max() < 1.5 * acceleration_of(it) * LINE
+    assert np.isnan(found.quaternion).all()
+
+
+def test_camera_only_by_equation_16(behind: Scene):
+    """In frames where the camera states both joints: the paper's formula from its own d_se and d_sw."""
+    levers = behind.calibration.lever_arms
+    elbow, wrist = levers["elbow"].position_m, levers["wrist"].position_m
+    along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
+    d_se, d_sw = float(-elbow @ along), float(wrist @ along)
+    L, T = (behind.guessed[:, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
+    D = L + d_se / (d_sw + d_se) * (T - L)
+    known = np.isfinite(D).all(axis=1)
+    frames = behind.frame_t[known]
+    at_frames = replace(behind, imu=replace(behind.imu, t_s=frames))
+    np.testing.assert_allclose(camera_only(at_frames).position, D[known], atol=1e-12)
+
+
+def test_camera_only_takes_guesses_and_bridges_silence(behind: Scene):
+    gap = behind.gaps[0]
+    hidden = (behind.frame_t > gap.start_s) & (behind.frame_t < gap.end_s)
+    guessed = behind.guessed.copy()
+    guessed[hidden] = np.array([1.0, 2.0, 3.0])
+    inside = (behind.t > gap.start_s + FRAME_S) & (behind.t < gap.end_s - FRAME_S)
+    np.testing.assert_allclose(
+        camera_only(replace(behind, guessed=guessed)).position[inside], [[1.0, 2.0, 3.0]] * inside.sum()
+    )
+    guessed[hidden] = np.nan
+    line = camera_only(replace(behind, guessed=guessed)).position[inside]
+    assert np.abs(np.diff(line, n=2, axis=0)).max() < 1e-9
+
+
+def test_camera_only_with_fewer_joints(behind: Scene):
+    strap = np.full_like(behind.guessed, np.nan)
+    strap[:, JOINTS.index("strap")] = [0.1, 0.2, 2.0]
+    bare = replace(behind, guessed=strap, calibration=replace(behind.calibration, lever_arms={}))
+    np.testing.assert_allclose(camera_only(bare).position, np.tile([0.1, 0.2, 2.0], (len(behind.t), 1)))
+    nothing = replace(behind, guessed=np.full_like(strap, np.nan))
+    assert np.isnan(camera_only(nothing).position).all()
+
+
+def test_hold_stands_still_in_a_gap(behind: Scene):
+    path = hold(behind)
+    for gap in behind.gaps:
+        inside = behind.occluded & (behind.t > gap.start_s) & (behind.t < gap.end_s)
+        last = behind.point[np.searchsorted(behind.frame_t, gap.start_s)]
+        np.testing.assert_allclose(path.position[inside], np.tile(last, (inside.sum(), 1)))
+        assert path.R_K_A is not None
+        assert (path.R_K_A[inside] == path.R_K_A[inside][0]).all()
+    seen = ~behind.occluded
+    np.testing.assert_allclose(
+        path.position[seen],
+        between(behind.frame_t, behind.point, behind.t)[seen],
+    )
+
+
+def test_hold_before_anything_was_seen_takes_the_first(behind: Scene):
+    (first, *others) = behind.gaps
+    open_gap = replace(first, start_s=float(behind.t[0]), open_start=True)
+    later = behind.frame_t >= first.end_s
+    point = np.where(later[:, None], behind.point, np.nan)
+    path = hold(replace(behind, point=point, gaps=(open_gap, *others)))
+    inside = behind.t < first.end_s
+    np.testing.assert_allclose(
+        path.position[inside], np.tile(point[np.flatnonzero(later)[0]], (inside.sum(), 1))
+    )
+
+
+def test_pchip_is_the_librarys_on_every_track(behind: Scene):
+    path = pchip(behind)
+
+    def filled(values: FloatArray) -> FloatArray:
+        seen = np.isfinite(values).all(axis=1)
+        t = behind.frame_t[seen]
+        return PchipInterpolator(t, values[seen])(np.clip(behind.t, t[0], t[-1]))
+
+    np.testing.assert_allclose(path.position, filled(behind.point))
+    for joint in ("shoulder", "elbow", "wrist", "hand"):
+        np.testing.assert_allclose(path.joints[joint], filled(behind.joints[:, JOINTS.index(joint)]))
+    # never beyond what was seen
+    assert path.position.max() <= np.nanmax(behind.point) and path.position.min() >= np.nanmin(behind.point)
+
+
+@pytest.mark.parametrize("peer", [camera_only, hold, pchip])
+def test_nothing_seen_gives_no_answer(behind: Scene, peer):
+    blind = replace(
+        behind,
+        joints=np.full_like(behind.joints, np.nan),
+        guessed=np.full_like(behind.guessed, np.nan),
+        point=np.full_like(behind.point, np.nan),
+    )
+    assert np.isnan(peer(blind).position).all()

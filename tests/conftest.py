@@ -1,0 +1,30 @@
+"""Recoveries that several tests look at, made once a session."""
+
+from __future__ import annotations
+
+import pytest
+from scenes import SEEDS, Scene, arm, blind, point, recovered
+
+
+@pytest.fixture(scope="session", params=[0, 1], ids=["seed0", "seed1"])
+def white_arm(request: pytest.FixtureRequest) -> Scene:
+    """The clinical protocol twice, 8 mm of white noise, true calibration: four gaps of 1 to 2 s."""
+    return recovered(arm(request.param))
+
+
+@pytest.fixture(scope="session")
+def white_point() -> Scene:
+    """The strap alone, four gaps of 0.5 to 3 s."""
+    return recovered(point(1))
+
+
+@pytest.fixture(scope="session")
+def white_arms() -> list[Scene]:
+    """The clinical protocol, 8 mm of white noise, nothing calibrated."""
+    return [blind(arm(seed)) for seed in SEEDS]
+
+
+@pytest.fixture(scope="session")
+def realistic_arms() -> list[Scene]:
+    """Joint biases, correlated noise, a late camera, wobble, dropped frames; nothing calibrated."""
+    return [blind(arm(seed, "realistic")) for seed in SEEDS]

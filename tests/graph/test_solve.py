@@ -1,0 +1,249 @@
+"""One window's graph against an independent slow solution of the same problem, and its own limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from curve import angle_rad
+from scenes import arm, last_pass, plain, point
+from slow_window import Answer, SlowWindow
+
+import smoother.graph.solve
+import smoother.measurements.timestamps
+from smoother.errors import SolveError
+from smoother.graph.build import DENSITY_STEP, bias_of_intervals
+from smoother.graph.solve import solve
+from smoother.recording import FloatArray
+from smoother.simulation import SimulatedArm
+from smoother.window.problem import Solution, Window
+
+#: How far the two may be apart, in sigmas: the graph stops at a relative decrease of 1e-4 of its error
+#: (measured 0.016) and turns the covariance of an interval by the interval's own rotation (0.2 rad).
+SIGMAS = 0.05
+
+
+class Pair:
+    """A window solved both ways."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = plain(window)
+        with patch.object(
+            smoother.solve, "_some", lambda t, *_, **__: np.arange(len(t))
+        ):  # nothing interpolated
+            self.fast: Solution = solve(self.window, with_covariance=True)
+        self.slow: Answer = SlowWindow(self.window).solve()
+
+
+def one_window(noise_m: float = 0.008) -> Window:
+    """1.1 s of a moving arm, all joints seen: 34 nodes, elbow, wrist, hand and shoulder."""
+    preset = "white" if noise_m > 0.005 else "clean"  # the IMU without errors too
+    made = arm(3, preset, noise_m=noise_m, protocol="random", duration_s=1.1, occlusion_lengths_s=())
+    return every_frame(made)
+
+
+def every_frame(made: SimulatedArm) -> Window:
+    """The only window of a recording, each camera frame a node."""
+    with patch.object(smoother.timing, "CARRIED_S", 0.0):
+        (job,) = last_pass(made.recording, made.calibration)
+    return job.window
+
+
+@pytest.fixture(scope="module", params=[0.008, 0.001], ids=["white", "quiet"])
+def pair(request: pytest.FixtureRequest) -> Pair:
+    return Pair(one_window(request.param))
+
+
+@pytest.fixture(scope="module")
+def point_pair() -> Pair:
+    return Pair(every_frame(point(4, duration_s=1.1, occlusion_lengths_s=())))
+
+
+def test_states_agree(pair: Pair) -> None:
+    fast, slow = pair.fast.states, pair.slow.states
+    assert 30 <= len(pair.window.t) <= 36
+    assert np.abs(fast.p - slow.p).max() < 1e-4  # measured 3e-5
+    assert np.abs(fast.v - slow.v).max() < 1e-3
+    sigma = np.sqrt(np.trace(pair.slow.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (angle_rad(fast.R, slow.R) < SIGMAS * sigma).all()
+    assert np.degrees(angle_rad(fast.R, slow.R).max()) < 0.05  # measured 0.023 of a sigma of 2 degrees
+
+
+def test_the_same_optimum(pair: Pair) -> None:
+    """The error that the graph states is the sum of squares that numpy finds."""
+    assert pair.fast.error == pytest.approx(pair.slow.cost, rel=1e-3, abs=1e-3)
+
+
+def test_covariances_agree(pair: Pair) -> None:
+    """Inverse of J'J: sigmas within 1 %, that is 2 % of the covariance; correlations within 0.02."""
+    assert pair.fast.pose_covariance is not None
+    assert pair.fast.velocity_covariance is not None
+    for fast, slow in (
+        (pair.fast.pose_covariance, pair.slow.pose_covariance),
+        (pair.fast.velocity_covariance, pair.slow.velocity_covariance),
+        (pair.fast.message.shared.covariance[None], pair.slow.shared_covariance[None]),
+    ):
+        sigma = np.sqrt(np.einsum("nii->ni", slow))
+        np.testing.assert_allclose(np.sqrt(np.einsum("nii->ni", fast)), sigma, rtol=0.01)
+        scale = sigma[:, :, None] * sigma[:, None, :]
+        np.testing.assert_allclose(fast / scale, slow / scale, atol=0.02)
+
+
+def test_covariances_between_the_computed_ones(pair: Pair) -> None:
+    """Marginals are taken at some nodes: what is interpolated errs on the careful side.
+
+    A sigma that bends upwards at the ends of a window of one second is the worst case: half as much again.
+    """
+    thin = solve(pair.window, with_covariance=True)
+    assert thin.pose_covariance is not None
+    assert pair.fast.pose_covariance is not None
+    both = (thin.pose_covariance, pair.fast.pose_covariance)
+    some, every = (np.sqrt(np.einsum("nii->ni", C)) for C in both)
+    assert (some / every).min() > 0.85
+    assert (some / every).max() < 1.7
+    assert (some / every).mean() < 1.15
+    np.testing.assert_allclose(some[[0, -1]], every[[0, -1]], rtol=1e-9)
+
+
+def test_biases_gravity_and_lever_arms_agree(pair: Pair) -> None:
+    layout = pair.window.priors.layout
+    sigma = np.sqrt(np.diag(pair.slow.shared_covariance))
+    apart = np.abs(pair.fast.message.shared.mean - pair.slow.shared) / sigma
+    assert apart[layout.bias].max() < 2 * SIGMAS  # the softest directions of the problem
+    assert apart[layout.gravity].max() < 2 * SIGMAS
+    for joint in ("elbow", "wrist", "hand"):
+        assert apart[layout.lever(joint)].max() < SIGMAS
+    assert apart[layout.upper_arm].max() < SIGMAS  # a correction with the wrong sign is 1.7 off
+
+
+def test_a_wrong_upper_arm_is_corrected_towards_the_truth() -> None:
+    """A length known to 5 cm and 3 cm wrong: the window must correct it towards the truth."""
+    window = one_window(0.001)
+    layout, shared = window.priors.layout, window.priors.shared
+    mean, covariance = shared.mean.copy(), shared.covariance.copy()
+    true = mean[layout.upper_arm].copy()
+    mean[layout.upper_arm] += 0.03
+    covariance[layout.upper_arm] = covariance[:, layout.upper_arm] = 0.0
+    covariance[layout.upper_arm, layout.upper_arm] = 0.05**2
+    prior = replace(window.priors, shared=replace(shared, mean=mean, covariance=covariance))
+    found = solve(plain(replace(window, priors=prior)), with_covariance=False).message.shared.mean
+    # the elbow and the shoulder are seen within millimetres
+    assert abs(found[layout.upper_arm] - true)[0] < 0.01
+
+
+def test_a_point_agrees_too(point_pair: Pair) -> None:
+    """The strap alone: no lever arms, no shoulder."""
+    fast, slow = point_pair.fast, point_pair.slow
+    assert np.abs(fast.states.p - slow.states.p).max() < 1e-4
+    sigma = np.sqrt(np.trace(slow.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (angle_rad(fast.states.R, slow.states.R) < SIGMAS * sigma).all()
+    assert fast.pose_covariance is not None
+    ratio = np.einsum("nii->ni", fast.pose_covariance) / np.einsum("nii->ni", slow.pose_covariance)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.02)
+
+
+def test_residuals_are_camera_minus_answer(pair: Pair) -> None:
+    layout, states = pair.window.priors.layout, pair.fast.states
+    assert [sight.joint for sight in pair.window.sights] == list(pair.fast.residuals)
+    for sight in pair.window.sights:
+        lever = pair.fast.message.shared.mean[layout.lever(sight.joint)]
+        seen = states.p[sight.node] + states.R[sight.node] @ lever
+        np.testing.assert_allclose(pair.fast.residuals[sight.joint], sight.position - seen, atol=1e-9)
+
+
+def test_an_outlier_is_held_back_by_the_robust_loss() -> None:
+    """One wrist sample half a metre off: Cauchy's loss forgets it.
+
+    The pull of a white-noise model would be 0.5 m / 30 samples and more at the node itself.
+    """
+    window = one_window()
+    sights = list(window.sights)
+    k = [sight.joint for sight in sights].index("wrist")
+    position = sights[k].position.copy()
+    position[15] += [0.5, 0.0, 0.0]
+    wrong = replace(
+        window, sights=tuple([*sights[:k], replace(sights[k], position=position), *sights[k + 1 :]])
+    )
+    clean = solve(window, with_covariance=False).states.p
+    held = np.abs(solve(wrong, with_covariance=False).states.p - clean).max()
+    pulled = np.abs(solve(plain(wrong), with_covariance=False).states.p - clean).max()
+    assert held < 0.005
+    assert pulled > 5 * held
+
+
+def test_a_knock_is_a_larger_accelerometer_noise() -> None:
+    """Velocity errors of every interval equal to a raised density give the same answer."""
+    window = plain(one_window())
+    factor = DENSITY_STEP**6
+    density = window.noise.accelerometer_density
+    error = density * np.sqrt(factor**2 - 1) * np.sqrt(np.diff(window.t))
+    knocked = replace(window, inertia=replace(window.inertia, velocity_error=error))
+    louder = replace(window, noise=replace(window.noise, accelerometer_density=density * factor))
+    a, b = solve(knocked, with_covariance=True), solve(louder, with_covariance=True)
+    np.testing.assert_allclose(a.states.p, b.states.p, atol=1e-9)
+    assert a.pose_covariance is not None
+    assert b.pose_covariance is not None
+    np.testing.assert_allclose(a.pose_covariance, b.pose_covariance, rtol=1e-6, atol=1e-15)
+    quiet = solve(window, with_covariance=True).pose_covariance
+    assert quiet is not None
+    assert (np.trace(a.pose_covariance, axis1=1, axis2=2) > np.trace(quiet, axis1=1, axis2=2)).all()
+
+
+def test_noise_that_grows_with_the_motion() -> None:
+    """A share of the turning rate: between the answers with the least and the most of it."""
+    window = plain(one_window())
+    rate = np.linalg.norm(window.inertia.gyro, axis=1)
+    share = 0.004
+
+    def sigmas(shared: float, density: float) -> FloatArray:
+        noise = replace(window.noise, gyroscope_share=shared, gyroscope_density=density)
+        found = solve(replace(window, noise=noise), with_covariance=True).pose_covariance
+        assert found is not None
+        return np.asarray(np.sqrt(np.trace(found[:, 3:, 3:], axis1=1, axis2=2)))
+
+    density = window.noise.gyroscope_density
+    grown = sigmas(share, density)
+    low, high = (np.hypot(density, share * r) for r in (rate.min(), rate.max()))
+    assert (grown >= sigmas(0.0, low) * 0.99).all()
+    assert (grown <= sigmas(0.0, high) * 1.01).all()
+    assert (grown > sigmas(0.0, density)).all()
+
+
+def test_an_arm_that_keeps_its_velocity() -> None:
+    """Priors on the velocity's change in some intervals, against numpy, and that they do what they say."""
+    window = plain(one_window())
+    count = len(window.t) - 1
+    change = np.full(count, np.inf)
+    change[5:15] = 0.02
+    quiet = Pair(replace(window, velocity_change=change))
+    assert np.abs(quiet.fast.states.v - quiet.slow.states.v).max() < 1e-3
+    assert quiet.fast.error == pytest.approx(quiet.slow.cost, rel=1e-3, abs=1e-3)
+    free = solve(replace(window, velocity_change=np.full(count, np.inf)), with_covariance=False).states.v
+    moved, held = (np.linalg.norm(np.diff(v, axis=0)[5:15], axis=1) for v in (free, quiet.fast.states.v))
+    assert held.sum() < moved.sum()
+
+
+def test_long_windows_have_a_bias_every_four_seconds() -> None:
+    made = point(1, duration_s=12.0, occlusion_lengths_s=())
+    window = every_frame(made)
+    biases, bias = bias_of_intervals(window), solve(window, with_covariance=False).bias
+    assert biases[0] == 0
+    assert biases[-1] == 2
+    assert (np.diff(biases) >= 0).all()
+    lengths = [np.ptp(window.t[:-1][biases == k]) for k in range(3)]
+    np.testing.assert_allclose(lengths, 4.0, atol=0.2)
+    # one value a variable, and they differ
+    assert len(np.unique(bias, axis=0)) == 3
+
+
+def test_what_nothing_determines_is_a_sentence_with_the_time() -> None:
+    """No camera sample at all leaves position free: no key number, no traceback of another library."""
+    window = replace(one_window(), sights=(), shoulder=None)
+    layout = replace(window.priors.layout, joints=(), has_upper_arm=False)
+    shared = window.priors.shared
+    shared = replace(shared, mean=shared.mean[:8], covariance=shared.covariance[:8, :8])
+    window = replace(window, priors=replace(window.priors, layout=layout, shared=shared))
+    with pytest.raises(SolveError, match=r"between \d+\.\d s and \d+\.\d s is not determined"):
+        solve(window, with_covariance=True)

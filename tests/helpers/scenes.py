@@ -1,0 +1,136 @@
+"""Simulated recordings, and what the smoother makes of them inside: the one place that knows how."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+import smoother.graph.solve
+from smoother import Config, Recovery, smooth
+from smoother.calibration import ArmCalibration
+from smoother.evaluation import Validation, validate
+from smoother.recording import BoolArray, Recording
+from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
+from smoother.window.problem import Solution, Window
+
+#: One process: the tests share two cores, and a recording of 30 s is no work.
+ALONE = Config.model_validate({"windows": {"processes": 1}})
+#: Seeds of the recordings that are recovered with nothing calibrated.
+SEEDS = (0, 1)
+#: Limits in the gaps, m. The issue asks for 1.2 and 3 cm; 10 seeds gave 0.36 and 0.7 (0.54 and 0.84 at
+#: worst), so these leave half as much again and fail long before the issue's limits do.
+GAP_RMS_M, GAP_MAX_M = 0.008, 0.016
+#: A point has one sample a frame instead of three, and gaps of up to 3 s: 0.6 and 1.3 cm at worst.
+POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
+#: Mean squared error in sigmas: 1 is honest. One gap is one draw, so the bounds are wide.
+SHYEST, BOLDEST = 0.1, 3.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A simulated recording and its recovery."""
+
+    made: SimulatedArm
+    recovery: Recovery
+
+    @property
+    def recording(self) -> Recording:
+        return self.made.recording
+
+    @property
+    def validation(self) -> Validation:
+        assert self.recording.truth is not None
+        return validate(self.recovery, self.recording.truth)
+
+
+def arm(seed: int = 0, preset: str = "white", **changes: Any) -> SimulatedArm:
+    return simulate_arm(ArmSimulation.preset(preset, **changes), seed=seed)
+
+
+def point(seed: int = 0, preset: str = "white", **changes: Any) -> SimulatedArm:
+    return simulate_point(PointSimulation.preset(preset, **changes), seed=seed)
+
+
+def recovered(made: SimulatedArm, recording: Recording | None = None) -> Scene:
+    """Smooth a simulated recording (or a changed copy of it) with its true calibration."""
+    recording = recording or made.recording
+    made = replace(made, recording=recording)
+    return Scene(made, smooth(replace(recording, truth=None), made.calibration, ALONE))
+
+
+def blind(made: SimulatedArm, recording: Recording | None = None) -> Scene:
+    """Smooth a simulated recording with nothing calibrated beforehand."""
+    made = replace(made, recording=recording or made.recording)
+    return Scene(made, smooth(replace(made.recording, truth=None), None, ALONE))
+
+
+def without_frames(recording: Recording, hidden: BoolArray) -> Recording:
+    """The same recording, the forearm not tracked in the hidden frames (F,)."""
+    return replace(recording, arm=recording.arm.hide(hidden))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One window that was solved on the way, with its answer."""
+
+    window: Window
+    with_covariance: bool
+    solution: Solution
+
+
+def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
+    """Every window that `smooth` solves, pass by pass, by listening at the solver."""
+    heard: list[Job] = []
+    solve = smoother.solve.solve
+
+    def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
+        solution = solve(window, with_covariance, **more)
+        heard.append(Job(window, with_covariance, solution))
+        return solution
+
+    with patch("smoother.recovery.passes.solve", listen), patch("smoother.selfcal.rounds.solve", listen):
+        smooth(replace(recording, truth=None), calibration, config)
+    return heard
+
+
+def last_pass(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
+    """The windows of the pass that gives the answer, in the order of time."""
+    return [job for job in jobs(recording, calibration, config) if job.with_covariance]
+
+
+def plain(window: Window, cauchy: float = 1e6) -> Window:
+    """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
+    inertia = replace(window.inertia, velocity_error=np.zeros(len(window.t) - 1))
+    noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
+    return replace(window, noise=noise, inertia=inertia)
+
+
+def assert_accurate(scene: Scene, rms_m: float = GAP_RMS_M, max_m: float = GAP_MAX_M) -> None:
+    found = scene.validation
+    assert found.all.unanswered == 0
+    assert found.occluded.samples > 100
+    assert found.occluded.position_rms_m is not None
+    assert found.occluded.position_max_m is not None
+    assert found.visible.position_rms_m is not None
+    assert found.all.orientation_max_deg is not None
+    assert found.occluded.position_rms_m <= rms_m
+    assert found.occluded.position_max_m <= max_m
+    assert found.visible.position_rms_m <= 0.005  # measured 0.15 to 0.3 cm with 0.8 cm of camera noise
+    assert found.all.orientation_max_deg <= 2.5  # measured 0.5 to 1.2
+
+
+def there(*parts: str) -> Path:
+    """A file of the data sets; the test is skipped where it is not."""
+    folder = os.environ.get("UNOCCLUDE_DATASETS")
+    if not folder:
+        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD and UTD-MHAD")
+    path = Path(folder).joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    return path

@@ -1,0 +1,257 @@
+"""`unocclude export` over formats, sides and axes, and `simulate arm --mocap`, by the command line."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from results import made, read_mot, read_trc, without_answer
+
+from smoother.cli.run import run
+from smoother.errors import UnoccludeError
+from smoother.io import read_recovery, write_recovery
+
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+
+
+def done(*arguments: object) -> None:
+    assert run([str(argument) for argument in arguments]) == 0
+
+
+def failed(capsys, code: int, *arguments: object) -> str:
+    capsys.readouterr()
+    assert run([str(argument) for argument in arguments]) == code
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "Traceback" not in said
+    return said
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """Results of a left arm, a right arm, both, a strap alone, a method without gravity, and no answer."""
+    folder = tmp_path_factory.mktemp("results")
+    left, right = made("left"), without_answer(made("right"), 9.5, 10.5)
+    write_recovery(left, folder / "left.mcap")
+    write_recovery(right, folder / "right.mcap")
+    write_recovery([left, right], folder / "both.mcap")
+    write_recovery(made(strap=True), folder / "strap.mcap")
+    hold = replace(made("right"), method="hold", gravity_direction=np.full(3, np.nan))
+    write_recovery(hold, folder / "hold.mcap")
+    write_recovery(without_answer(made("right"), -1, 100), folder / "nothing.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+@pytest.mark.parametrize("arm", ["left", "right", "both"])
+def test_every_format_of_every_arm(results, tmp_path, format_name, arm):
+    output = tmp_path / f"a.{format_name}"
+    done(
+        *("export", results / f"{arm}.mcap", "--format", format_name),
+        *("-o", output, "--json", tmp_path / "j.json"),
+    )
+    names = [f"a_left.{format_name}", f"a_right.{format_name}"] if arm == "both" else [output.name]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names, "j.json"])
+    figures = json.loads((tmp_path / "j.json").read_text())["files"]
+    assert [Path(row["file"]).name for row in figures] == names
+    assert all(row["rows"] == 1600 for row in figures)
+    assert {row["frame"] for row in figures} == {{"trc": "opensim", "mot": None}.get(format_name, "camera")}
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_one_arm_of_two(results, tmp_path, format_name):
+    for side in ("left", "right"):
+        done(
+            *("export", results / "both.mcap", "--format", format_name, "--side", side),
+            *("-o", tmp_path / side),
+        )
+        done("export", results / f"{side}.mcap", "--format", format_name, "-o", tmp_path / f"{side}_alone")
+        same = (tmp_path / side).read_bytes(), (tmp_path / f"{side}_alone").read_bytes()
+        if format_name == "trc":  # its first line has the file's name
+            same = tuple(one.partition(b"\n")[2] for one in same)
+        assert same[0] == same[1]
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_an_output_that_exists(results, tmp_path, capsys, format_name):
+    output = tmp_path / f"a.{format_name}"
+    output.write_text("mine")
+    command = ("export", results / "left.mcap", "--format", format_name, "-o", output)
+    assert "--force" in failed(capsys, 1, *command)
+    assert output.read_text() == "mine"
+    done(*command, "--force")
+    assert output.stat().st_size > 10_000
+    assert [path.name for path in tmp_path.iterdir()] == [output.name]
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_a_strap_alone(results, tmp_path, capsys, format_name):
+    output = tmp_path / f"a.{format_name}"
+    command = ("export", results / "strap.mcap", "--format", format_name, "-o", output)
+    if format_name == "mot":
+        assert "it has no shoulder, no elbow, no wrist; export to csv, trc" in failed(capsys, 1, *command)
+        assert list(tmp_path.iterdir()) == []
+    else:
+        done(*command)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_no_answer_at_all(results, tmp_path, capsys, format_name):
+    output = tmp_path / f"a.{format_name}"
+    command = ("export", results / "nothing.mcap", "--format", format_name, "-o", output)
+    if format_name == "mot":
+        assert "joint angles need shoulder, elbow and wrist" in failed(capsys, 1, *command)
+        assert list(tmp_path.iterdir()) == []
+    else:
+        done(*command)
+
+
+def test_one_arm_that_cannot_leaves_none(tmp_path, capsys):
+    write_recovery([made("left"), made(strap=True)], tmp_path / "mixed.mcap")
+    said = failed(capsys, 1, "export", tmp_path / "mixed.mcap", "--format", "mot", "-o", tmp_path / "a.mot")
+    assert "joint angles need" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["mixed.mcap"]
+
+
+def test_no_gravity(results, tmp_path, capsys):
+    command = ("export", results / "hold.mcap", "-o", tmp_path / "a.trc", "--format", "trc")
+    assert "'hold' found no gravity" in failed(capsys, 1, *command)
+    done(*command, "--frame", "camera")
+    done("export", results / "hold.mcap", "-o", tmp_path / "a.c3d", "--format", "c3d")
+
+
+def test_no_gravity_but_a_camera_that_says_its_axes(tmp_path, capsys):
+    from arms import make_recording
+
+    from smoother.io import write_recording
+    from smoother.recording import CameraFrame
+
+    source = replace(make_recording(), camera_frame=CameraFrame.OPTICAL)
+    write_recording(source, tmp_path / "rec.mcap")
+    hold = replace(made("right"), method="hold", gravity_direction=np.full(3, np.nan))
+    write_recovery(hold, tmp_path / "hold.mcap", source=tmp_path / "rec.mcap")
+    for frame in ("camera", "opensim"):
+        name = tmp_path / f"{frame}.trc"
+        done("export", tmp_path / "hold.mcap", "--format", "trc", "--frame", frame, "-o", name)
+    assert "the camera is taken to stand level" in capsys.readouterr().out
+    *_, camera = read_trc(tmp_path / "camera.trc")
+    *_, level = read_trc(tmp_path / "opensim.trc")
+    # Optical: x right, y down, z forward. OpenSim: x to the camera, y up, z right of who faces it.
+    expected = np.stack([-camera[..., 2], -camera[..., 1], -camera[..., 0]], axis=-1)
+    np.testing.assert_allclose(level, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--format", "csv", "--frame", "camera"), "--frame is for trc and c3d, not for csv"),
+        (("--format", "mot", "--frame", "opensim"), "--frame is for trc and c3d"),
+        (("--format", "trc", "--frame", "lab"), "--frame is camera or opensim, not 'lab'"),
+        (("--format", "parquet", "--rate", "50"), "--rate is for trc, mot, c3d"),
+        (("--format", "trc", "--rate", "0"), "--rate is between 1 and 10000 Hz"),
+        (("--format", "xls"), "'xls' is not available; formats: csv, trc, mot, c3d, parquet"),
+    ],
+)
+def test_wrong_use(results, tmp_path, capsys, options, sentence):
+    said = failed(capsys, 2, "export", results / "left.mcap", "-o", tmp_path / "a", *options)
+    assert sentence in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("format_name", ["trc", "mot", "c3d"])
+def test_rate(results, tmp_path, format_name):
+    output = tmp_path / f"a.{format_name}"
+    done(
+        *("export", results / "left.mcap", "--format", format_name, "-o", output, "--rate", "20"),
+        *("--json", tmp_path / "j.json"),
+    )
+    (row,) = json.loads((tmp_path / "j.json").read_text())["files"]
+    assert (row["rate_hz"], row["rows"]) == (20, 400)
+    if format_name == "mot":
+        _, _, table = read_mot(output)
+        np.testing.assert_allclose(np.diff(table[:, 0]), 0.05, atol=2e-9)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_simulated_mocap_beside_its_recording(tmp_path, side):
+    import ezc3d
+    from scipy.spatial.transform import Rotation
+
+    done(
+        *("simulate", "arm", "-o", tmp_path / "sim.mcap", "--mocap", "--side", side, "--seed", 3),
+        *("--protocol", "random", "--duration-s", 6, "--marker-noise-m", 0, "--mocap-rate-hz", 100),
+        *("--mocap-offset-s", -1.5, "--mocap-skew-ppm", 0, "--json", tmp_path / "j.json"),
+    )
+    names = {"sim.mcap", "sim.c3d", "sim.trc", "sim_markers.toml", "sim_calibration.toml", "j.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    marks = tomllib.loads((tmp_path / "sim_markers.toml").read_text())["markers"]
+    assert sum(map(len, marks.values())) == 15
+    assert len(marks["imu_plate"]) == 8
+    table = tomllib.loads((tmp_path / "sim_calibration.toml").read_text())["camera_from_mocap"]
+    header, labels, t_s, trc = read_trc(tmp_path / "sim.trc")
+    assert (header["Units"], header["DataRate"]) == ("mm", "100")
+    points = ezc3d.c3d(str(tmp_path / "sim.c3d"))["data"]["points"][:3]
+    np.testing.assert_allclose(np.moveaxis(points, (0, 1, 2), (2, 1, 0)), trc, atol=2e-4, equal_nan=True)
+    lost = np.isnan(trc).any(axis=2).mean(axis=0)
+    assert (lost > 0).all()
+    # Through the files alone: markers to the camera's axes and the IMU's clock, against the truth inside.
+    from smoother.io import read_recording
+
+    truth = read_recording(tmp_path / "sim.mcap").truth
+    turn = Rotation.from_quat(table["rotation"], scalar_first=True)
+    kinect = np.diag([-1.0, -1.0, 1.0])  # of optical axes
+    assert json.loads((tmp_path / "j.json").read_text())["mocap"]["offset_s"] == -1.5
+    for joint in ("elbow", "wrist", "imu_plate"):
+        mean = trc[:, [labels.index(name) for name in marks[joint]]].mean(axis=1) / 1000
+        place = (turn.apply(mean) + table["translation"]) @ kinect.T
+        seen = np.isfinite(mean[:, 0]) & (t_s - 1.5 > 0.1) & (t_s - 1.5 < 5.9)
+        true = truth.position if joint == "imu_plate" else truth.joints[joint]
+        there = np.stack([np.interp(t_s[seen] - 1.5, truth.t_s, true[:, k]) for k in range(3)], axis=1)
+        # Straight lines between truth samples at 80 Hz cost up to 0.5 mm where the arm turns round.
+        np.testing.assert_allclose(place[seen], there, atol=1e-3)
+
+
+def test_mocap_leaves_the_recording_as_it_is(tmp_path):
+    options = ("--protocol", "random", "--duration-s", 4, "--seed", 8)
+    done("simulate", "arm", "-o", tmp_path / "a.mcap", *options)
+    done("simulate", "arm", "-o", tmp_path / "b.mcap", "--mocap", *options)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_mocap_goes_into_the_calibration_that_is_named(tmp_path, capsys):
+    options = ("--protocol", "random", "--duration-s", 4, "-o", tmp_path / "a.mcap")
+    done("simulate", "arm", "--mocap", "--calibration-out", tmp_path / "cal.toml", *options)
+    assert "camera_from_mocap" in tomllib.loads((tmp_path / "cal.toml").read_text())
+    assert not (tmp_path / "a_calibration.toml").exists()
+    said = failed(capsys, 1, "simulate", "arm", "--mocap", "-o", tmp_path / "a.mcap")
+    assert "--force" in said
+
+
+def test_settings_of_markers_need_mocap(tmp_path, capsys):
+    said = failed(capsys, 2, "simulate", "arm", "-o", tmp_path / "a.mcap", "--marker-lost", "0.5")
+    assert "need --mocap" in said
+    said = failed(capsys, 2, "simulate", "arm", "-o", tmp_path / "a.mcap", "--mocap", "--marker-lost", "2")
+    assert "marker_lost" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_formats_are_known_by_one_list():
+    from smoother.cli import export
+    from smoother.io.export import prepare as exports
+    from smoother.io.export.markers import FRAMES
+
+    assert export.FORMATS == exports.FORMATS == FORMATS
+    assert export.FRAMES == FRAMES
+    with pytest.raises(UnoccludeError, match="'xls' is not available"):
+        exports.prepare_export(made(), "xls")
+
+
+def test_the_example_of_the_help(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_recovery(made(), "recovered.mcap")
+    done("export", "recovered.mcap", "--format", "trc", "-o", "recovered.trc")
+    assert len(read_recovery("recovered.mcap")[0]) == len(read_trc(Path("recovered.trc"))[2])

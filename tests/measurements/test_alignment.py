@@ -1,0 +1,222 @@
+"""Start values: the rotation between filter and camera, and positions through the camera's samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from curve import Curve, G
+from scenes import point
+from scipy.spatial.transform import Rotation
+
+from smoother.measurements.alignment import (
+    FILTER_SIGMA_RAD,
+    VectorPairs,
+    acceleration_pairs,
+    align,
+    direction_pairs,
+)
+from smoother.measurements.attitude import InertialAttitude, inertial_attitude
+from smoother.measurements.inertial import InertialSignal
+from smoother.recording import JOINTS, FloatArray
+from smoother.window.prepare import states_from_camera
+
+NOTHING = VectorPairs(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+ZUP = np.array([0.0, 0.0, -1.0])
+
+
+def noisy_pairs(R_K_E: Rotation, sigma: float, count: int, rng: np.random.Generator) -> VectorPairs:
+    """Random unit vectors seen from both frames with white noise."""
+    in_E = rng.normal(size=(count, 3))
+    in_E /= np.linalg.norm(in_E, axis=1)[:, None]
+    in_K = R_K_E.apply(in_E) + sigma * rng.normal(size=(count, 3))
+    return VectorPairs(np.sort(rng.uniform(0, 40, count)), in_K, in_E, np.full(count, sigma**-2))
+
+
+def upright(rng: np.random.Generator) -> Rotation:
+    """A rotation of a camera that stands level: heading only."""
+    return Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+
+
+@pytest.mark.parametrize("count", [30, 300])
+def test_align_finds_a_rotation_within_its_covariance(count: int) -> None:
+    """Mean squared error in its own sigmas over 20 seeds; the filter's floor of 3 degrees included."""
+    squares = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        truth = upright(rng)
+        found = align([noisy_pairs(truth, 0.2, count, rng)], 0.0, 40.0, ZUP)
+        for k in (0, len(found.t) // 2, len(found.t) - 1):
+            error = (found.R_K_E[k] * truth.inv()).as_rotvec()
+            squares.append(error @ np.linalg.solve(found.covariance[k], error) / 3.0)
+            data = found.covariance[k] - FILTER_SIGMA_RAD**2 * np.eye(3)
+            assert (np.linalg.eigvalsh(data) > 0).all()
+    # the floor makes it shy; without it the pairs alone would give 1
+    assert np.mean(squares) < 1.0
+    assert max(squares) < 4.0
+
+
+def test_the_covariance_without_the_floor_is_honest() -> None:
+    """What the pairs alone say: 1 is honest, 60 samples of 3 degrees of freedom scatter by 0.1."""
+    squares = []
+    for seed in range(60):
+        rng = np.random.default_rng(100 + seed)
+        truth = Rotation.from_rotvec(rng.normal(size=3))
+        # no hint, and all pairs at one time, so that no neighbour in time shares them
+        pairs = noisy_pairs(truth, 0.1, 50, rng)
+        pairs = VectorPairs(np.zeros(50), pairs.in_K, pairs.in_E, pairs.weight)
+        found = align([pairs], 0.0, 1.0, np.zeros(3))
+        error = (found.R_K_E[0] * truth.inv()).as_rotvec()
+        data = found.covariance[0] - FILTER_SIGMA_RAD**2 * np.eye(3)
+        squares.append(error @ np.linalg.solve(data, error) / 3.0)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)
+
+
+def test_align_follows_a_drifting_heading() -> None:
+    """0.2 degrees a second for 40 s: within 3 degrees everywhere (data are shared over 30 s)."""
+    rng = np.random.default_rng(3)
+    t = np.sort(rng.uniform(0, 40, 2000))
+    truth = Rotation.from_rotvec(np.outer(np.radians(0.2) * t, [0, 0, 1.0]))
+    in_E = rng.normal(size=(2000, 3))
+    in_E /= np.linalg.norm(in_E, axis=1)[:, None]
+    pairs = VectorPairs(t, truth.apply(in_E), in_E, np.full(2000, 25.0))
+    found = align([pairs], 0.0, 40.0, ZUP)
+    at = np.array([1.0, 20.0, 39.0])
+    error = (
+        found.at(at) * Rotation.from_rotvec(np.outer(np.radians(0.2) * at, [0, 0, 1.0])).inv()
+    ).magnitude()
+    # a constant would be 3.8 degrees off at the ends
+    assert np.degrees(error).max() < 3.0
+    assert np.degrees(error[1]) < 0.5
+
+
+@pytest.mark.parametrize("down", [(0, 0, -1), (0, -1, 0), (0, 1, 0), (0.6, 0.0, -0.8)])
+def test_the_hint_decides_where_no_pair_does(down: tuple[float, float, float]) -> None:
+    """Gravity's direction as hinted; a proper rotation; heading nearly unknown, tilt to 15 degrees."""
+    down_K = np.array(down, dtype=float)
+    found = align([NOTHING], 0.0, 10.0, down_K)
+    matrix = found.R_K_E.as_matrix()
+    np.testing.assert_allclose(matrix @ [0.0, 0.0, -1.0], np.tile(down_K, (len(matrix), 1)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(matrix), 1.0, atol=1e-9)
+    for covariance in found.covariance:
+        assert down_K @ covariance @ down_K > 0.5  # about the vertical: the prior's one radian
+        across = np.linalg.svd(down_K[None])[2][1:]
+        tilt = np.degrees(np.sqrt(np.diag(across @ covariance @ across.T)))
+        assert (tilt > 10).all()
+        assert (tilt < 20).all()
+
+
+def test_pairs_outweigh_the_hint() -> None:
+    """A camera tipped by 60 degrees against its hint, seen by many pairs."""
+    rng = np.random.default_rng(5)
+    truth = Rotation.from_rotvec([np.radians(60), 0, 0])
+    found = align([noisy_pairs(truth, 0.1, 500, rng)], 0.0, 40.0, ZUP)
+    assert np.degrees((found.R_K_E * truth.inv()).magnitude()).max() < 2.0
+
+
+def true_attitude(curve: Curve, R_E_K: Rotation, duration_s: float) -> InertialAttitude:
+    t = np.arange(0.0, duration_s, 0.01)
+    return InertialAttitude(t, R_E_K * curve.rotation(t), np.zeros(3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_acceleration_pairs_are_one_vector_from_two_frames(seed: int) -> None:
+    """A joint with a lever arm, exact samples: the same functional of the same path, up to interpolation."""
+    curve = Curve(seed, fastest_hz=1.0, down=np.array([0.0, -1.0, 0.0]))
+    R_K_E = Rotation.align_vectors([[0, 1.0, 0], [0.6, 0, 0.8]], [[0, 0, 1.0], [1.0, 0, 0]])[0]
+    attitude = true_attitude(curve, R_K_E.inv(), 8.0)
+    t, lever = np.arange(0.2, 7.8, 1 / 30), np.array([0.02, -0.2, 0.03])
+    joint = curve.position(t) + curve.rotation(t).apply(lever)
+    found = acceleration_pairs(t, joint, attitude, InertialSignal(curve.imu(100.0, 8.0)), G)
+    pairs = found.with_lever(lever)
+    assert len(pairs.t) > 25
+    difference = np.linalg.norm(pairs.in_K - R_K_E.apply(pairs.in_E), axis=1)
+    # accelerations of 5 m/s^2; 0.1 m/s^2 is what the pairs are stated to be good to, noise apart
+    assert np.linalg.norm(pairs.in_K, axis=1).max() > 2.0
+    assert difference.max() < 0.05
+    wrong = found.with_lever(np.zeros(3))
+    assert np.linalg.norm(wrong.in_K - R_K_E.apply(wrong.in_E), axis=1).max() > 10 * difference.max()
+
+
+def test_acceleration_pairs_leave_gaps_alone() -> None:
+    """No functional reaches over a hole of half a second."""
+    curve = Curve(0, fastest_hz=1.0)
+    t = np.arange(0.2, 7.8, 1 / 30)
+    t = t[(t < 3.0) | (t > 3.5)]
+    attitude = true_attitude(curve, Rotation.identity(), 8.0)
+    signal = InertialSignal(curve.imu(100.0, 8.0))
+    found = acceleration_pairs(t, curve.position(t), attitude, signal, G)
+    assert not ((found.t > 2.65) & (found.t < 3.85)).any()
+    short = acceleration_pairs(t[:10], curve.position(t[:10]), attitude, signal, G)
+    assert len(short.t) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_align_on_a_simulated_point_is_within_its_covariance(seed: int) -> None:
+    """The whole way to the start orientation on the strap alone: filter, accelerations, alignment."""
+    made = point(seed, occlusion_lengths_s=())
+    recording, truth = made.recording, made.recording.truth
+    assert truth is not None
+    signal = InertialSignal(recording.imu)
+    attitude = inertial_attitude(signal, 80.0)
+    t, strap = recording.arm.t_s, recording.arm.position[:, JOINTS.index("strap")]
+    inside = (t > recording.imu.t_s[0]) & (t < recording.imu.t_s[-1])
+    pairs = acceleration_pairs(t[inside], strap[inside], attitude, signal, G).with_lever(np.zeros(3))
+    alignment = align([pairs], signal.start_s, signal.end_s, ZUP)
+    R_K_A = alignment.at(truth.t_s) * attitude.at(truth.t_s)
+    error = (R_K_A * Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]).inv()).as_rotvec()
+    rows = slice(200, -200)
+    sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2).max())
+    assert np.degrees(np.linalg.norm(error[rows], axis=1)).max() < 10.0  # a start value: Gauss-Newton's basin
+    assert np.sqrt((error[rows] ** 2).sum(axis=1).mean()) < 2 * sigma
+
+
+def test_direction_pairs_hold_the_forearm_s_direction() -> None:
+    curve, along = Curve(2), np.array([0.0, 1.0, 0.0])
+    t = np.arange(0.5, 4.0, 0.05)
+    attitude = true_attitude(curve, Rotation.identity(), 5.0)
+    elbow = curve.position(t)
+    pairs = direction_pairs(t, elbow, elbow + 0.25 * curve.rotation(t).apply(along), attitude, along)
+    np.testing.assert_allclose(pairs.in_K, pairs.in_E, atol=5e-3)  # slerp between 10 ms knots
+    np.testing.assert_allclose(np.linalg.norm(pairs.in_K, axis=1), 1.0)
+
+
+def camera_path(sigma: float, gap: tuple[float, float]) -> tuple[FloatArray, FloatArray, Curve]:
+    curve = Curve(4, fastest_hz=0.6)
+    t = np.arange(0.0, 8.0, 1 / 30)
+    t = t[(t < gap[0]) | (t > gap[1])]
+    return t, curve.position(t) + sigma * np.random.default_rng(0).normal(size=(len(t), 3)), curve
+
+
+def test_states_follow_the_camera() -> None:
+    """Local lines over 0.24 s: 8 mm of noise become 4 mm and 0.1 m/s, plus what the curvature costs."""
+    t, seen, curve = camera_path(0.008, (9.0, 9.0))
+    nodes = np.linspace(0.3, 7.6, 400)
+    R = curve.rotation(nodes).as_matrix()
+    states = states_from_camera(nodes, R, t, seen)
+    np.testing.assert_array_equal(states.R, R)
+    assert np.sqrt(((states.p - curve.position(nodes)) ** 2).sum(axis=1).mean()) < 0.010
+    assert np.sqrt(((states.v - curve.velocity(nodes)) ** 2).sum(axis=1).mean()) < 0.25
+
+
+def test_states_bridge_a_gap_smoothly_and_stand_still_outside() -> None:
+    t, seen, curve = camera_path(0.0, (3.0, 4.0))
+    nodes = np.linspace(-1.0, 9.0, 2001)
+    states = states_from_camera(nodes, np.tile(np.eye(3), (2001, 1, 1)), t, seen)
+    step = np.linalg.norm(np.diff(states.p, axis=0), axis=1) / 0.005
+    assert step.max() < 3.0  # no jump: speeds of this path are under 2 m/s
+    out = (nodes < t[0]) | (nodes > t[-1])
+    assert not states.v[out].any()
+    np.testing.assert_array_equal(states.p[nodes < t[0]], np.tile(states.p[nodes >= t[0]][0], (200, 1)))
+    inside = (nodes > 3.0) & (nodes < 4.0)
+    between = np.linalg.norm(states.p[inside] - curve.position(nodes[inside]), axis=1)
+    assert between.max() < 0.3
+
+
+def test_states_from_one_or_two_frames() -> None:
+    nodes, R = np.linspace(0, 1, 11), np.tile(np.eye(3), (11, 1, 1))
+    one = states_from_camera(nodes, R, np.array([0.5]), np.array([[1.0, 2.0, 3.0]]))
+    np.testing.assert_array_equal(one.p, np.tile([1.0, 2.0, 3.0], (11, 1)))
+    assert not one.v.any()
+    two = states_from_camera(nodes, R, np.array([0.2, 0.8]), np.array([[0.0, 0, 0], [0.6, 0, 0]]))
+    assert np.isfinite(two.p).all()
+    assert two.p[5, 0] == pytest.approx(0.3)

@@ -1,0 +1,144 @@
+"""Gaps: against the definition, frame by frame and with slow loops."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smoother.measurements.visibility import (
+    MISSING_S,
+    Gap,
+    accepted_samples,
+    find_gaps,
+    occluded_at,
+    visible_frames,
+)
+from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, JointTracks
+
+masks = st.lists(st.booleans(), min_size=1, max_size=80)
+
+
+def tracks(**seen: list[bool]) -> JointTracks:
+    """Joints tracked in the frames that say so, at 30 Hz."""
+    count = len(next(iter(seen.values())))
+    position = np.zeros((count, 5, 3))
+    state = np.zeros((count, 5), dtype=np.int8)
+    for joint, mask in seen.items():
+        state[:, JOINTS.index(joint)] = np.where(mask, JointState.TRACKED, JointState.NOT_TRACKED)
+    return JointTracks("", np.arange(count) / 30.0, position, state)
+
+
+def visible(arm: JointTracks) -> list[bool]:
+    return visible_frames(arm, accepted_samples(arm)).tolist()
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), min_size=1, max_size=30))
+def test_two_joints_make_a_frame_visible(rows: list[tuple[bool, bool, bool]]) -> None:
+    """The definition as a loop; with fewer than two joints in the recording one is enough."""
+    elbow, wrist, hand = (list(column) for column in zip(*rows, strict=True))
+    has = sum(any(column) for column in (elbow, wrist, hand))
+    needed = max(1, min(2, has))
+    assert visible(tracks(elbow=elbow, wrist=wrist, hand=hand)) == [sum(row) >= needed for row in rows]
+
+
+def test_one_joint_of_two_is_occluded() -> None:
+    assert visible(tracks(elbow=[True, True, False], wrist=[True, False, False])) == [True, False, False]
+
+
+def test_a_strap_alone_is_enough_and_the_shoulder_is_not() -> None:
+    assert visible(tracks(strap=[True, False])) == [True, False]
+    assert visible(tracks(strap=[True, False], shoulder=[True, True])) == [True, False]
+    assert visible(tracks(shoulder=[True, True])) == [False, False]
+
+
+@pytest.mark.parametrize("state", [JointState.INFERRED, JointState.NOT_TRACKED])
+def test_a_guess_or_a_nan_is_not_accepted(state: JointState) -> None:
+    arm = tracks(elbow=[True] * 3, wrist=[True] * 3)
+    arm.state[1, JOINTS.index("wrist")] = state
+    arm.position[2, JOINTS.index("wrist"), 1] = np.nan
+    assert visible(arm) == [True, False, False]
+
+
+def test_a_rejected_sample_counts_as_missing() -> None:
+    arm = tracks(elbow=[True] * 2, wrist=[True] * 2)
+    accepted = accepted_samples(arm)
+    accepted[1, JOINTS.index("elbow")] = False
+    assert visible_frames(arm, accepted).tolist() == [True, False]
+
+
+@given(masks)
+def test_gaps_cover_exactly_the_occluded_frames(mask: list[bool]) -> None:
+    """Every occluded frame lies in one gap, no visible one in any; gaps in order and disjoint."""
+    t, seen = np.arange(len(mask)) / 30.0, np.array(mask)
+    gaps = find_gaps(t, seen, float(t[0]), float(t[-1]))
+    for a, b in itertools.pairwise(gaps):
+        assert a.end_s <= b.start_s
+    for time, is_seen in zip(t, seen, strict=True):
+        inside = sum(_inside(time, gap) for gap in gaps)
+        assert inside == (0 if is_seen else 1)
+    for gap in gaps:
+        assert gap.open_start == (not seen[: np.searchsorted(t, gap.start_s) + 1].any())
+        assert gap.open_end == (not seen[np.searchsorted(t, gap.end_s) :].any())
+
+
+def _inside(time: float, gap: Gap) -> bool:
+    """The definition: between the visible frames beside it, which do not belong to it."""
+    if gap.start_s < time < gap.end_s:
+        return True
+    return (time == gap.start_s and gap.open_start) or (time == gap.end_s and gap.open_end)
+
+
+@given(masks, st.lists(st.floats(-0.5, 3.5), min_size=1, max_size=60))
+def test_occluded_at_agrees_with_a_loop(mask: list[bool], times: list[float]) -> None:
+    t = np.arange(len(mask)) / 30.0
+    gaps = find_gaps(t, np.array(mask), float(t[0]), float(t[-1]))
+    at = np.concatenate([np.array(times), t])
+    expected = [any(_inside(time, gap) for gap in gaps) for time in at]
+    assert occluded_at(at, gaps).tolist() == expected
+
+
+def test_frames_that_never_arrived_are_a_gap() -> None:
+    """A silence of over 0.15 s (or 2.5 frames of a slow camera) is one; two frames are not."""
+    t = np.arange(60) / 30.0
+    everything = np.ones(60, dtype=bool)
+    for lost, found in ((1, 0), (3, 0), (5, 1)):
+        keep = everything.copy()
+        keep[20 : 20 + lost] = False
+        gaps = find_gaps(t[keep], everything[keep], 0.0, t[-1])
+        assert len(gaps) == found, lost
+    slow = np.arange(20) / 10.0
+    keep = np.arange(20) != 7
+    assert find_gaps(slow[keep], keep[keep], 0.0, slow[-1]) == ()  # 0.2 s at 10 Hz: two frames
+
+
+def test_open_gaps_at_both_ends() -> None:
+    t = np.arange(0.0, 3.0, 1 / 30)
+    seen = (t > 0.5) & (t < 2.5)
+    first, last = find_gaps(t, seen, -0.2, 3.1)
+    assert (first.start_s, first.open_start, first.open_end) == (-0.2, True, False)
+    assert first.end_s == t[seen][0]
+    assert (last.end_s, last.open_start, last.open_end) == (3.1, False, True)
+    assert last.start_s == t[seen][-1]
+
+
+def test_an_imu_that_runs_on_is_a_gap_only_when_it_is_long() -> None:
+    """The first frame comes some time after the first IMU sample: that alone is no occlusion."""
+    t = np.arange(30) / 30.0
+    seen = np.ones(30, dtype=bool)
+    assert find_gaps(t, seen, -0.05, t[-1] + 0.05) == ()
+    gaps = find_gaps(t, seen, -MISSING_S - 0.05, t[-1] + MISSING_S + 0.05)
+    assert [(gap.open_start, gap.open_end) for gap in gaps] == [(True, False), (False, True)]
+
+
+def test_nothing_seen_is_one_gap_open_on_both_sides() -> None:
+    t = np.arange(10) / 30.0
+    assert find_gaps(t, np.zeros(10, dtype=bool), 0.0, 1.0) == (Gap(0.0, 1.0, True, True),)
+    assert find_gaps(np.zeros(0), np.zeros(0, dtype=bool), 0.0, 1.0) == (Gap(0.0, 1.0, True, True),)
+
+
+def test_the_forearm_s_joints_are_the_ones_that_count() -> None:
+    assert FOREARM_JOINTS == ("elbow", "wrist", "hand", "strap")

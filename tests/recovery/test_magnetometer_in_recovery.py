@@ -1,0 +1,122 @@
+"""The magnetometer in the second pass: the field's direction, what is left out, and what it brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import Scene, last_pass, point, recovered
+
+from smoother.graph.build import build
+from smoother.recording import FloatArray, Recording
+from smoother.recovery.magnetometer import middle_direction
+
+#: The field of middle Europe in a frame with z up: 65 degrees down.
+FIELD_K = np.array([np.cos(np.radians(65.0)) * np.sin(0.4), 0.0, -np.sin(np.radians(65.0))])
+FIELD_K[1] = np.sqrt(1.0 - FIELD_K @ FIELD_K)
+SEED = 3
+
+
+def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:
+    """The recording with a calibrated magnetometer that reads the field and something near it."""
+    assert recording.truth is not None
+    from scipy.spatial.transform import Rotation, Slerp
+
+    truth = recording.truth
+    turn = Slerp(truth.t_s, Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]))
+    t = np.clip(recording.imu.t_s, truth.t_s[0], truth.t_s[-1])
+    mag = turn(t).inv().apply(FIELD_K) + extra_A
+    mag += np.random.default_rng(0).normal(0.0, noise, mag.shape)
+    return replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
+
+
+def note(scene: Scene) -> str:
+    return " ".join(each for each in scene.recovery.notes if "magnetometer" in each)
+
+
+def orientation_deg(scene: Scene) -> float:
+    found = scene.validation.all.orientation_rms_deg
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A sensor that turns a lot and moves little: its heading is poorly known from motion."""
+    return point(SEED, "realistic", duration_s=30.0, speed=0.6)
+
+
+@pytest.fixture(scope="module")
+def plain(made) -> Scene:
+    return recovered(made)
+
+
+@pytest.fixture(scope="module")
+def helped(made) -> Scene:
+    return recovered(made, with_field(made.recording))
+
+
+def test_an_undisturbed_field_makes_the_orientation_better(plain, helped):
+    assert "takes part" in note(helped) and "left out" not in note(helped)
+    assert orientation_deg(helped) < orientation_deg(plain)
+    assert helped.validation.all.position_rms_m < 1.05 * plain.validation.all.position_rms_m
+
+
+def test_the_fields_direction_is_found(helped):
+    found = np.array(helped.recovery.figures["magnetic_field_direction"])
+    assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
+
+
+def test_a_magnet_that_comes_near_is_left_out_there(made, plain):
+    t = made.recording.imu.t_s
+    near = ((t > 11.0) & (t < 17.0))[:, None] * np.array([0.35, -0.3, 0.25])
+    scene = recovered(made, with_field(made.recording, near))
+    assert "as it disagrees there" in note(scene)
+    assert orientation_deg(scene) < 1.02 * orientation_deg(plain)
+
+
+def test_a_magnet_on_the_sensor_leaves_it_out(made, plain):
+    scene = recovered(made, with_field(made.recording, np.array([0.9, 0.6, -0.8])))
+    assert "was left out" in note(scene)
+    assert np.allclose(scene.recovery.position, plain.recovery.position, atol=1e-4, equal_nan=True)
+
+
+def test_without_a_calibration_it_is_not_looked_at(made, plain):
+    raw = with_field(made.recording)
+    scene = recovered(made, replace(raw, imu=replace(raw.imu, mag_calibrated=False)))
+    assert not note(scene)
+    assert np.array_equal(scene.recovery.position, plain.recovery.position, equal_nan=True)
+
+
+def test_a_short_recording_and_an_empty_magnetometer_are_told():
+    made = point(SEED, "white", duration_s=9.0)
+    scene = recovered(made, with_field(made.recording))
+    assert "too short" in note(scene)
+    dead = with_field(made.recording)
+    dead = replace(dead, imu=replace(dead.imu, mag=np.full_like(dead.imu.acc, np.nan)))
+    assert "has no samples" in note(recovered(made, dead))
+
+
+def test_the_middle_of_directions_is_not_pulled_by_a_few():
+    rng = np.random.default_rng(1)
+    good = FIELD_K + rng.normal(0.0, 0.02, (60, 3))
+    bad = rng.normal(0.0, 1.0, (20, 3))
+    found = middle_direction(np.vstack([good, bad]))
+    assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
+
+
+def test_the_factors_are_the_angle_under_cauchys_loss(made):
+    """The graph's error with and without the field, against the formula."""
+    windows = [job.window for job in last_pass(with_field(made.recording), made.calibration)]
+    told = [window for window in windows if window.field is not None]
+    assert told
+    for window in told:
+        field, k = window.field, window.noise.cauchy
+        graph, values = build(window)
+        less, _ = build(replace(window, field=None))
+        seen = np.einsum("nij,nj->ni", window.start.R[field.node], field.in_A)
+        off = np.linalg.norm(np.cross(seen, field.in_K), axis=1) / field.sigma_rad
+        loss = 0.5 * k**2 * np.log1p((off / k) ** 2)
+        # sigma is rounded to 1e-5 rad
+        assert graph.error(values) - less.error(values) == pytest.approx(loss.sum(), rel=2e-3, abs=1e-6)

@@ -1,0 +1,137 @@
+"""Sections of about a minute: the same answer as the whole in one piece, and no seam to be seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from smoother import Config, Recovery, smooth
+from smoother.config import Windows
+from smoother.measurements.clock import constant
+from smoother.measurements.visibility import Gap
+from smoother.recording import FOREARM_JOINTS, JOINTS
+from smoother.recovery.sections import SECTION_S, Sections, _borders
+from smoother.recovery.stitch import _joined
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+
+ALONE = Config(windows=Windows(processes=1))
+
+
+@pytest.fixture(scope="module")
+def made() -> SimulatedArm:
+    """Three minutes with an occlusion of 2 s every 10 s: three sections."""
+    return simulate_arm(
+        ArmSimulation.preset(
+            "white",
+            protocol="random",
+            duration_s=180.0,
+            imu_rate_hz=80.0,
+            occlusion_lengths_s=(2.0,),
+            occlusion_every_s=10.0,
+        ),
+        seed=8,
+    )
+
+
+@pytest.fixture(scope="module")
+def sectioned(made: SimulatedArm) -> Recovery:
+    return smooth(replace(made.recording, truth=None), made.calibration, ALONE)
+
+
+@pytest.fixture(scope="module")
+def whole(made: SimulatedArm) -> Recovery:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smoother.recovery.sections.SECTION_S", 1e6)
+        return smooth(replace(made.recording, truth=None), made.calibration, ALONE)
+
+
+def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
+    sections = Sections(made.recording, constant(0.0)).all
+    assert len(sections) == 3
+    assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
+    for a, b in pairwise(sections):
+        assert a.end_s == b.start_s
+        t = made.recording.imu.t_s
+        assert t[a.samples.stop - 1] > a.end_s + 11 and t[b.samples.start] < b.start_s - 11  # context
+
+
+def test_borders_lie_in_visible_time(made: SimulatedArm, sectioned: Recovery) -> None:
+    borders = [section.start_s for section in Sections(made.recording, constant(0.0)).all[1:]]
+    for border in borders:
+        assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
+
+
+def test_no_border_where_nothing_is_seen() -> None:
+    runs = np.array([[0.0, 20.0], [220.0, 240.0]])
+    assert _borders(0.0, 240.0, runs) == []
+    assert _borders(0.0, 240.0, np.zeros((0, 2))) == []
+    assert _borders(0.0, SECTION_S, np.array([[0.0, SECTION_S]])) == []
+
+
+def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> None:
+    """Windows differ (their borders do), and what each is told of the others: far below a sigma."""
+    away = np.linalg.norm(sectioned.position - whole.position, axis=1)
+    sigma = np.sqrt(np.trace(whole.pose_covariance[:, :3, :3], axis1=1, axis2=2))
+    assert np.isfinite(sectioned.position).all()
+    assert np.percentile(away / sigma, 99) < 1.0
+    assert np.median(away / sigma) < 0.2
+    np.testing.assert_array_equal(sectioned.occluded, whole.occluded)
+    assert sectioned.gaps == whole.gaps
+    assert sectioned.residuals is not None and whole.residuals is not None
+    np.testing.assert_array_equal(sectioned.residuals.used, whole.residuals.used)
+
+
+def test_accuracy_is_the_whole_one(made: SimulatedArm, sectioned: Recovery, whole: Recovery) -> None:
+    truth = made.recording.truth
+    assert truth is not None
+
+    def rms(recovery: Recovery) -> float:
+        error = np.linalg.norm(recovery.position - truth.position, axis=1)[recovery.occluded]
+        return float(np.sqrt(np.mean(error**2)))
+
+    assert rms(sectioned) < 1.05 * rms(whole)  # 4.0 against 4.0 mm
+
+
+def test_no_seam_at_the_borders(made: SimulatedArm, sectioned: Recovery) -> None:
+    """Second differences at the borders are no larger than elsewhere."""
+    jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
+    t = sectioned.t_s[1:-1]
+    near = np.zeros(len(t), dtype=bool)
+    for section in Sections(made.recording, constant(0.0)).all[1:]:
+        near |= np.abs(t - section.start_s) < 1.0
+    assert near.sum() > 300
+    assert jump[near].max() <= jump[~near].max()
+
+
+def test_a_border_in_a_gap_that_only_screening_finds(made: SimulatedArm) -> None:
+    """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
+    border = Sections(made.recording, constant(0.0)).all[1].start_s
+    arm = made.recording.arm
+    rows = np.flatnonzero((arm.t_s > border - 3.0) & (arm.t_s < border + 3.0))
+    position = arm.position.copy()
+    for joint in FOREARM_JOINTS:
+        position[rows, JOINTS.index(joint)] = position[rows[0], JOINTS.index(joint)]
+    recording = replace(made.recording, arm=replace(arm, position=position), truth=None)
+    recovery = smooth(recording, made.calibration, ALONE)
+    inside = [gap for gap in recovery.gaps if gap.start_s < border < gap.end_s]
+    assert len(inside) == 1 and not inside[0].open_start and not inside[0].open_end
+    truth = made.recording.truth
+    assert truth is not None
+    rows = np.flatnonzero((truth.t_s > inside[0].start_s) & (truth.t_s < inside[0].end_s))
+    error = np.linalg.norm(recovery.position - truth.position, axis=1)[rows]
+    sigma = np.sqrt(np.trace(recovery.pose_covariance[rows, :3, :3], axis1=1, axis2=2))
+    assert error.max() < 0.12  # 6 s without a camera
+    assert np.mean(error < 3.0 * sigma) > 0.95
+
+
+def test_gaps_of_two_sections_are_one() -> None:
+    first = [Gap(1.0, 2.0), Gap(8.0, 12.0, open_end=True)]
+    assert _joined(first, (Gap(8.0, 14.0), Gap(20.0, 21.0))) == [
+        Gap(1.0, 2.0),
+        Gap(8.0, 14.0),
+        Gap(20.0, 21.0),
+    ]
+    assert _joined([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]

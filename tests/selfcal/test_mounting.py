@@ -1,0 +1,193 @@
+"""The closed-form mounting: offset, direction and lever arms from visible motion alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from curve import G
+from scenes import arm
+from scipy.spatial.transform import Rotation
+
+from smoother.calibration import ArmCalibration
+from smoother.measurements.clock import LARGEST_OFFSET_S
+from smoother.measurements.outliers import by_camera
+from smoother.measurements.segment import Piece, take_apart
+from smoother.recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording
+from smoother.selfcal.mounting import (
+    CHUNK_S,
+    DIRECTION_SIGMA_RAD,
+    HINT_SIGMA_RAD,
+    Mounting,
+    _both,
+    _losses,
+    _sphere,
+    find_mounting,
+)
+from smoother.simulation import SimulatedArm
+
+#: Offset (s), direction (degrees) and lever arms (m): what the closed form must be good to. The graph
+#: refines from here; it finds its way from 18 ms, 10 degrees and 4 cm.
+LIMITS = {
+    "clean": (0.004, 1.0, 0.015),
+    "white": (0.006, 2.0, 0.030),
+    "realistic": (0.018, 4.0, 0.045),
+}
+
+
+def found_in(*recordings: Recording) -> Mounting:
+    pieces = [
+        by_camera(piece)
+        for number, recording in enumerate(recordings)
+        for piece in take_apart(recording, LARGEST_OFFSET_S, number)
+    ]
+    return find_mounting(pieces, ArmCalibration())
+
+
+def degrees_between(a: FloatArray, b: FloatArray) -> float:
+    return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
+
+
+def errors(found: Mounting, made: SimulatedArm, number: int = 0) -> tuple[float, float, float]:
+    """Offset (s), direction (degrees), and the worst lever arm (m)."""
+    along, true = found.calibration.forearm_direction, made.calibration.forearm_direction
+    assert along is not None
+    assert true is not None
+    levers = [
+        float(np.linalg.norm(lever.position_m - made.calibration.lever_arms[joint].position_m))
+        for joint, lever in found.calibration.lever_arms.items()
+    ]
+    assert set(found.calibration.lever_arms) == {"elbow", "wrist", "hand"}
+    offset = abs(float(found.offset_s[number]) - made.parameters["clock_offset_s"])
+    return offset, degrees_between(along, true), max(levers)
+
+
+@pytest.mark.parametrize("preset", list(LIMITS))
+@pytest.mark.parametrize("seed", range(4))
+def test_simulated_arms(preset: str, seed: int) -> None:
+    made = arm(seed, preset, repetitions=1, latency_s=0.03 * (seed - 1))
+    found = found_in(made.recording)
+    assert np.less(errors(found, made), LIMITS[preset]).all()
+    assert found.direction_margin > 10.0  # half a squared sigma: the opposite is out of the question
+    for lever in found.calibration.lever_arms.values():
+        assert (lever.sigma_m >= 0.01).all()
+
+
+@pytest.mark.parametrize("latency_s", [-0.2, 0.2])
+def test_a_large_offset(latency_s: float) -> None:
+    made = arm(5, repetitions=1, latency_s=latency_s)
+    found = found_in(made.recording)
+    assert np.less(errors(found, made), LIMITS["white"]).all()
+
+
+def test_two_recordings_have_an_offset_each() -> None:
+    one, two = (arm(2, repetitions=1, latency_s=latency) for latency in (0.05, -0.08))
+    found = found_in(one.recording, two.recording)
+    for number, made in enumerate((one, two)):
+        assert np.less(errors(found, made, number), LIMITS["white"]).all()
+
+
+def test_what_is_known_is_kept() -> None:
+    made = arm(1, repetitions=1)
+    (piece,) = take_apart(made.recording, LARGEST_OFFSET_S)
+    wrist = made.calibration.lever_arms["wrist"]
+    found = find_mounting([piece], ArmCalibration("right", {"wrist": wrist}))
+    assert found.calibration.lever_arms["wrist"] is wrist
+    assert errors(found, made)[2] < 0.01  # the others hang on the wrist by differences that were seen
+
+
+def slow_loss(piece: Piece, offset_s: float, direction: FloatArray) -> float:
+    """Wahba's loss by scipy, stretch by stretch: half the weighted squared distance, in sigmas squared."""
+    rows = np.flatnonzero(_both(piece))
+    elbow, wrist = (piece.position[rows, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
+    seen = (wrist - elbow) / np.linalg.norm(wrist - elbow, axis=1)[:, None]
+    t = piece.frame_t[rows]
+    inertial = piece.attitude.at(t + offset_s).apply(direction)
+    hint = (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
+    total = 0.0
+    for part in range(int((t[-1] - t[0]) / CHUNK_S) + 1):
+        own = np.floor((t - t[0]) / CHUNK_S) == part
+        in_K, in_E = np.vstack([seen[own], piece.down]), np.vstack([inertial[own], [0.0, 0.0, -1.0]])
+        weights = np.append(np.ones(own.sum()), hint)
+        _, distance = Rotation.align_vectors(in_K, in_E, weights=weights)[:2]
+        total += 0.5 * distance**2 - hint  # the fast one leaves the hint's own length out
+    return float(total / DIRECTION_SIGMA_RAD**2)
+
+
+def test_the_grid_against_another_solution_of_wahba_s_problem() -> None:
+    made = arm(3, protocol="random", duration_s=45.0)
+    (piece,) = take_apart(made.recording, LARGEST_OFFSET_S)
+    offsets, directions = np.array([-0.1, 0.0, 0.06]), _sphere(12)
+    fast = _losses(piece, _both(piece), offsets, directions)
+    for i, offset in enumerate(offsets):
+        for k in (0, 5, 11):
+            assert fast[i, k] == pytest.approx(slow_loss(piece, offset, directions[k]), rel=1e-6, abs=1e-3)
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A forearm that only turns about one axis fixed in {K}: elbow and wrist seen, a sensor off the line."""
+
+    recording: Recording
+    along_A: FloatArray
+
+
+def hinge(axis_K: FloatArray, seed: int, camera_frame: CameraFrame | None = CameraFrame.KINECT) -> Hinge:
+    """20 s of swinging by up to 70 degrees about an axis (3,), {K} level, y up."""
+    rng = np.random.default_rng(seed)
+    along = rng.normal(size=3)
+    along /= np.linalg.norm(along)
+    across = np.cross(axis_K, [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across)
+    turn = Rotation.align_vectors([across], [along])[0]  # the forearm lies across the axis
+    turn = Rotation.from_rotvec(rng.uniform(0, 6.28) * across) * turn
+
+    def angle(t: FloatArray) -> FloatArray:
+        return np.asarray(0.9 * np.sin(2 * np.pi * 0.35 * t) + 0.3 * np.sin(2 * np.pi * 0.8 * t + 1.0))
+
+    def pose(t: FloatArray) -> Rotation:
+        return Rotation.from_rotvec(np.outer(angle(t), axis_K)) * turn
+
+    elbow, to_sensor = np.array([0.1, 0.2, 2.0]), 0.2 * along + 0.03 * np.cross(along, [0.0, 0.6, 0.8])
+
+    def sensor(t: FloatArray) -> FloatArray:
+        return np.asarray(elbow + pose(t).apply(to_sensor))
+
+    t, h = np.arange(0.0, 20.0, 0.01), 1e-3
+    acceleration = (sensor(t + h) - 2 * sensor(t) + sensor(t - h)) / h**2
+    acc = pose(t).inv().apply(acceleration - np.array([0.0, -G, 0.0])) + 0.03 * rng.normal(size=(len(t), 3))
+    rate = (angle(t + h) - angle(t - h)) / (2 * h)
+    gyro = pose(t).inv().apply(np.outer(rate, axis_K)) + 0.003 * rng.normal(size=(len(t), 3))
+    frames = np.arange(0.1, 19.9, 1 / 30)
+    position = np.full((len(frames), len(JOINTS), 3), np.nan)
+    position[:, JOINTS.index("elbow")] = elbow
+    position[:, JOINTS.index("wrist")] = elbow + pose(frames).apply(0.25 * along)
+    position += 0.008 * rng.normal(size=position.shape)
+    state = np.where(np.isfinite(position).all(axis=2), JointState.TRACKED, JointState.NOT_TRACKED)
+    tracks = JointTracks("camera", frames, position, state.astype(np.int8))
+    return Hinge(Recording(ImuStream("imu", t, acc, gyro), tracks, camera_frame=camera_frame), along)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_sign_in_a_vertical_plane(seed: int) -> None:
+    """Directions in a plane fit their opposites as well; only where down is tells which is which."""
+    made = hinge(np.array([1.0, 0.0, 0.0]), seed)
+    found = found_in(made.recording)
+    along = found.calibration.forearm_direction
+    assert along is not None
+    assert degrees_between(along, made.along_A) < 3.0
+    assert found.direction_margin > 3.0
+    blindly = found_in(replace(made.recording, camera_frame=None))
+    assert blindly.direction_margin < found.direction_margin
+
+
+@pytest.mark.xfail(strict=True, reason="the grid looks at directions only: around the vertical all fit alike")
+@pytest.mark.parametrize("seed", range(4))
+def test_the_sign_in_a_horizontal_plane(seed: int) -> None:
+    """Down does not tell here; that the sensor is drawn towards the elbow does."""
+    made = hinge(np.array([0.0, 1.0, 0.0]), seed)
+    found = found_in(made.recording)
+    along = found.calibration.forearm_direction
+    assert along is not None
+    assert degrees_between(along, made.along_A) < 6.0

@@ -1,0 +1,169 @@
+"""What windows tell each other, against one dense Gaussian and against the published closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from smoother.recording import FloatArray
+from smoother.window.pooling import SLOW_WALK, _excess, _Information, _others, tell
+from smoother.window.problem import Message, Priors
+from smoother.window.shared import Gaussian, Layout, axes_across
+
+Draw = Callable[[], FloatArray]
+
+
+def spd(rng: np.random.Generator, size: int, scale: float = 1.0) -> FloatArray:
+    A = rng.normal(size=(size, size + 2))
+    return np.asarray(scale * A @ A.T / size)
+
+
+def posterior(prior: Gaussian, mean: FloatArray, covariance: FloatArray) -> Gaussian:
+    """A window's answer: its own data (mean, covariance) together with the prior."""
+    before, data = np.linalg.inv(prior.covariance), np.linalg.inv(covariance)
+    C = np.linalg.inv(before + data)
+    return Gaussian(C @ (before @ prior.mean + data @ mean), C)
+
+
+def dense_others(
+    prior: Gaussian, data: list[Gaussian], t: FloatArray, walk: FloatArray, k: int
+) -> tuple[FloatArray, FloatArray]:
+    """Leave-one-out by the joint Gaussian of the quantity at all windows' times.
+
+    The prior holds for the quantity at window k; from there it wanders (two-sided random walk), so the
+    deviations at two times on one side share the walk up to the nearer.
+    """
+    size, others = len(prior.mean), [j for j in range(len(t)) if j != k]
+    step = t[others] - t[k]
+    nearer = np.minimum(np.abs(step)[:, None], np.abs(step))
+    shared = np.where(np.sign(step)[:, None] == np.sign(step), nearer, 0.0)
+    wander = np.kron(shared, np.diag(walk**2))
+    noise = np.zeros_like(wander)
+    for row, j in enumerate(others):
+        block = slice(row * size, (row + 1) * size)
+        noise[block, block] = data[j].covariance
+    if not others:
+        return prior.mean, prior.covariance
+    H = np.tile(np.eye(size), (len(others), 1))
+    S = H @ prior.covariance @ H.T + wander + noise
+    gain = prior.covariance @ H.T @ np.linalg.inv(S)
+    mean = np.concatenate([data[j].mean for j in others])
+    return prior.mean + gain @ (mean - H @ prior.mean), prior.covariance - gain @ H @ prior.covariance
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.3], ids=["constant", "wandering"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_each_is_told_the_prior_and_the_others(count: int, walk: float) -> None:
+    """One or two windows: no excess is estimated, so the answer is exact linear algebra."""
+    rng = np.random.default_rng(count)
+    prior = Gaussian(rng.normal(size=4), spd(rng, 4, 3.0))
+    data = [Gaussian(rng.normal(size=4), spd(rng, 4)) for _ in range(count)]
+    t, speed = np.array([1.0, 7.0])[:count], np.full(4, walk)
+    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, speed))
+    for k in range(count):
+        mean, covariance = dense_others(prior, data, t, speed, k)
+        np.testing.assert_allclose(told[k].mean, mean, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(told[k].covariance, covariance, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_windows_that_agree(seed: int) -> None:
+    """Data that scatter less than they state have no excess: a chain of five against the dense Gaussian."""
+    rng = np.random.default_rng(seed)
+    prior = Gaussian(rng.normal(size=3), spd(rng, 3, 4.0))
+    truth = rng.normal(size=3)
+    data = [Gaussian(truth + 0.02 * rng.normal(size=3), spd(rng, 3) + 0.3 * np.eye(3)) for _ in range(5)]
+    t, walk = np.array([0.0, 3.0, 9.0, 12.0, 30.0]), np.array([0.0, 0.1, 0.4])
+    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, walk))
+    for k in range(5):
+        mean, covariance = dense_others(prior, data, t, walk, k)
+        np.testing.assert_allclose(told[k].mean, mean, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(told[k].covariance, covariance, rtol=1e-7, atol=1e-9)
+
+
+def test_a_window_never_hears_itself() -> None:
+    """Whatever a window's own data say, what it is told is the same."""
+    rng = np.random.default_rng(0)
+    prior = Gaussian(np.zeros(2), np.eye(2) * 4.0)
+    data = [Gaussian(np.full(2, 0.01 * k), spd(rng, 2) + np.eye(2)) for k in range(2)]
+    t, walk = np.array([0.0, 5.0]), np.full(2, 0.1)
+    answers = [posterior(prior, d.mean, d.covariance) for d in data]
+    before = list(_others(answers, prior, t, walk))[1]
+    answers[1] = posterior(prior, np.array([50.0, -20.0]), 1e-4 * np.eye(2))
+    after = list(_others(answers, prior, t, walk))[1]
+    np.testing.assert_allclose(after.mean, before.mean, atol=1e-10)
+    np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-10)
+
+
+def test_a_direction_that_no_window_saw_keeps_its_prior() -> None:
+    prior = Gaussian(np.array([1.0, 2.0]), np.diag([0.5, 3.0]))
+    data = np.diag([0.1, 1e12])
+    answers = [posterior(prior, np.array([0.3, -9.0]), data) for _ in range(4)]
+    for each in _others(answers, prior, np.arange(4.0), np.zeros(2)):
+        assert each.mean[1] == pytest.approx(2.0, abs=1e-6)
+        assert each.covariance[1, 1] == pytest.approx(3.0, rel=1e-6)
+        assert each.covariance[0, 0] < 0.04
+
+
+def der_simonian_laird(x: FloatArray, variance: FloatArray) -> float:
+    """Between-study variance, Control. Clin. Trials 7:177 (1986), eq 8."""
+    w = 1.0 / variance
+    q = np.sum(w * (x - np.sum(w * x) / np.sum(w)) ** 2)
+    return max(0.0, float((q - (len(x) - 1)) / (np.sum(w) - np.sum(w**2) / np.sum(w))))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("between", [0.0, 0.5, 2.0])
+def test_excess_is_the_published_estimate(seed: int, between: float) -> None:
+    rng = np.random.default_rng(seed)
+    variance = rng.uniform(0.1, 1.0, 9)
+    x = 3.0 + np.sqrt(variance + between**2) * rng.normal(size=9)
+    own = _Information(1 / variance[:, None, None], (x / variance)[:, None])
+    # the common mean carries a 1e-9 of information towards zero: nothing next to the data's 10 to 100
+    assert _excess(own)[0] == pytest.approx(der_simonian_laird(x, variance), rel=1e-6, abs=1e-7)
+
+
+def test_excess_widens_what_everybody_is_told() -> None:
+    """Scalars that differ by far more than they state: told mean and variance by the random-effects model."""
+    prior = Gaussian(np.zeros(1), np.array([[1e6]]))
+    x, variance = np.array([1.0, -1.0, 3.0, -2.0, 0.5]), np.full(5, 0.01)
+    answers = [posterior(prior, x[k : k + 1], variance[k : k + 1, None]) for k in range(5)]
+    tau2 = der_simonian_laird(x, variance)
+    assert tau2 > 3.0
+    for k, each in enumerate(_others(answers, prior, np.arange(5.0), np.zeros(1))):
+        rest = np.delete(x, k)
+        assert each.mean[0] == pytest.approx(rest.mean(), abs=1e-4)
+        # the mean of four, each its own variance and the spread, and the window's own deviation
+        assert each.covariance[0, 0] == pytest.approx((0.01 + tau2) / 4 + tau2, rel=1e-4)
+
+
+def test_tell_lets_only_the_biases_wander() -> None:
+    down = np.array([0.0, -1.0, 0.0])
+    layout = Layout(joints=("elbow", "wrist"), has_upper_arm=True, gravity_axes=axes_across(down))
+    rng = np.random.default_rng(1)
+    prior = Gaussian(np.zeros(layout.size), np.eye(layout.size))
+    priors = Priors(layout, prior, np.zeros(6))
+    data = [Gaussian(0.1 * rng.normal(size=layout.size), spd(rng, layout.size, 0.1)) for _ in range(2)]
+    messages = [
+        Message(t, posterior(prior, d.mean, d.covariance)) for t, d in zip((2.0, 90.0), data, strict=True)
+    ]
+    walk = np.zeros(layout.size)
+    walk[layout.bias] = SLOW_WALK
+    for k, each in enumerate(tell(messages, priors)):
+        mean, covariance = dense_others(prior, data, np.array([2.0, 90.0]), walk, k)
+        np.testing.assert_allclose(each.shared.mean, mean, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(each.shared.covariance, covariance, rtol=1e-7, atol=1e-9)
+
+
+def test_axes_across_are_right_handed_with_down() -> None:
+    rng = np.random.default_rng(2)
+    for down in rng.normal(size=(20, 3)):
+        axes, unit = axes_across(down), down / np.linalg.norm(down)
+        np.testing.assert_allclose(np.vstack([axes, unit]) @ np.vstack([axes, unit]).T, np.eye(3), atol=1e-12)
+        layout = Layout((), False, axes)
+        tilted = unit + 0.1 * axes[0] - 0.05 * axes[1]
+        tilted /= np.linalg.norm(tilted)
+        vector = np.concatenate([np.zeros(6), axes @ tilted])
+        np.testing.assert_allclose(layout.down(vector), tilted, atol=1e-12)

@@ -1,0 +1,164 @@
+"""Camera frames that share a node: where the IMU says they were, what that costs, and the clock's slope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from curve import Curve, G, angle_rad
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import arm, last_pass, plain, recovered
+
+import smoother.measurements.timestamps
+from smoother.graph.build import gathered
+from smoother.graph.solve import solve
+from smoother.measurements.inertial import InertialSignal
+from smoother.recording import FloatArray
+from smoother.window.nodes import CARRIED_S, FINE_S, gather
+from smoother.window.problem import Sight, States, Window
+from smoother.window.propagate import carry
+
+LEVER = np.array([0.03, -0.2, 0.01])
+
+
+def states_of(curve: Curve, t: FloatArray) -> States:
+    return States(curve.rotation(t).as_matrix(), curve.position(t), curve.velocity(t))
+
+
+def joint(curve: Curve, t: FloatArray) -> FloatArray:
+    return curve.position(t) + curve.rotation(t).apply(LEVER)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_before_and_after_a_node_are_where_the_curve_is(seed: int) -> None:
+    curve = Curve(seed)
+    imu = curve.imu(100.0, 3.0)
+    node_t = np.array([0.5, 1.5, 2.5])
+    frame_t = np.concatenate([node_t - CARRIED_S, node_t, node_t + CARRIED_S])
+    node = np.tile(np.arange(3), 3)
+    gravity = G * curve.down
+    way = carry(InertialSignal(imu), node_t, states_of(curve, node_t), frame_t, node, gravity, np.zeros(6))
+    true = joint(curve, frame_t) - joint(curve, node_t[node])
+    np.testing.assert_allclose(way.shift(LEVER), true, atol=2e-5)  # 100 Hz samples of 8 m/s^2
+    assert angle_rad(way.R_frame, curve.rotation(frame_t).as_matrix()).max() < 1e-4
+    slope = (joint(curve, frame_t + 1e-5) - joint(curve, frame_t - 1e-5)) / 2e-5
+    velocity = way.velocity(LEVER) + curve.velocity(node_t)[node]
+    np.testing.assert_allclose(velocity, slope, atol=5e-3)  # the rate is a mean over 20 ms
+    assert not way.shift(LEVER)[3:6].any()
+
+
+def test_a_wrong_velocity_cancels_over_a_group() -> None:
+    """Half a metre a second wrong moves frames by 3.5 cm, and their mean not at all."""
+    curve = Curve(1)
+    signal, gravity = InertialSignal(curve.imu(100.0, 3.0)), G * curve.down
+    node_t = np.array([1.5])
+    frame_t = 1.5 + np.array([-CARRIED_S, -0.5 * CARRIED_S, 0.0, 0.5 * CARRIED_S, CARRIED_S])
+    states = states_of(curve, node_t)
+    wrong = replace(states, v=states.v + np.array([0.5, 0.0, 0.0]))
+    right, off = (
+        carry(signal, node_t, each, frame_t, np.zeros(5, dtype=int), gravity, np.zeros(6)).shift(LEVER)
+        for each in (states, wrong)
+    )
+    assert np.abs(off - right).max() == pytest.approx(0.5 * CARRIED_S, rel=1e-6)
+    np.testing.assert_allclose((off - right).mean(axis=0), 0.0, atol=1e-12)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    rate_hz=st.sampled_from([15.0, 19.0, 30.0, 60.0, 120.0]),
+    drop=st.floats(0.0, 0.6),
+)
+def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: float, drop: float) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(4 * rate_hz)) / rate_hz
+    t = t[rng.uniform(size=len(t)) >= drop]
+    visible = np.ones(len(t), dtype=bool)
+    visible[(t > 1.3) & (t < 1.6)] = False
+    owner = gather(t, visible)
+    if not len(t):
+        return
+    assert (owner[owner] == owner).all()  # a node is told to itself
+    assert (np.diff(owner) >= 0).all()
+    assert np.abs(t - t[owner]).max() <= 1.5 * CARRIED_S
+    moved = owner != np.arange(len(t))
+    assert visible[moved].all()
+    near_gap = (t > 1.3 - 0.8 * FINE_S) & (t < 1.6 + 0.8 * FINE_S)
+    assert not moved[near_gap].any()
+
+
+def test_frames_at_thirty_hertz_share_a_node_by_fives() -> None:
+    t = np.arange(60) / 30.0
+    owner = gather(t, np.ones(60, dtype=bool))
+    _, count = np.unique(owner, return_counts=True)
+    assert np.bincount(count).tolist() == [0, 10, 0, 0, 0, 10]  # five fine ones at both ends
+
+
+def test_one_wrong_sample_of_a_group_costs_itself_only() -> None:
+    place = np.zeros((5, 3))
+    place[2] = [0.5, 0.0, 0.0]
+    nothing = np.zeros((5, 3))
+    sight = Sight("wrist", np.arange(5) / 30, np.zeros(5, int), place, np.full(5, 0.01), nothing, nothing)
+    node, at, sigma = gathered(sight, cauchy=2.0)
+    assert node.tolist() == [0]
+    assert np.abs(at).max() < 5e-4
+    assert sigma[0] == pytest.approx(0.01 / 2.0, rel=0.01)  # four of five count
+
+
+def test_shared_nodes_cost_no_accuracy() -> None:
+    """Against a node for every frame: the same answer within a fraction of its own sigma."""
+    made = arm(5, protocol="random", duration_s=24.0)
+    shared = recovered(made)
+    with patch.object(smoother.timing, "CARRIED_S", 0.0):
+        every = recovered(made)
+    a, b = shared.recovery, every.recovery
+    apart = np.linalg.norm(a.position - b.position, axis=1) / np.linalg.norm(b.sigma_m, axis=1)
+    assert np.nanmedian(apart) < 0.15
+    assert np.nanmax(apart) < 1.0
+    assert np.nanmedian(a.sigma_m / b.sigma_m) == pytest.approx(1.0, abs=0.1)
+    one, two = (scene.validation.occluded.position_rms_m for scene in (shared, every))
+    assert one is not None and two is not None
+    assert one < 1.15 * two
+
+
+def pull(window: Window) -> tuple[float, float]:
+    """Fall of the loss for a later offset (1/s) at the window's optimum, and the information stated."""
+    solution = solve(window, with_covariance=False, with_offset=True)
+    total = 0.0
+    for sight in window.sights:
+        velocity = solution.states.v[sight.node] + sight.velocity
+        residual = solution.residuals[sight.joint] / sight.sigma_m[:, None] ** 2
+        total += float(np.sum(residual * velocity))
+    return total, solution.offset_information
+
+
+def test_the_offsets_information_is_the_pulls_slope() -> None:
+    """Move every sample along its joint's velocity, solve again: the pull falls by the information.
+
+    The noise-free IMU makes the velocities good to 1 %; the optimiser stops at 1e-3 of its error.
+    """
+    made = arm(3, protocol="random", duration_s=6.0, occlusion_lengths_s=())
+    (job,) = last_pass(made.recording, made.calibration)
+    window = plain(job.window)
+    step_s = 0.02
+    solution = solve(window, with_covariance=False)
+    moved = replace(
+        window,
+        sights=tuple(
+            replace(
+                sight,
+                position=sight.position + step_s * (solution.states.v[sight.node] + sight.velocity),
+            )
+            for sight in window.sights
+        ),
+    )
+    before, information = pull(window)
+    after, _ = pull(moved)
+    assert (after - before) / step_s == pytest.approx(information, rel=0.05)
+    bound = sum(
+        float(np.sum((solution.states.v[s.node] + s.velocity) ** 2 / s.sigma_m[:, None] ** 2))
+        for s in window.sights
+    )
+    assert 0.02 * bound < information < 0.98 * bound
