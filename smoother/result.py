@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .calibration import ArmCalibration
 from .measurements.visibility import Gap
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
-from .runtime.pages import gathered, let_go
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BLOCK = 8192
@@ -50,10 +49,9 @@ class FrameResiduals:
         )
 
     def blocks(self) -> Iterator[FrameResiduals]:
-        """All frames, some thousand at a time; those kept in files leave the memory again."""
+        """All frames, some thousand at a time."""
         for start in range(0, len(self), BLOCK):
             yield self.rows(slice(start, start + BLOCK))
-            let_go(self.t_s, self.residual, self.used, self.reason)
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ class Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
 
         def part(column: NDArray) -> NDArray:
-            return column[rows] if isinstance(rows, slice) else gathered(column, rows)
+            return column[rows]
 
         return replace(
             self,
@@ -132,25 +130,17 @@ class Recovery:
         )
 
     def blocks(self, overlap: int = 0) -> Iterator[Recovery]:
-        """All samples, some thousand at a time (`rows`); those kept in files leave the memory again.
+        """All samples, some thousand at a time (`rows`).
 
         With an overlap each block begins with the last samples of the one before.
         """
         for start in range(0, len(self), BLOCK):
             yield self.rows(slice(max(start - overlap, 0), start + BLOCK))
-            self.let_go()
 
     def frames(self) -> Iterator[JointTracks]:
         """All camera frames, some thousand at a time, like `blocks`."""
         for start in range(0, len(self.arm), BLOCK):
             yield self.arm.select(slice(start, start + BLOCK))
-            let_go(self.arm.t_s, self.arm.position)
-
-    def let_go(self) -> None:
-        """Let the memory of columns that are kept in files go; they stay what they are."""
-        columns = (self.t_s, self.occluded, self.position, self.quaternion, self.velocity)
-        let_go(*columns, self.pose_covariance, self.velocity_covariance)
-        let_go(*self.joints.values(), *self.joint_covariance.values(), self.arm.t_s, self.arm.position)
 
     @property
     def answered(self) -> BoolArray:

@@ -17,7 +17,7 @@ from calib.strap.strap_camera import Depth, Lens
 from calib.strap.strap_in_image import find_strap
 from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.strap import Arm, Noise, render
+from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 COLOUR = Lens(600.0, 600.0, 480.0, 270.0, 960, 540, t_C_K=np.array([0.05, 0.0, 0.0]))
@@ -71,7 +71,7 @@ def strap(seeds: int) -> None:
             body = (0.5 * (elbow + wrist) - [0.0, 0.0, 0.3], np.array([0.22, 0.4, 0.12]))
             hidden = Arm(elbow, wrist, arm.radius, arm.strap, trunk=body)
             for one in (arm, hidden):
-                noise = Noise(rng=rng)
+                noise = StrapImageNoise(rng=rng)
                 grey, _ = render(one, COLOUR, noise)
                 depth = Depth(render(one, INFRARED, noise)[1], INFRARED)
                 ends = [end + rng.normal(0, sigma_m, 3) for end in (elbow, wrist)]

@@ -1,1 +1,1 @@
-"""."""
+"""Clocks against each other: beeps, broadcasts, motion."""

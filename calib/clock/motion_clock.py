@@ -17,12 +17,12 @@ from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.measurements.clock import LARGEST_OFFSET_S
-from smoother.measurements.outliers import by_camera
-from smoother.measurements.segment import Piece, take_apart
+from smoother.measurements.outliers import reject_by_camera
+from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.runtime.pool import Pool
 from smoother.selfcal.coarse_clock import coarse_offset
-from smoother.selfcal.rounds import Knowledge, self_calibrate
+from smoother.selfcal.rounds import SelfCalibration, self_calibrate
 
 from .links import SKEW_SIGMA, ClockLink
 
@@ -85,14 +85,14 @@ def clock_from_motion(
     coarse = coarse_offset(recording, COARSE_S)
     if coarse:
         recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
-    pieces = [by_camera(piece) for piece in take_apart(recording, LARGEST_OFFSET_S)]
-    stretches = _stretches(pieces)
+    segments = [reject_by_camera(segment) for segment in split_into_segments(recording, LARGEST_OFFSET_S)]
+    stretches = _stretches(segments)
     if not stretches:
         raise CalibrationError(
             f"{recording.name}: the forearm was visible too shortly to find the clock; record 20 s of"
             " motion in view"
         )
-    with Pool(config.windows.processes, sum(len(piece.frame_t) for piece in pieces)) as pool:
+    with Pool(config.windows.processes, sum(len(segment.frame_t) for segment in segments)) as pool:
         arm = _mounting(stretches, known, config, pool)
         found = [_one(stretch, arm, config, pool) for stretch in stretches]
     rows = [(t, clock) for t, clock in found if clock is not None]
@@ -107,13 +107,13 @@ def clock_from_motion(
     return MotionClock(link, t, offset, sigma, used, arm)
 
 
-def _stretches(pieces: list[Piece]) -> list[Piece]:
+def _stretches(segments: list[Segment]) -> list[Segment]:
     """Parts of equal length with a visible forearm, spread over the recording."""
     parts = []
-    for piece in pieces:
-        count = max(round((piece.end_s - piece.start_s) / STRETCH_S), 1)
-        edges = np.linspace(piece.start_s, piece.end_s, count + 1)
-        parts += [piece.between(a, b) for a, b in pairwise(edges)]
+    for segment in segments:
+        count = max(round((segment.end_s - segment.start_s) / STRETCH_S), 1)
+        edges = np.linspace(segment.start_s, segment.end_s, count + 1)
+        parts += [segment.between(a, b) for a, b in pairwise(edges)]
     enough = [part for part in parts if _visible(part) >= FEWEST_FRAMES]
     if len(enough) <= MOST:
         return enough
@@ -121,25 +121,25 @@ def _stretches(pieces: list[Piece]) -> list[Piece]:
     return [max((enough[k] for k in group.tolist()), key=_visible) for group in groups]
 
 
-def _visible(piece: Piece) -> int:
-    inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
-    return int((piece.accepted[inside][:, 1:].sum(axis=1) >= piece.needed).sum())
+def _visible(segment: Segment) -> int:
+    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    return int((segment.accepted[inside][:, 1:].sum(axis=1) >= segment.needed).sum())
 
 
-def _mounting(stretches: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> ArmCalibration:
+def _mounting(stretches: list[Segment], known: ArmCalibration, config: Config, pool: Pool) -> ArmCalibration:
     """How the IMU sits, from a few stretches that may each have a clock of their own."""
     chosen = [stretches[k] for k in np.unique(np.linspace(0, len(stretches) - 1, 4).astype(int))]
-    numbered = [replace(piece, recording=k) for k, piece in enumerate(chosen)]
+    numbered = [replace(segment, recording=k) for k, segment in enumerate(chosen)]
     return self_calibrate(numbered, known, config, pool).calibration
 
 
 def _one(
-    stretch: Piece, arm: ArmCalibration, config: Config, pool: Pool
+    stretch: Segment, arm: ArmCalibration, config: Config, pool: Pool
 ) -> tuple[float, tuple[float, float] | None]:
     """Middle of a stretch on the camera's clock, and the offset with its sigma; None where it fails."""
     middle = 0.5 * (stretch.start_s + stretch.end_s)
     try:
-        knowledge: Knowledge = self_calibrate([stretch], arm, config, pool)
+        knowledge: SelfCalibration = self_calibrate([stretch], arm, config, pool)
     except CalibrationError:
         return middle, None
     clock = knowledge.clocks[0]

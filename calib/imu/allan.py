@@ -27,7 +27,7 @@ _SEEN = 0.25
 
 
 @dataclass(frozen=True)
-class Noise:
+class SensorNoise:
     """One triaxial sensor at rest; per axis (3,), in SI: x is m/s^2 or rad/s.
 
     Attributes
@@ -48,7 +48,7 @@ class Noise:
     duration_s: float
 
 
-def allan_noise(samples: FloatArray, rate_hz: float) -> Noise | None:
+def allan_noise(samples: FloatArray, rate_hz: float) -> SensorNoise | None:
     """Noise figures of a sensor's samples at rest (N, 3); None where they last less than 20 s."""
     duration = len(samples) / rate_hz
     if duration < WHITE_S:
@@ -76,7 +76,7 @@ def allan_noise(samples: FloatArray, rate_hz: float) -> Noise | None:
             instability[axis] = np.sqrt(power[1])
         if share[:, 2].max() > _SEEN:
             walk[axis] = np.sqrt(power[2])
-    return Noise(tau, deviation, density, instability, walk, duration)
+    return SensorNoise(tau, deviation, density, instability, walk, duration)
 
 
 def allan_deviation(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from smoother.recording import ImuStream, Recording
-from smoother.runtime.store import Room
+from smoother.runtime.store import Store
 
 from ..file import CalibrationFile
 from .sensor import SensorCalibration, sensor_of, sensors_in
@@ -14,16 +14,16 @@ from .sensor import SensorCalibration, sensor_of, sensors_in
 _SAMPLES = 65536
 
 
-def corrected(recording: Recording, calibration: CalibrationFile, room: Room | None = None) -> Recording:
+def corrected(recording: Recording, calibration: CalibrationFile, store: Store | None = None) -> Recording:
     """The recording with its IMUs corrected where the file knows them, and a note of it.
 
-    `room` is where the corrected samples lie; in memory where None.
+    `store` is where the corrected samples lie; in memory where None.
     """
-    room = room or Room()
-    imu, notes = _corrected(recording.imu, calibration, room)
+    store = store or Store()
+    imu, notes = _corrected(recording.imu, calibration, store)
     base = recording.base_imu
     if base is not None:
-        base, more = _corrected(base, calibration, room)
+        base, more = _corrected(base, calibration, store)
         notes += more
     known = sensors_in(calibration)
     if known and not notes:
@@ -34,7 +34,7 @@ def corrected(recording: Recording, calibration: CalibrationFile, room: Room | N
     return replace(recording, imu=imu, base_imu=base, notes=(*recording.notes, *notes))
 
 
-def _corrected(imu: ImuStream, calibration: CalibrationFile, room: Room) -> tuple[ImuStream, list[str]]:
+def _corrected(imu: ImuStream, calibration: CalibrationFile, store: Store) -> tuple[ImuStream, list[str]]:
     found = sensor_of(calibration, imu.name)
     if found is None:
         return imu, []
@@ -42,18 +42,17 @@ def _corrected(imu: ImuStream, calibration: CalibrationFile, room: Room) -> tupl
     said = f"{imu.name}: {', '.join(named)} corrected" if named else f"{imu.name}: nothing to correct"
     if found.accelerometer_density is not None or found.gyroscope_density is not None:
         said += "; its measured noise is used"
-    return _applied(found, imu, room), [f"{said} ({calibration.source})"]
+    return _applied(found, imu, store), [f"{said} ({calibration.source})"]
 
 
-def _applied(sensor: SensorCalibration, imu: ImuStream, room: Room) -> ImuStream:
+def _applied(sensor: SensorCalibration, imu: ImuStream, store: Store) -> ImuStream:
     """The corrected stream, some thousand samples at a time."""
-    acc, gyro = room.array((len(imu), 3)), room.array((len(imu), 3))
-    mag = None if imu.mag is None else room.array((len(imu), 3))
+    acc, gyro = store.array((len(imu), 3)), store.array((len(imu), 3))
+    mag = None if imu.mag is None else store.array((len(imu), 3))
     for start in range(0, len(imu), _SAMPLES):
         rows = slice(start, start + _SAMPLES)
         part = sensor.apply(imu.select(rows))
         acc[rows], gyro[rows] = part.acc, part.gyro
         if mag is not None:
             mag[rows] = part.mag
-        room.tidy()
     return replace(sensor.apply(imu.select(slice(0, 0))), t_s=imu.t_s, acc=acc, gyro=gyro, mag=mag)

@@ -7,7 +7,7 @@ import numpy as np
 from smoother.recording import FloatArray
 
 from .accelerometer import DOUBTED_SIGMA
-from .allan import SLOW_S, WHITE_S, Noise
+from .allan import SLOW_S, WHITE_S, SensorNoise
 from .magnetometer import LARGE_RESIDUAL, MagnetometerCalibration
 from .sensor_calibration import ImuCalibration
 
@@ -107,7 +107,7 @@ def imu_next(found: ImuCalibration) -> list[str]:
     return said
 
 
-def not_seen(noise: Noise) -> bool:
+def not_seen(noise: SensorNoise) -> bool:
     """Whether a slow part of the noise stayed hidden."""
     return bool(np.isnan(noise.instability).all() or np.isnan(noise.walk).all())
 

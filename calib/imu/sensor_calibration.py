@@ -10,7 +10,7 @@ import numpy as np
 from smoother.recording import FloatArray, ImuStream
 
 from .accelerometer import AccelerometerCalibration, calibrate_accelerometer
-from .allan import Noise, allan_noise
+from .allan import SensorNoise, allan_noise
 from .gyroscope import GyroscopeCalibration, calibrate_gyroscope
 from .rests import Rests, find_rests
 
@@ -39,8 +39,8 @@ class ImuCalibration:
     rests: Rests
     gyroscope: GyroscopeCalibration
     accelerometer: AccelerometerCalibration | None
-    accelerometer_noise: Noise | None
-    gyroscope_noise: Noise | None
+    accelerometer_noise: SensorNoise | None
+    gyroscope_noise: SensorNoise | None
     gravity: float = GRAVITY
 
     def tables(self) -> dict[str, dict[str, Any]]:
@@ -83,7 +83,7 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
         The recording tells neither; the text says what to record.
     """
     rests = find_rests(imu)
-    noise: tuple[Noise | None, Noise | None] = (None, None)
+    noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)
     long_rest = False
     if len(rests):
         span = rests.longest()
@@ -98,7 +98,7 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     )
 
 
-def _noise_table(noise: Noise | None) -> dict[str, Any]:
+def _noise_table(noise: SensorNoise | None) -> dict[str, Any]:
     """Noise for the file: the axes' root mean square, as `smooth` takes one number a sensor."""
     if noise is None:
         return {}

@@ -1,1 +1,1 @@
-"""."""
+"""Lever arms, lengths and mounting from ordinary recordings."""

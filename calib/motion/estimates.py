@@ -33,7 +33,7 @@ class JointError:
 
 
 @dataclass(frozen=True)
-class Found:
+class ArmEstimates:
     """What one or several recordings told of the arm, the sensor and the clocks.
 
     Attributes
@@ -78,7 +78,7 @@ def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recove
     return replace(recovery, figures={**recovery.figures, GIVEN: list(given)}) if given else recovery
 
 
-def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | None:
+def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstimates | None:
     """What a recovery found; None for methods that need no calibration, or that find no orientation.
 
     Parameters
@@ -104,7 +104,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> Found | 
         offsets = (ClockOffset(recovery.name, offset_s, sigma_s, _drift(recovery, recording)),)
     bias_sigma_m = _number(recovery.figures.get("joint_bias_sigma_m"))
     noise, bias = _by_joint(recovery, "camera_sigma_m"), _by_joint(recovery, "joint_bias_m")
-    return Found(
+    return ArmEstimates(
         calibration=arm,
         frame=frame,
         offsets=offsets,

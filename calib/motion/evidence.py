@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.measurements.segment import Piece
+from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, BoolArray, FloatArray
 from smoother.result import Recovery
 
@@ -51,20 +51,20 @@ class ClockOffset:
     drift_s: float = float("nan")
 
 
-def gather(pieces: Sequence[Piece], direction: FloatArray | None) -> Evidence:
+def gather(segments: Sequence[Segment], direction: FloatArray | None) -> Evidence:
     """The evidence of the pieces of one or several recordings.
 
     Parameters
     ----------
     direction : (3,) unit vector elbow to wrist in {A}, or None where it is not known.
     """
-    frames = {joint: sum(_count(piece, joint) for piece in pieces) for joint in JOINTS}
-    frames["upper_arm"] = sum(_count(piece, "shoulder", "elbow") for piece in pieces)
+    frames = {joint: sum(_count(segment, joint) for segment in segments) for joint in JOINTS}
+    frames["upper_arm"] = sum(_count(segment, "shoulder", "elbow") for segment in segments)
     square, time, axial = 0.0, 0.0, 0.0
-    for piece in pieces:
-        t, rates = _rates(piece)
+    for segment in segments:
+        t, rates = _rates(segment)
         dt = np.diff(t)
-        seen = _visible(piece, 0.5 * (t[1:] + t[:-1]))
+        seen = _visible(segment, 0.5 * (t[1:] + t[:-1]))
         square += float(np.sum(dt[seen] * np.sum(rates[seen] ** 2, axis=1)))
         time += float(dt[seen].sum())
         if direction is not None:
@@ -138,26 +138,26 @@ def _frames_of(recovery: Recovery) -> dict[str, int]:
     return dict(zip(JOINTS, counts.tolist(), strict=True)) | {"upper_arm": both}
 
 
-def _count(piece: Piece, *joints: str) -> int:
+def _count(segment: Segment, *joints: str) -> int:
     columns = [JOINTS.index(joint) for joint in joints]
-    return int(piece.accepted[:, columns].all(axis=1).sum())
+    return int(segment.accepted[:, columns].all(axis=1).sum())
 
 
-def _rates(piece: Piece) -> tuple[FloatArray, FloatArray]:
+def _rates(segment: Segment) -> tuple[FloatArray, FloatArray]:
     """Edges (n + 1,) every 20 ms or so, and the mean angular velocity (n, 3) between them, rad/s in {A}."""
-    count = max(int((piece.end_s - piece.start_s) / 0.02), 2)
-    t = np.linspace(piece.start_s, piece.end_s, count + 1)
-    return t, piece.signal.mean(t[:-1], t[1:])[:, 3:] - piece.attitude.gyroscope_bias
+    count = max(int((segment.end_s - segment.start_s) / 0.02), 2)
+    t = np.linspace(segment.start_s, segment.end_s, count + 1)
+    return t, segment.signal.mean(t[:-1], t[1:])[:, 3:] - segment.attitude.gyroscope_bias
 
 
-def _visible(piece: Piece, t: FloatArray) -> BoolArray:
+def _visible(segment: Segment, t: FloatArray) -> BoolArray:
     """(n,) whether the frame next to each time shows the forearm; clock offsets are too small to matter."""
-    seen = piece.accepted[:, 1:].sum(axis=1) >= piece.needed
-    after = np.clip(np.searchsorted(piece.frame_t, t), 1, len(piece.frame_t) - 1)
+    seen = segment.accepted[:, 1:].sum(axis=1) >= segment.needed
+    after = np.clip(np.searchsorted(segment.frame_t, t), 1, len(segment.frame_t) - 1)
     before = after - 1
-    nearer = t - piece.frame_t[before] < piece.frame_t[after] - t
+    nearer = t - segment.frame_t[before] < segment.frame_t[after] - t
     nearest = np.where(nearer, before, after)
-    return seen[nearest] & (np.abs(piece.frame_t[nearest] - t) < 0.1)
+    return seen[nearest] & (np.abs(segment.frame_t[nearest] - t) < 0.1)
 
 
 def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:

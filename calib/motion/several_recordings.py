@@ -11,16 +11,16 @@ from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
-from smoother.measurements.outliers import by_camera
-from smoother.measurements.segment import take_apart
+from smoother.measurements.outliers import reject_by_camera
+from smoother.measurements.segment import split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.runtime.pool import Pool
-from smoother.selfcal.coarse_clock import near
-from smoother.selfcal.rounds import Knowledge, self_calibrate
+from smoother.selfcal.coarse_clock import synchronise_coarsely
+from smoother.selfcal.rounds import SelfCalibration, self_calibrate
 from smoother.window.priors import with_measured_noise
 
 from ..forearm.forearm_frame import ForearmFrame, forearm_frame
-from .estimates import Found, JointError, names_given
+from .estimates import ArmEstimates, JointError, names_given
 from .evidence import ClockOffset, Evidence, gather
 from .motion_summary import clocks_not_determined, not_determined
 
@@ -42,7 +42,7 @@ class MotionCalibration:
     """
 
     calibration: ArmCalibration
-    knowledge: Knowledge
+    knowledge: SelfCalibration
     recordings: tuple[str, ...]
     offsets: tuple[ClockOffset, ...]
     frame: ForearmFrame | None
@@ -51,10 +51,10 @@ class MotionCalibration:
     given: tuple[str, ...] = ()
 
     @property
-    def found(self) -> Found:
+    def found(self) -> ArmEstimates:
         """The same in the form that recoveries share."""
         bias = self.knowledge.bias
-        return Found(
+        return ArmEstimates(
             calibration=self.calibration,
             frame=self.frame,
             offsets=self.offsets,
@@ -92,22 +92,24 @@ def calibrate_motion(
     if len(sides) > 1:
         raise CalibrationError("the recordings are of both arms; calibrate the left and the right apart")
     known = known or ArmCalibration(side=sides[0] if sides else "")
-    moved = [near(recording) for recording in recordings]
-    pieces = [
-        by_camera(piece)
+    moved = [synchronise_coarsely(recording) for recording in recordings]
+    segments = [
+        reject_by_camera(segment)
         for number, (recording, _) in enumerate(moved)
-        for piece in take_apart(recording, LARGEST_OFFSET_S, number)
+        for segment in split_into_segments(recording, LARGEST_OFFSET_S, number)
     ]
-    if not pieces:
+    if not segments:
         raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
-    with Pool(config.windows.processes, sum(len(piece.frame_t) for piece in pieces)) as pool:
-        knowledge = self_calibrate(pieces, known, config, pool)
+    with Pool(config.windows.processes, sum(len(segment.frame_t) for segment in segments)) as pool:
+        knowledge = self_calibrate(segments, known, config, pool)
     calibration = knowledge.calibration
     frame = forearm_frame(calibration)
     if calibration.R_F_A is None and frame is not None:
         calibration = replace(calibration, R_F_A=frame.R_F_A)
-    evidence = gather(pieces, calibration.forearm_direction)
-    offsets = _offsets(recordings, [coarse for _, coarse in moved], {p.recording for p in pieces}, knowledge)
+    evidence = gather(segments, calibration.forearm_direction)
+    offsets = _offsets(
+        recordings, [coarse for _, coarse in moved], {p.recording for p in segments}, knowledge
+    )
     left_open = [
         *not_determined(calibration, frame, evidence, known, knowledge.bias.sigma_m),
         *clocks_not_determined(offsets),
@@ -125,7 +127,10 @@ def calibrate_motion(
 
 
 def _offsets(
-    recordings: Sequence[Recording], coarse: Sequence[Clock | None], used: set[int], knowledge: Knowledge
+    recordings: Sequence[Recording],
+    coarse: Sequence[Clock | None],
+    used: set[int],
+    knowledge: SelfCalibration,
 ) -> tuple[ClockOffset, ...]:
     offsets = []
     for number, recording in enumerate(recordings):

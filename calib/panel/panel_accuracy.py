@@ -30,7 +30,7 @@ ENOUGH_POSES, ENOUGH_SPREAD_DEG = 4, 15.0
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class PanelAccuracy:
     """Standard deviations of the answer.
 
     Attributes
@@ -49,7 +49,7 @@ class Accuracy:
     covariance: FloatArray
 
 
-def accuracy(calibration: PanelCalibration) -> Accuracy:
+def accuracy(calibration: PanelCalibration) -> PanelAccuracy:
     """Sigmas of the answer at the mocap's origin, at the panel and about it."""
     solution = calibration.solution
     transform = solution.camera_from_mocap
@@ -58,7 +58,7 @@ def accuracy(calibration: PanelCalibration) -> Accuracy:
     at_panel = _moved(solution.covariance, middle)[3:, 3:]
     about = middle + WITHIN_M * np.array([*np.eye(3), *-np.eye(3)])
     within = max(float(np.trace(_moved(solution.covariance, point)[3:, 3:])) for point in about)
-    return Accuracy(
+    return PanelAccuracy(
         rotation_deg=np.degrees(np.sqrt(np.diag(solution.covariance)[:3])),
         translation_m=np.sqrt(np.diag(at_origin)[3:]),
         at_panel_m=np.sqrt(np.diag(at_panel)),

@@ -24,7 +24,7 @@ from .identify import (
     identify_spots,
 )
 from .images import View, check_size
-from .panel_graph import PoseData, Solution, solve
+from .panel_graph import PanelSolution, PoseData, solve
 from .plane import Plane, fit_plane
 from .regions import Regions, on_plane, panel_regions
 
@@ -81,7 +81,7 @@ class PanelCalibration:
     panel, lens : what was known beforehand.
     """
 
-    solution: Solution
+    solution: PanelSolution
     published: Frame | None
     seen: tuple[SeenPanel, ...]
     markers_E: tuple[FloatArray, ...]

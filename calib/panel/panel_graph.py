@@ -67,7 +67,7 @@ class PoseData:
 
 
 @dataclass(frozen=True)
-class Solution:
+class PanelSolution:
     """The graph's answer.
 
     Attributes
@@ -99,7 +99,7 @@ class Solution:
     residuals: int
 
 
-def solve(poses: list[PoseData]) -> Solution:
+def solve(poses: list[PoseData]) -> PanelSolution:
     """Solve for camera from mocap.
 
     With one pose the depth's constant error is taken for none, unless the markers' spacing contradicts the
@@ -117,10 +117,10 @@ def solve(poses: list[PoseData]) -> Solution:
         "offset_apart_m": free.depth_offset_m,
         "offset_apart_sigma_m": free.depth_offset_sigma_m,
     }
-    return Solution(**{**vars(answer), **fields})
+    return PanelSolution(**{**vars(answer), **fields})
 
 
-def _graph_solution(poses: list[PoseData], solve_offset: bool) -> Solution:
+def _graph_solution(poses: list[PoseData], solve_offset: bool) -> PanelSolution:
     import gtsam
 
     graph, start = _build(poses, solve_offset)
@@ -143,7 +143,7 @@ def _graph_solution(poses: list[PoseData], solve_offset: bool) -> Solution:
     offset = float(values.atVector(_OFFSET)[0]) if solve_offset else 0.0
     misfit, count = 2 * graph.error(values), 6 * len(poses)
     scale = (PRIOR_RESIDUALS + misfit) / (PRIOR_RESIDUALS + count)
-    return Solution(
+    return PanelSolution(
         camera_from_mocap=transform,
         covariance=covariance * scale,
         depth_offset_m=offset,

@@ -121,8 +121,8 @@ def _strip(xy: FloatArray, panel: Panel, axis: int) -> BoolArray:
     arm = panel.arms()[axis]
     across = 1 - axis
     middle = float(panel.markers_P[0, across])
-    room = min(middle - panel.extent_P[0, across], panel.extent_P[1, across] - middle)
-    half = min(STRIP_M, max(room, 0.01))
+    margin = min(middle - panel.extent_P[0, across], panel.extent_P[1, across] - middle)
+    half = min(STRIP_M, max(margin, 0.01))
     low, high = float(arm[:, axis].min()), float(arm[:, axis].max())
     if high - low < 0.02:  # no arm in this direction: take the panel's whole length
         low, high = float(panel.extent_P[0, axis]), float(panel.extent_P[1, axis])

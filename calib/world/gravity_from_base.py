@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.recording import CameraFrame, FloatArray, ImuStream, Recording
-from smoother.runtime.store import Room
 
 from ..file import CalibrationFile
 from ..imu.sensor import sensor_of
@@ -24,11 +23,11 @@ _PART_S = 600
 _FROM_OPTICAL = {CameraFrame.OPTICAL: np.eye(3), CameraFrame.KINECT: np.diag([-1.0, -1.0, 1.0])}
 
 
-def with_gravity(recording: Recording, file: CalibrationFile, room: Room | None = None) -> Recording:
+def with_gravity(recording: Recording, file: CalibrationFile) -> Recording:
     """The recording with down in the camera from its base IMU, where both know it.
 
     `gravity_hint` and `gravity_sigma_rad` are set, and a note says so. Without a base IMU or without
-    `[camera_from_base]` the recording is given back as it is. `room` is where its samples lie.
+    `[camera_from_base]` the recording is given back as it is.
 
     Raises
     ------
@@ -49,7 +48,7 @@ def with_gravity(recording: Recording, file: CalibrationFile, room: Room | None 
             "The base IMU was not used: its accelerometer's calibration is newer or older than "
             "[camera_from_base]; run `unocclude calibrate world` again.",
         )
-    down, sigma, moved = down_of(known, recording.base_imu, room)
+    down, sigma, moved = down_of(known, recording.base_imu)
     note = f"Gravity in the camera is from the base IMU, good to {np.degrees(sigma):.1f} degrees."
     if moved > _MOVED_RAD:
         note += f" The camera was tilted by up to {np.degrees(moved):.1f} degrees while it recorded."
@@ -58,11 +57,9 @@ def with_gravity(recording: Recording, file: CalibrationFile, room: Room | None 
     return _noted(held, note)
 
 
-def down_of(
-    known: CameraFromBase, base: ImuStream, room: Room | None = None
-) -> tuple[FloatArray, float, float]:
+def down_of(known: CameraFromBase, base: ImuStream) -> tuple[FloatArray, float, float]:
     """Down in {K} (3,) by the base IMU, its sigma (rad an axis), and how far the camera tilted (rad)."""
-    means = _means(base, room or Room())
+    means = _means(base)
     acc = np.median(means, axis=0) - known.accelerometer_bias
     each = (means - known.accelerometer_bias) / np.linalg.norm(means, axis=1)[:, None]
     up = acc / np.linalg.norm(acc)
@@ -75,7 +72,7 @@ def down_of(
     return -known.R_K_B @ up, sigma, moved
 
 
-def _means(base: ImuStream, room: Room) -> FloatArray:
+def _means(base: ImuStream) -> FloatArray:
     """Specific force (seconds, 3) averaged over each second that has samples, a part at a time."""
     second = np.floor(base.t_s - base.t_s[0]).astype(int)
     means = []
@@ -84,7 +81,6 @@ def _means(base: ImuStream, room: Room) -> FloatArray:
         _, inverse = np.unique(second[rows], return_inverse=True)
         count = np.bincount(inverse)
         means += [np.stack([np.bincount(inverse, base.acc[rows, i]) / count for i in range(3)], axis=1)]
-        room.tidy()
     return np.concatenate(means)
 
 

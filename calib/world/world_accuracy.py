@@ -18,7 +18,7 @@ FREE_DEG = 15.0
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class WorldAccuracy:
     """Standard deviations, degrees.
 
     Attributes
@@ -42,7 +42,7 @@ class Accuracy:
         return self.heading_deg > FREE_DEG
 
 
-def accuracy(found: WorldCalibration) -> Accuracy:
+def accuracy(found: WorldCalibration) -> WorldAccuracy:
     """Sigmas of rotation, tilt, heading and mounting."""
     covariance = found.solution.covariance
     bias = found.solution.at.rest[:3]
@@ -50,7 +50,7 @@ def accuracy(found: WorldCalibration) -> Accuracy:
     tilts = [np.trace(tilt_covariance(found.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
     up = found.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
     up /= np.linalg.norm(up)
-    return Accuracy(
+    return WorldAccuracy(
         rotation_deg=np.degrees(np.sqrt(np.diag(covariance)[:3])),
         tilt_deg=float(np.degrees(np.sqrt(max(tilts)))),
         heading_deg=float(np.degrees(np.sqrt(up @ covariance[:3, :3] @ up))),
@@ -74,7 +74,7 @@ def verdict(found: WorldCalibration) -> Verdict:
     return Verdict(grade, f"{grade}: {tilt}: {use}.", _findings(found, sigma), _next(found, sigma))
 
 
-def _findings(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
+def _findings(found: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
     said = []
     if sigma.heading_free:
         said.append(
@@ -96,7 +96,7 @@ def _findings(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
     return (*said, *found.notes)
 
 
-def _next(found: WorldCalibration, sigma: Accuracy) -> tuple[str, ...]:
+def _next(found: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
     advice = []
     if found.by_eye:
         advice.append(

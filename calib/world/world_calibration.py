@@ -14,7 +14,7 @@ from smoother.recording import FloatArray, ImuStream
 from .chain import BIAS_M_S2, WorldPose
 from .first_guess import first_guesses
 from .still_pose import rest_at, turn_between
-from .world_fit import Solution, solve
+from .world_fit import WorldSolution, solve
 
 #: An IMU that was lined up with the panel by eye is off by this, an axis.
 BY_EYE_RAD = np.radians(3.0)
@@ -38,7 +38,7 @@ class WorldCalibration:
     notes : what was left out, and why.
     """
 
-    solution: Solution
+    solution: WorldSolution
     poses: tuple[WorldPose, ...]
     by_eye: bool
     notes: tuple[str, ...]
@@ -151,7 +151,7 @@ def calibrate_world(
             kept[worst] = replace(kept[worst], panel_turn=None, base_turn=None)
 
 
-def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[Solution, bool]:
+def _solve(poses: list[WorldPose], bias_m_s2: float) -> tuple[WorldSolution, bool]:
     """The solution, and whether the mounting had to be taken as lined up by eye."""
     if len(poses) >= FEWEST:
         tried = [solve(poses, start, None, bias_m_s2) for start in first_guesses(poses, lined_up=False)]

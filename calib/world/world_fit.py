@@ -16,7 +16,7 @@ _SMALL = 1e-8
 
 
 @dataclass(frozen=True)
-class Solution:
+class WorldSolution:
     """Attitudes and how well they are known.
 
     Attributes
@@ -40,7 +40,7 @@ def solve(
     start: Attitudes,
     mounting_sigma_rad: float | None,
     bias_m_s2: float = BIAS_M_S2,
-) -> Solution:
+) -> WorldSolution:
     """Solve the chain over all poses, by Gauss and Newton with Levenberg's damping.
 
     Parameters
@@ -70,4 +70,4 @@ def solve(
     kept = np.r_[0:3, bias : bias + 3, 3:6]
     by_pose = np.linalg.norm(misfit[: 9 * len(poses)].reshape(len(poses), 3, 3), axis=2)
     left, cost = problem.camera_left(at), float(misfit @ misfit)
-    return Solution(at, covariance[np.ix_(kept, kept)], left, by_pose.max(axis=1), cost)
+    return WorldSolution(at, covariance[np.ix_(kept, kept)], left, by_pose.max(axis=1), cost)

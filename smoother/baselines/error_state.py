@@ -18,7 +18,7 @@ from ..measurements.alignment import lever_of
 from ..measurements.inertial import InertialSignal, Preintegration
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
 from ..window.problem import States
-from ..window.trajectory import Motion, at_times
+from ..window.trajectory import Trajectory, at_times
 from .scene import Scene
 
 #: Rows of the error state.
@@ -29,7 +29,7 @@ INTEGRATION_VARIANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class InertialTrajectory:
     """States at the nodes t (n,): p, v, gravity, shoulder (n, 3), R (n, 3, 3), bias (n, 6)."""
 
     t: FloatArray
@@ -40,9 +40,9 @@ class Trajectory:
     gravity: FloatArray
     shoulder: FloatArray
 
-    def moved(self, error: FloatArray) -> Trajectory:
+    def moved(self, error: FloatArray) -> InertialTrajectory:
         """The states with errors (n, 21) added."""
-        return Trajectory(
+        return InertialTrajectory(
             self.t,
             self.p + error[:, P],
             self.v + error[:, V],
@@ -89,7 +89,7 @@ def joint_sigma(scene: Scene) -> float:
     return white_sigma(scene) * float(np.sqrt(max(usual, 1)))
 
 
-def predict(states: Trajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
+def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state."""
     h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]
     p = states.p[:-1] + states.v[:-1] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
@@ -97,7 +97,7 @@ def predict(states: Trajectory, motion: Preintegration) -> tuple[FloatArray, Flo
     return p, v, R @ motion.delta_R
 
 
-def transition(states: Trajectory, motion: Preintegration) -> FloatArray:
+def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
     """Jacobian (n - 1, 21, 21) of the next node's error to this one's (Sola 2017, section 7, over a block).
 
     Bias derivatives hold the rotation inside a block to first order.
@@ -116,7 +116,7 @@ def transition(states: Trajectory, motion: Preintegration) -> FloatArray:
     return F
 
 
-def defects(states: Trajectory, motion: Preintegration) -> FloatArray:
+def defects(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
     """What the IMU predicts less what the next node has, (n - 1, 21)."""
     p, v, R = predict(states, motion)
     out = np.zeros((len(motion.dt), SIZE))
@@ -159,10 +159,10 @@ def process_noise(
     return Q
 
 
-def at_samples(states: Trajectory, signal: InertialSignal, t: FloatArray) -> States:
+def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray) -> States:
     """Pose and velocity at times (k,) between the nodes, carried there by the IMU (`join.at_times`)."""
     none = np.zeros((len(states.t), 3, 3))
-    motion = Motion(
+    motion = Trajectory(
         states.t,
         States(states.R, states.p, states.v),
         none,

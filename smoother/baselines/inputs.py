@@ -16,8 +16,8 @@ from ..errors import SolveError
 from ..measurements.alignment import GRAVITY, Alignment, VectorPairs, align, lever_of, pairs
 from ..measurements.attitude import inertial_attitude
 from ..measurements.inertial import InertialSignal
-from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Piece
-from ..measurements.timestamps import split_at_pauses, steady
+from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
+from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import Gap, enough_joints, joints_needed
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, Recording
 from ..result import Recovery
@@ -70,12 +70,12 @@ def _scene(recording: Recording, told: Recovery, orientation: str, samples: slic
         np.nan,
     )
     joints = np.where(used[:, :, None], stated - _joint_bias(told), np.nan)
-    piece = _piece(recording, told, whole, orientation, frame_t, joints, used)
-    alignment = _aligned(piece, calibration, told.gravity_direction)
-    R_K_A = (alignment.at(imu.t_s) * piece.attitude.at(imu.t_s)).as_matrix()
+    segment = _piece(recording, told, whole, orientation, frame_t, joints, used)
+    alignment = _aligned(segment, calibration, told.gravity_direction)
+    R_K_A = (alignment.at(imu.t_s) * segment.attitude.at(imu.t_s)).as_matrix()
     gravity = GRAVITY * told.gravity_direction
-    R_frames = (alignment.at(frame_t) * piece.attitude.at(frame_t)).as_matrix()
-    point = _point(joints, used, R_frames, calibration, piece.needed)
+    R_frames = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
+    point = _point(joints, used, R_frames, calibration, segment.needed)
     return Scene(
         imu=imu,
         R_K_A=R_K_A,
@@ -101,7 +101,7 @@ def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
         acc = acc - calibration.accelerometer_bias
     if calibration.gyroscope_bias is not None:
         gyro = gyro - calibration.gyroscope_bias
-    return replace(imu, t_s=steady(imu.t_s), acc=acc, gyro=gyro)
+    return replace(imu, t_s=dejitter(imu.t_s), acc=acc, gyro=gyro)
 
 
 def _joint_bias(told: Recovery) -> FloatArray:
@@ -122,14 +122,14 @@ def _piece(
     frame_t: FloatArray,
     joints: FloatArray,
     used: BoolArray,
-) -> Piece:
+) -> Segment:
     """The stretch as the alignment takes it, its attitude by the chosen filter.
 
     A gyroscope bias that no calibration knows is estimated from the IMU alone, for every filter alike.
     """
     signal, rate_hz = InertialSignal(imu), min(imu.rate_hz, FILTER_RATE_HZ)
     bias = inertial_attitude(signal, rate_hz).gyroscope_bias
-    return Piece(
+    return Segment(
         signal=signal,
         attitude=attitude_by(orientation, signal, imu, rate_hz, bias),
         frame_t=frame_t,
@@ -144,17 +144,17 @@ def _piece(
     )
 
 
-def _aligned(piece: Piece, calibration: ArmCalibration, down: FloatArray) -> Alignment:
+def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
     """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the gravity told."""
-    seen = pairs(piece, piece.frame_t, piece.accepted, calibration)
-    t = piece.frame_t
+    seen = pairs(segment, segment.frame_t, segment.accepted, calibration)
+    t = segment.frame_t
     vertical = VectorPairs(
         t,
         np.tile(-down, (len(t), 1)),
         np.tile([0.0, 0.0, 1.0], (len(t), 1)),
         np.full(len(t), VERTICAL_SIGMA_RAD**-2),
     )
-    return align([*seen, vertical], piece.start_s, piece.end_s, down)
+    return align([*seen, vertical], segment.start_s, segment.end_s, down)
 
 
 def _attitude_sigma(alignment: Alignment) -> float:

@@ -38,7 +38,7 @@ LEAST_SIGMA_M = 1e-4
 
 
 @dataclass(frozen=True)
-class Noise:
+class FilterNoise:
     """Standard deviations of a position, m, and of an acceleration of a still and a moving hand, m/s^2."""
 
     sigma_m: float = POSITION_SIGMA_M
@@ -70,7 +70,7 @@ def multirate_kalman(scene: Scene) -> Path:
         return Path(position, velocity, covariance, notes=("The camera saw too little of this stretch.",))
     after = np.flatnonzero(scene.t >= scene.frame_t[seen[0]])
     leak = scene.attitude_sigma_rad * float(np.linalg.norm(scene.gravity))
-    noise = Noise(
+    noise = FilterNoise(
         max(scene.point_sigma_m, LEAST_SIGMA_M), *np.hypot((ACC_SIGMA_STILL, ACC_SIGMA_MOVING), leak)
     )
     events = merge(scene.frame_t[seen], scene.point[seen], scene.t[after], scene.acceleration[after])
@@ -95,7 +95,7 @@ def merge(frame_t: FloatArray, point: FloatArray, t: FloatArray, acceleration: F
     )
 
 
-def likeliest(events: Events, moving: BoolArray, noise: Noise) -> tuple[float, Estimates]:
+def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[float, Estimates]:
     """The process noise of a moving hand under which the camera's samples are likeliest, and its filter."""
     candidates = np.array(Q_MOVING)
     filtered, predicted = kalman_filter(state_model(events, moving, noise, candidates))
@@ -107,7 +107,7 @@ def likeliest(events: Events, moving: BoolArray, noise: Noise) -> tuple[float, E
     return float(candidates[best]), Estimates(filtered.mean[:, best], filtered.covariance[:, best])
 
 
-def state_model(events: Events, moving: BoolArray, noise: Noise, q_moving: FloatArray | float) -> Chain:
+def state_model(events: Events, moving: BoolArray, noise: FilterNoise, q_moving: FloatArray | float) -> Chain:
     """Equations 3.1-3.7 with the continuous Wiener-process acceleration model.
 
     Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3). Several candidates for

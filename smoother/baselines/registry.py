@@ -13,7 +13,7 @@ from ..errors import UnoccludeError
 if TYPE_CHECKING:
     from ..recording import Recording
     from ..result import Recovery
-    from .scene import Peer
+    from .scene import Baseline
 
 #: Orientation filters; each is the function of that name in `baselines/orientation/`.
 ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
@@ -22,7 +22,7 @@ DEFAULT_ORIENTATION = "vqf"
 
 
 @dataclass(frozen=True)
-class PeerEntry:
+class BaselineEntry:
     """One method to compare with.
 
     Attributes
@@ -36,26 +36,26 @@ class PeerEntry:
     needs_orientation: bool = True
     options: frozenset[str] = frozenset()
 
-    def peer(self, options: Mapping[str, Any]) -> Peer:
+    def peer(self, options: Mapping[str, Any]) -> Baseline:
         """The function, its options set."""
         place = self.name.replace("-", "_")
-        function: Peer = getattr(import_module(f".{place}", __package__), place)
+        function: Baseline = getattr(import_module(f".{place}", __package__), place)
         return partial(function, **options) if options else function
 
 
 #: Every peer, the strongest first.
-PEERS: dict[str, PeerEntry] = {
+BASELINES: dict[str, BaselineEntry] = {
     entry.name: entry
     for entry in (
-        PeerEntry("rts"),
-        PeerEntry("ukf"),
-        PeerEntry("gaussian-process"),
-        PeerEntry("multirate-kalman"),
-        PeerEntry("kalman"),
-        PeerEntry("linear-drift", options=frozenset({"boundary_s"})),
-        PeerEntry("camera-only", needs_orientation=False),
-        PeerEntry("pchip"),
-        PeerEntry("hold"),
+        BaselineEntry("rts"),
+        BaselineEntry("ukf"),
+        BaselineEntry("gaussian-process"),
+        BaselineEntry("multirate-kalman"),
+        BaselineEntry("kalman"),
+        BaselineEntry("linear-drift", options=frozenset({"boundary_s"})),
+        BaselineEntry("camera-only", needs_orientation=False),
+        BaselineEntry("pchip"),
+        BaselineEntry("hold"),
     )
 }
 
@@ -73,9 +73,9 @@ def recover(
     ----------
     recording : one arm and its forearm IMU; its truth is not looked at.
     told : the graph's recovery of this very recording: calibration, clock, samples believed, gravity, gaps.
-    method : one of `PEERS`.
+    method : one of `BASELINES`.
     orientation : one of `ORIENTATIONS`.
-    options : of the method, see `PeerEntry.options`.
+    options : of the method, see `BaselineEntry.options`.
 
     Raises
     ------
@@ -86,11 +86,11 @@ def recover(
     from .inputs import scenes_of
 
     options = dict(options or {})
-    if method not in PEERS:
-        raise UnoccludeError(f"there is no method '{method}'; peers: {', '.join(PEERS)}")
+    if method not in BASELINES:
+        raise UnoccludeError(f"there is no method '{method}'; peers: {', '.join(BASELINES)}")
     if orientation not in ORIENTATIONS:
         raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
-    entry = PEERS[method]
+    entry = BASELINES[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
     scenes = scenes_of(recording, told, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)

@@ -19,10 +19,10 @@ from ..config import ArmPrior, CameraNoise, ImuNoise
 from ..linalg import interpolate, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
-from ..window.nodes import fill, thin
+from ..window.nodes import decimate, insert_nodes
 from ..window.prepare import states_from_camera
 from . import error_state as es
-from .error_state import Trajectory
+from .error_state import InertialTrajectory
 from .linear import Chain, Estimates, rts_smoother
 from .scene import Path, Scene
 
@@ -47,14 +47,14 @@ SHOULDER = JOINTS.index("shoulder")
 class Sights:
     """What the camera saw at the nodes (n,): joints (n, 5, 3) m, nan where nothing, and their noise (5,) m.
 
-    `upper_arm_m` and `flex_m`: length shoulder to elbow and how it varies; nan where it is not known.
+    `upper_arm_m` and `upper_arm_sigma_m`: length shoulder to elbow and how it varies; nan where unknown.
     """
 
     joints: FloatArray
     sigma_m: FloatArray
     levers: dict[str, FloatArray]
     upper_arm_m: float
-    flex_m: float
+    upper_arm_sigma_m: float
 
 
 def rts(scene: Scene) -> Path:
@@ -82,11 +82,11 @@ def rts(scene: Scene) -> Path:
     return _path(scene, states, signal, error)
 
 
-def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[Trajectory, Sights]:
+def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, Sights]:
     """Nodes at the frames with a joint and between them; start values from camera and filter."""
     any_joint = np.flatnonzero(es.seen_joints(scene).sum(axis=1))
-    frames = any_joint[thin(scene.frame_t[any_joint])]
-    t = fill(scene.frame_t[frames], float(scene.t[0]), float(scene.t[-1]))
+    frames = any_joint[decimate(scene.frame_t[any_joint])]
+    t = insert_nodes(scene.frame_t[frames], float(scene.t[0]), float(scene.t[-1]))
     joints = np.full((len(t), len(JOINTS), 3), np.nan)
     node = np.clip(np.searchsorted(t, scene.frame_t[frames] - 1e-9), 0, len(t) - 1)
     on = np.abs(t[node] - scene.frame_t[frames]) < 1e-9
@@ -95,7 +95,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[Trajectory, Sigh
     first = states_from_camera(t, R, scene.frame_t[scene.visible], scene.point[scene.visible])
     shoulder = interpolate(scene.t, scene.shoulder, t)
     has_shoulder = bool(np.isfinite(shoulder).all())
-    states = Trajectory(
+    states = InertialTrajectory(
         t,
         first.p,
         first.v,
@@ -127,7 +127,7 @@ def _flex(joints: FloatArray, sigma_m: float) -> float:
     return float(np.clip(extra, ArmPrior().upper_arm_flex_m, LARGEST_FLEX_M))
 
 
-def residuals(states: Trajectory, sights: Sights) -> FloatArray:
+def residuals(states: InertialTrajectory, sights: Sights) -> FloatArray:
     """Camera minus state (n, 5, 3) m, nan where nothing was seen or the joint has no lever arm."""
     out = np.full_like(sights.joints, np.nan)
     for joint, lever in sights.levers.items():
@@ -137,7 +137,7 @@ def residuals(states: Trajectory, sights: Sights) -> FloatArray:
     return out
 
 
-def with_noise_of(sights: Sights, states: Trajectory, scene: Scene) -> Sights:
+def with_noise_of(sights: Sights, states: InertialTrajectory, scene: Scene) -> Sights:
     """The sights with each joint's noise from its residuals, lengthened as the scene's noise remembers."""
     left = residuals(states, sights)
     memory = es.white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
@@ -150,11 +150,11 @@ def with_noise_of(sights: Sights, states: Trajectory, scene: Scene) -> Sights:
             sigma[JOINTS.index(joint)] = max(memory * spread, LEAST_SIGMA_M)
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in sights.levers]
     sigma[SHOULDER] = sigma[forearm].max()
-    return Sights(sights.joints, sigma, sights.levers, sights.upper_arm_m, sights.flex_m)
+    return Sights(sights.joints, sigma, sights.levers, sights.upper_arm_m, sights.upper_arm_sigma_m)
 
 
 def linearised(
-    states: Trajectory,
+    states: InertialTrajectory,
     sights: Sights,
     signal: InertialSignal,
     scene: Scene,
@@ -177,7 +177,7 @@ def linearised(
     )
 
 
-def _prior(states: Trajectory, scene: Scene, noise: ImuNoise) -> tuple[FloatArray, FloatArray]:
+def _prior(states: InertialTrajectory, scene: Scene, noise: ImuNoise) -> tuple[FloatArray, FloatArray]:
     """Error of the first node before anything is measured: what was known less what the states hold."""
     R = es.orientation_at(scene, states.t[:1])[0]
     mean = np.zeros(es.SIZE)
@@ -202,7 +202,7 @@ def _prior(states: Trajectory, scene: Scene, noise: ImuNoise) -> tuple[FloatArra
     return mean, covariance
 
 
-def _measured(states: Trajectory, sights: Sights) -> tuple[FloatArray, FloatArray]:
+def _measured(states: InertialTrajectory, sights: Sights) -> tuple[FloatArray, FloatArray]:
     """Sums of H' R^-1 H (n, 21, 21) and H' R^-1 z (n, 21) over what the camera saw of each node."""
     n = len(states.t)
     information, vector = np.zeros((n, es.SIZE, es.SIZE)), np.zeros((n, es.SIZE))
@@ -236,11 +236,11 @@ def _measured(states: Trajectory, sights: Sights) -> tuple[FloatArray, FloatArra
         H[:, 0, es.P], H[:, 0, es.SHOULDER] = along, -along
         H[:, 0, es.TURN] = np.cross(arm, along)
         share = np.minimum(np.gradient(states.t) / RANGE_EVERY_S, 1.0)
-        add(H, (sights.upper_arm_m - length)[:, None], share / sights.flex_m**2)
+        add(H, (sights.upper_arm_m - length)[:, None], share / sights.upper_arm_sigma_m**2)
     return information, vector
 
 
-def _path(scene: Scene, states: Trajectory, signal: InertialSignal, error: Estimates) -> Path:
+def _path(scene: Scene, states: InertialTrajectory, signal: InertialSignal, error: Estimates) -> Path:
     """The answer at the IMU's samples."""
     answer = es.at_samples(states, signal, scene.t)
     return Path(

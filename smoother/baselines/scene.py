@@ -110,4 +110,4 @@ class Path:
 
 
 #: A method: one stretch in, its answer out.
-Peer = Callable[[Scene], Path]
+Baseline = Callable[[Scene], Path]

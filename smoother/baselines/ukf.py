@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ..measurements.inertial import InertialSignal, Preintegration, integrate
 from ..recording import JOINTS, FloatArray
-from ..window.nodes import thin
+from ..window.nodes import decimate
 from ..window.prepare import states_from_camera
 from .error_state import INTEGRATION_VARIANCE, joint_sigma, levers_of, orientation_at, seen_joints, turned
 from .scene import Path, Scene
@@ -65,7 +65,7 @@ def ukf(scene: Scene) -> Path:
     arms = np.array(list(levers.values()))
     frames = np.flatnonzero(seen_joints(scene)[:, columns].sum(axis=1))
     frames = frames[(frames >= first_visible[0]) & (scene.frame_t[frames] <= scene.t[-1])]
-    frames = frames[thin(scene.frame_t[frames])]
+    frames = frames[decimate(scene.frame_t[frames])]
     start_s = float(scene.frame_t[first_visible[0]])
     rows = np.flatnonzero(scene.t >= start_s)
     t = np.union1d(scene.frame_t[frames], scene.t[rows])

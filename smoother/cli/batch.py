@@ -89,7 +89,7 @@ def batch(
     One failing recording does not stop the others; the exit code is 1 then.
     """
     from ..study.cluster import run_cluster
-    from ..study.fingerprint import Choice
+    from ..study.fingerprint import Fingerprint
     from ..study.inputs import find_entries
     from ..study.local import run_local
     from ..study.run import StudySettings, run_study, study_folder
@@ -102,7 +102,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=Choice(imu, skeleton, one_side(side), body, passthrough_images),
+        choice=Fingerprint(imu, skeleton, one_side(side), body, passthrough_images),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,

@@ -14,7 +14,7 @@ from .options import Body, ConfigFile, Force, Imu, Json, Processes, Side, Skelet
 from .output import check_outputs, print_notes, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from calib.motion.estimates import Found
+    from calib.motion.estimates import ArmEstimates
 
 CalibrationOutput = Annotated[
     Path,
@@ -80,7 +80,7 @@ def motion(
     say_written(output, json_file)
 
 
-def print_motion(found: Found) -> None:
+def print_motion(found: ArmEstimates) -> None:
     """Print what was found, each with its sigma, and what was not."""
     from calib.motion.motion_summary import roll_known
 

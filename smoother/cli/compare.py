@@ -34,7 +34,7 @@ from .progress import progress_bar
 from .strap import with_strap
 
 if TYPE_CHECKING:
-    from ..evaluation import Alignment
+    from ..evaluation import ReferenceAlignment
     from ..evaluation.compare import Comparison, MethodResult
     from ..recording import Recording, Truth
     from ..result import Recovery
@@ -148,19 +148,19 @@ def truth_for(
     markers: Path | None,
     calibration: Path | None,
     align: bool,
-) -> tuple[Truth, Alignment]:
+) -> tuple[Truth, ReferenceAlignment]:
     """The truth for a comparison: the recording's own, or a file's, brought to it as `validate` does.
 
     A calibration is used for the truth's frame where it holds [camera_from_mocap] and the truth needs one.
     """
     from calib.file import read_calibration
 
-    from ..evaluation import Alignment, read_reference
+    from ..evaluation import ReferenceAlignment, read_reference
     from ..io.markers.files import MARKER_FORMATS
 
     if truth_file is None:
         assert recording.truth is not None
-        return recording.truth, Alignment()
+        return recording.truth, ReferenceAlignment()
     of_markers = truth_file.suffix.lower() in MARKER_FORMATS
     frame = None
     if calibration is not None and (of_markers or align):

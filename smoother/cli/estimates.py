@@ -9,7 +9,7 @@ from .output import print_table, say
 
 if TYPE_CHECKING:
     from calib.forearm.forearm_frame import ForearmFrame
-    from calib.motion.estimates import Found
+    from calib.motion.estimates import ArmEstimates
     from calib.motion.evidence import ClockOffset
 
     from ..calibration import ArmCalibration
@@ -26,7 +26,7 @@ def lengths(calibration: ArmCalibration, frame: ForearmFrame | None) -> dict[str
     return table
 
 
-def found_figures(found: Found) -> dict[str, Any]:
+def found_figures(found: ArmEstimates) -> dict[str, Any]:
     """What was found, as plain values for `--json`."""
     import numpy as np
 
@@ -68,7 +68,7 @@ def found_figures(found: Found) -> dict[str, Any]:
     return values
 
 
-def print_arm(found: Found) -> None:
+def print_arm(found: ArmEstimates) -> None:
     """Print lever arms and lengths, each with its sigma."""
     rows = []
     for joint, lever in found.calibration.lever_arms.items():
@@ -108,7 +108,7 @@ def print_clock(offset: ClockOffset) -> None:
     say(f"the IMU's clock is {1e3 * offset.offset_s:+.1f} ms{known} against the camera's{wandered}")
 
 
-def print_camera(found: Found) -> None:
+def print_camera(found: ArmEstimates) -> None:
     """Print the camera's noise and the constant errors of its joints, a line."""
     if not found.camera:
         return
@@ -122,7 +122,7 @@ def print_camera(found: Found) -> None:
         )
 
 
-def print_open(found: Found) -> None:
+def print_open(found: ArmEstimates) -> None:
     """Print in words what the motion did not determine."""
     for sentence in found.not_determined:
         say(f"not determined: {sentence}")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..recording import Recording
     from ..result import Recovery
-    from ..runtime.store import Room
+    from ..runtime.store import Store
 
 
 def load_arm(
@@ -23,18 +23,18 @@ def load_arm(
     skeleton: str | None = None,
     side: str | None = None,
     body: int | None = None,
-    room: Room | None = None,
+    store: Store | None = None,
     truth: bool = True,
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording and the calibration of its arm, and say what was chosen.
 
-    Where the recording leaves the side open, a calibration of one arm settles it. `room` and `truth` as in
+    Where the recording leaves the side open, a calibration of one arm settles it. `store` and `truth` as in
     `io.read_recording`.
     """
     from ..io.recording.read_arm import read_arm
 
     recording, calibration = read_arm(
-        path, calibration_file, imu=imu, skeleton=skeleton, side=side, body=body, room=room, truth=truth
+        path, calibration_file, imu=imu, skeleton=skeleton, side=side, body=body, store=store, truth=truth
     )
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS, PEERS
+from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, ORIENTATIONS
 from ..errors import UnoccludeError
 
 if TYPE_CHECKING:
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..recording import Recording
     from ..result import Recovery
-    from ..runtime.store import Room
+    from ..runtime.store import Store
 
     Method = Callable[[Recording], Recovery]
     Progress = Callable[[float, str], None]
 
 GRAPH = "graph"
 #: Every method, ours first, then the peers, the strongest first.
-METHODS = (GRAPH, *PEERS)
+METHODS = (GRAPH, *BASELINES)
 
 
 def choose(names: str) -> list[str]:
@@ -60,7 +60,7 @@ class PeerSettings:
 
     def for_method(self, name: str) -> dict[str, Any]:
         """The options that a method knows."""
-        return {key: value for key, value in self.options.items() if key in PEERS[name].options}
+        return {key: value for key, value in self.options.items() if key in BASELINES[name].options}
 
 
 def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> PeerSettings:
@@ -78,7 +78,7 @@ def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | No
     if not 0.05 <= boundary_s <= 10.0:
         raise typer.BadParameter("--boundary-s is a time between 0.05 and 10 s")
     settings = PeerSettings(orientation, {"boundary_s": boundary_s})
-    if not any(name in PEERS and settings.for_method(name) for name in names):
+    if not any(name in BASELINES and settings.for_method(name) for name in names):
         raise typer.BadParameter("--boundary-s belongs to the method linear-drift")
     return settings
 
@@ -94,10 +94,10 @@ class SharedGraph:
         calibration: ArmCalibration | None,
         config: Config,
         progress: Progress | None = None,
-        room: Room | None = None,
+        store: Store | None = None,
     ) -> None:
         self._calibration, self._config, self._progress = calibration, config, progress
-        self._room = room
+        self._store = store
         self._recording: Recording | None = None
         self._answer: Recovery | UnoccludeError | None = None
 
@@ -115,7 +115,7 @@ class SharedGraph:
         from .. import smooth
 
         try:
-            return smooth(recording, self._calibration, self._config, self._progress, self._room)
+            return smooth(recording, self._calibration, self._config, self._progress, self._store)
         except UnoccludeError as error:
             return error
 
@@ -126,15 +126,15 @@ def make_methods(
     config: Config,
     settings: PeerSettings | None = None,
     progress: Progress | None = None,
-    room: Room | None = None,
+    store: Store | None = None,
 ) -> dict[str, Method]:
     """The chosen methods by name; the peers are told what the graph finds, which they share.
 
     Called in turn on the same recording object, the graph is solved once. Without a calibration the peers
     get the one that the graph found; with one they get it, and the graph's clock. The graph's answer lies in
-    `room`, the peers' in memory.
+    `store`, the peers' in memory.
     """
-    graph, settings = SharedGraph(calibration, config, progress, room), settings or PeerSettings()
+    graph, settings = SharedGraph(calibration, config, progress, store), settings or PeerSettings()
 
     def peer(name: str) -> Method:
         def run(recording: Recording) -> Recovery:

@@ -33,7 +33,7 @@ from .progress import progress_bar
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
-    from calib.motion.estimates import Found
+    from calib.motion.estimates import ArmEstimates
 
     from ..recording import Recording
     from ..result import Recovery
@@ -70,7 +70,7 @@ def smooth(
     from calib.motion.estimates import with_given
 
     from ..io import write_recovery
-    from ..runtime.disk_store import DiskRoom
+    from ..runtime.disk_store import DiskStore
     from .config_file import read_config, with_processes
     from .limit import limit_sigma
 
@@ -82,7 +82,7 @@ def smooth(
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
-    with DiskRoom() as room:  # memory stays flat however long the recording is
+    with DiskStore() as store:  # memory stays flat however long the recording is
         recording, calibration = load_arm(
             recording_file,
             calibration_file,
@@ -90,12 +90,12 @@ def smooth(
             skeleton=skeleton,
             side=one_side(side),
             body=body,
-            room=room,
+            store=store,
             truth=False,
         )
         told = with_strap(calibration, recording) if solve_lever_arms else calibration
         with progress_bar("recovering") as progress:
-            recover = make_methods(names, told, config, settings, progress, room)[names[0]]
+            recover = make_methods(names, told, config, settings, progress, store)[names[0]]
             recovery = recover(recording)
         recovery = with_given(recovery, calibration)
         if solve_lever_arms:
@@ -107,7 +107,6 @@ def smooth(
             source=recording_file,
             force=force,
             passthrough_images=passthrough_images,
-            room=room,
         )
         if report is not None:
             from ..report import write_report
@@ -171,7 +170,7 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     print_notes([*recording.notes, *recovery.notes])
 
 
-def print_found(found: Found) -> None:
+def print_found(found: ArmEstimates) -> None:
     """Print what the recording told of arm, sensor and clock, and what it did not."""
     if not found.all_given:
         print_arm(found)

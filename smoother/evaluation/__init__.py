@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from .gaps import GapTable, evaluate_gaps
-from .reference import Alignment, read_reference
+from .reference import ReferenceAlignment, read_reference
 from .truth_file import read_truth
 from .validate import Validation, validate
 
 __all__ = [
-    "Alignment",
     "GapTable",
+    "ReferenceAlignment",
     "Validation",
     "evaluate_gaps",
     "read_reference",

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from calib.motion.estimates import Found
+from calib.motion.estimates import ArmEstimates
 from calib.motion.motion_summary import (
     LITTLE_AXIAL_RAD,
     LITTLE_TURNING_RAD_S,
@@ -42,7 +42,7 @@ SLOW_CAMERA_HZ = 14.0
 NOTHING = "Nothing in this recording asks for a change: record the next one in the same way."
 
 
-def advice(recovery: Recovery, found: Found | None) -> list[str]:
+def advice(recovery: Recovery, found: ArmEstimates | None) -> list[str]:
     """What to do better next time, one sentence each, what helps most first.
 
     Parameters
@@ -62,7 +62,7 @@ def advice(recovery: Recovery, found: Found | None) -> list[str]:
     return said or [NOTHING]
 
 
-def _motion(found: Found | None) -> list[str]:
+def _motion(found: ArmEstimates | None) -> list[str]:
     if found is None or found.all_given:
         return []
     evidence, frame = found.evidence, found.frame
@@ -103,7 +103,7 @@ def _motion(found: Found | None) -> list[str]:
     return said
 
 
-def little_motion(found: Found | None) -> bool:
+def little_motion(found: ArmEstimates | None) -> bool:
     """Whether too little was seen to learn the arm and the clock from."""
     if found is None:
         return False
@@ -146,7 +146,7 @@ def _times(found: list[GapSummary]) -> str:
     return f"{'s' if len(found) > 1 else ''} at {_listed(starts)}"
 
 
-def _clock(found: Found | None) -> list[str]:
+def _clock(found: ArmEstimates | None) -> list[str]:
     if found is None:
         return []
     said = []
@@ -227,7 +227,7 @@ def towards_the_camera(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
         return np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
 
-def _camera(recovery: Recovery, found: Found | None) -> list[str]:
+def _camera(recovery: Recovery, found: ArmEstimates | None) -> list[str]:
     said = []
     rows = rejected(recovery)
     frozen = _share(recovery, (row.count for row in rows if row.reason == "frozen"))

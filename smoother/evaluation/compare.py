@@ -15,7 +15,7 @@ from ..result import Recovery
 from .align import truth_at
 from .lag_left import lag_left_s
 from .metrics import Figures
-from .reference import Alignment
+from .reference import ReferenceAlignment
 from .validate import Validation, validate
 
 #: A method: recording in, recovery out.
@@ -75,7 +75,7 @@ class Comparison:
     t_s: FloatArray
     gaps: tuple[Gap, ...]
     truth: Truth
-    alignment: Alignment
+    alignment: ReferenceAlignment
     notes: tuple[str, ...] = ()
 
     @property
@@ -143,7 +143,7 @@ def compare(
     told: Recovery,
     truth: Truth,
     methods: Mapping[str, Method],
-    alignment: Alignment | None = None,
+    alignment: ReferenceAlignment | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """Run every method on one recording and hold each answer against the same truth.
@@ -162,7 +162,7 @@ def compare(
     RecordingError
         Truth and recording do not overlap.
     """
-    alignment = alignment or Alignment()
+    alignment = alignment or ReferenceAlignment()
     point = compared_point(validate(told, truth, alignment), told)
     rows = []
     for place, (name, method) in enumerate(methods.items()):
@@ -212,7 +212,7 @@ def figures_of(found: Validation, point: str, part: str) -> Figures | None:
 
 
 def _result(
-    name: str, method: Method, recording: Recording, truth: Truth, alignment: Alignment, point: str
+    name: str, method: Method, recording: Recording, truth: Truth, alignment: ReferenceAlignment, point: str
 ) -> MethodResult:
     try:
         recovery = method(recording)
@@ -257,7 +257,7 @@ def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
     return found
 
 
-def _notes(rows: list[MethodResult], alignment: Alignment, told: Recovery) -> list[str]:
+def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, told: Recovery) -> list[str]:
     notes = [*alignment.notes]
     if alignment.kind != "none":
         notes.append("The truth was aligned by the graph's answer, once for all methods.")

@@ -9,7 +9,6 @@ from scipy.special import chdtr
 
 from ..recording import JOINTS, FloatArray, IntArray
 from ..result import Recovery
-from ..runtime.pages import gathered
 from .metrics import squared_sigmas
 
 #: Probabilities at which coverage is read.
@@ -89,12 +88,12 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         used = _evenly(np.flatnonzero(kept.used[:, column]), MOST)
         off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
         nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s[used]), 0, len(recovery) - 1)
-        own = gathered(spread, nearest)
+        own = spread[nearest]
         variance = np.einsum("nii->n", own) / 3.0
         shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
         # rather by a factor than by a difference: what is left is a covariance for certain
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
-        found[joint] = stated_and_actual(gathered(kept.residual[:, column], used) - off, covariance)
+        found[joint] = stated_and_actual(kept.residual[:, column][used] - off, covariance)
     return {joint: each for joint, each in found.items() if len(each.squared)}
 
 

@@ -37,7 +37,7 @@ LARGEST_PLATE_M = 0.15
 
 
 @dataclass(frozen=True)
-class Alignment:
+class ReferenceAlignment:
     """How the truth was brought to the result.
 
     Attributes
@@ -98,7 +98,7 @@ def read_reference(
     calibration: Path | str | None = None,
     camera_frame: CameraFrame | None = None,
     align: bool = False,
-) -> tuple[Truth, Alignment]:
+) -> tuple[Truth, ReferenceAlignment]:
     """Read a truth of any kind, in the camera frame and on the IMU's clock.
 
     Parameters
@@ -123,7 +123,7 @@ def read_reference(
             raise RecordingError(f"{path} holds poses, not markers, so --markers has no use; leave it out")
         truth = read_truth(path, recovery)
         if calibration is None and not align:
-            return truth, Alignment()
+            return truth, ReferenceAlignment()
         motion = motion_of_truth(truth, str(path))
     else:
         found = read_markers(path)
@@ -139,7 +139,9 @@ def read_reference(
     return bring(motion, recovery, frame)
 
 
-def bring(motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None) -> tuple[Truth, Alignment]:
+def bring(
+    motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
+) -> tuple[Truth, ReferenceAlignment]:
     """A motion capture as a truth: its clock, its frame, the plate on the IMU.
 
     Parameters
@@ -172,7 +174,7 @@ def bring(motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
         solved = CENTRED_M <= away_m <= LARGEST_PLATE_M
         motion = replace(motion, p_A_P=p_A_P if solved else np.zeros(3))
         notes.append(_place_words(away_m, solved))
-    return _truth(motion, clock, frame, recovery), Alignment(
+    return _truth(motion, clock, frame, recovery), ReferenceAlignment(
         kind, clock, frame, _landmarks(motion, clock, frame, recovery), tuple(notes)
     )
 

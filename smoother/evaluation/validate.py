@@ -26,7 +26,7 @@ from .metrics import (
     squared_sigmas,
     summarise,
 )
-from .reference import Alignment
+from .reference import ReferenceAlignment
 from .table_one import TableOne, table_one
 
 
@@ -112,7 +112,7 @@ class Validation:
     angle_figures: dict[str, dict[str, Agreement]] = field(default_factory=dict)
     lag_s: float | None = None
     table: TableOne | None = None
-    alignment: Alignment = field(default_factory=Alignment)
+    alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""
@@ -177,7 +177,7 @@ def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
     )
 
 
-def validate(recovery: Recovery, truth: Truth, alignment: Alignment | None = None) -> Validation:
+def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | None = None) -> Validation:
     """Compare a recovery with a reference on the same clock and in the same frame.
 
     Parameters
@@ -192,7 +192,7 @@ def validate(recovery: Recovery, truth: Truth, alignment: Alignment | None = Non
     RecordingError
         The truth holds nothing during the recovery.
     """
-    alignment = alignment or Alignment()
+    alignment = alignment or ReferenceAlignment()
     errors = sample_errors(recovery, truth)
     _refuse_without_overlap(recovery, truth, errors)
     parts = {

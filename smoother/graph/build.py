@@ -15,8 +15,8 @@ from gtsam import Pose3, Rot3, Unit3, noiseModel
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from ..recording import JOINTS, FloatArray, IntArray
-from ..window.problem import Sight, Window
-from ..window.shared import Layout
+from ..window.problem import JointMeasurements, Window
+from ..window.shared import SharedLayout
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_SPAN_S = 4.0
@@ -40,12 +40,12 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     biases = bias_of_intervals(window)
     _add_states(values, window)
-    _add_inertia(graph, window, biases)
+    _add_increments(graph, window, biases)
     _add_shared(graph, values, window, biases)
     _add_joints(graph, window)
     if window.shoulder is not None:
         _add_shoulder(graph, values, window)
-    _add_quiet(graph, window)
+    _add_constant_velocity(graph, window)
     _add_attitude(graph, window)
     _add_field(graph, window)
     return graph, values
@@ -58,20 +58,20 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
         values.insert(V(i), states.v[i])
 
 
-def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
+def _add_increments(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
     """`ImuFactorWithGravityDirection` between neighbours."""
-    inertia = window.inertia
-    removed = gtsam.imuBias.ConstantBias(inertia.bias[:3], inertia.bias[3:])
-    acc = inertia.acc + inertia.bias[:3]
-    gyro = inertia.gyro + inertia.bias[3:]
-    first = inertia.first
+    increments = window.increments
+    removed = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
+    acc = increments.acc + increments.bias[:3]
+    gyro = increments.gyro + increments.bias[3:]
+    first = increments.first
     level = _noise_levels(window)
     params = {each: _parameters(window, *each) for each in set(level)}
     for i in range(len(window.t) - 1):
         pim = gtsam.PreintegratedImuMeasurements(params[level[i]], removed)
         for block in range(first[i], first[i + 1]):
-            pim.integrateMeasurement(acc[block, 0], gyro[block], inertia.h[block])
-            pim.integrateMeasurement(acc[block, 1], gyro[block], inertia.h[block])
+            pim.integrateMeasurement(acc[block, 0], gyro[block], increments.h[block])
+            pim.integrateMeasurement(acc[block, 1], gyro[block], increments.h[block])
         graph.add(
             gtsam.ImuFactorWithGravityDirection(
                 X(i), V(i), X(i + 1), V(i + 1), B(biases[i]), G(0), pim, window.gravity_magnitude
@@ -81,13 +81,13 @@ def _add_inertia(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntA
 
 def _noise_levels(window: Window) -> list[tuple[int, int]]:
     """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
-    inertia, noise = window.inertia, window.noise
-    blocks = np.diff(inertia.first)
-    force = np.linalg.norm(inertia.acc.mean(axis=1), axis=1) - window.gravity_magnitude
-    rate = np.linalg.norm(inertia.gyro, axis=1)
-    moving = np.add.reduceat(np.abs(force), inertia.first[:-1]) / blocks
-    turning = np.add.reduceat(rate, inertia.first[:-1]) / blocks
-    knocks = inertia.velocity_error / np.sqrt(np.diff(window.t))
+    increments, noise = window.increments, window.noise
+    blocks = np.diff(increments.first)
+    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - window.gravity_magnitude
+    rate = np.linalg.norm(increments.gyro, axis=1)
+    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / blocks
+    turning = np.add.reduceat(rate, increments.first[:-1]) / blocks
+    knocks = increments.velocity_error / np.sqrt(np.diff(window.t))
     acc = np.hypot(
         np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
         knocks / noise.accelerometer_density,
@@ -115,7 +115,7 @@ def shared_keys(window: Window, biases: IntArray) -> list[int]:
     return keys + [L(JOINTS.index(joint)) for joint in layout.joints]
 
 
-def shared_jacobian(layout: Layout, down: Unit3) -> FloatArray:
+def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
     """Shared vector's change for a change of GTSAM's own coordinates.
 
     They differ for gravity (its tangent basis) and for the upper arm: the range factor's error is
@@ -160,7 +160,7 @@ def _add_shared(
     graph.add(gtsam.LinearContainerFactor(factor, at))
 
 
-def _blocks(layout: Layout) -> list[slice]:
+def _blocks(layout: SharedLayout) -> list[slice]:
     upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
     return [layout.bias, layout.gravity, *upper_arm, *(layout.lever(joint) for joint in layout.joints)]
 
@@ -190,10 +190,10 @@ def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArr
 
 def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     """`GPSFactorArmCalib` (the lever arm is a variable) or `GPSFactorArm` at the IMU itself."""
-    for sight in window.sights:
-        is_lever = sight.joint in window.priors.layout.joints
-        key = L(JOINTS.index(sight.joint))
-        for node, position, sigma in zip(*gathered(sight, window.noise.cauchy), strict=True):
+    for measured in window.joint_measurements:
+        is_lever = measured.joint in window.priors.layout.joints
+        key = L(JOINTS.index(measured.joint))
+        for node, position, sigma in zip(*stacked_measurements(measured, window.noise.cauchy), strict=True):
             model = robust(float(sigma), window.noise.cauchy)
             if is_lever:
                 graph.add(gtsam.GPSFactorArmCalib(X(node), key, position, model))
@@ -201,25 +201,27 @@ def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
                 graph.add(gtsam.GPSFactorArm(X(node), position, np.zeros(3), model))
 
 
-def gathered(sight: Sight, cauchy: float) -> tuple[IntArray, FloatArray, FloatArray]:
+def stacked_measurements(
+    measured: JointMeasurements, cauchy: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """A joint's samples node by node: nodes (m,), positions at the node (m, 3), sigmas (m,).
 
     Samples that share a node are averaged, each weighted by Cauchy's loss about their median, so that one
     that is far off costs itself and not the others.
     """
-    at_node = sight.position - sight.shift
-    node, first, count = np.unique(sight.node, return_index=True, return_counts=True)
-    if len(node) == len(sight.node):
-        return sight.node, at_node, sight.sigma_m
-    rank = np.arange(len(sight.node)) - np.repeat(first, count)
+    at_node = measured.position - measured.shift
+    node, first, count = np.unique(measured.node, return_index=True, return_counts=True)
+    if len(node) == len(measured.node):
+        return measured.node, at_node, measured.sigma_m
+    rank = np.arange(len(measured.node)) - np.repeat(first, count)
     group = np.repeat(np.arange(len(node)), count)
     table = np.full((len(node), int(count.max()), 3), np.inf)  # what is missing sorts last
     table[group, rank] = at_node
     table.sort(axis=1)
     median = table[np.arange(len(node)), (count - 1) // 2]
-    off = np.linalg.norm(at_node - median[group], axis=1) / sight.sigma_m
+    off = np.linalg.norm(at_node - median[group], axis=1) / measured.sigma_m
     off[np.repeat(count, count) < 3] = 0.0  # two cannot outvote each other
-    weight = 1.0 / (1.0 + (off / cauchy) ** 2) / sight.sigma_m**2
+    weight = 1.0 / (1.0 + (off / cauchy) ** 2) / measured.sigma_m**2
     total = np.bincount(group, weight)
     mean = np.stack([np.bincount(group, weight * at_node[:, axis]) for axis in range(3)], axis=1)
     return node, mean / total[:, None], np.round(1.0 / np.sqrt(total), 6)
@@ -251,7 +253,7 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
         graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, length_model, at_elbow))
 
 
-def _add_quiet(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
+def _add_constant_velocity(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     """`BetweenFactorVector` on the velocities inside gaps: a quiet arm keeps its velocity."""
     for i in np.flatnonzero(np.isfinite(window.velocity_change)).tolist():
         model = isotropic(3, float(window.velocity_change[i]))

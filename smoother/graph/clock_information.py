@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import D
 
 from ..recording import FloatArray
 from ..window.problem import States, Window
-from .build import gathered
+from .build import stacked_measurements
 
 #: Part of its bound that the information usually is; stands in where the elimination takes a weak direction
 #: for a free one.
@@ -60,12 +60,12 @@ def _velocities(window: Window, states: States) -> tuple[list[FloatArray], float
     """
     found: list[FloatArray] = []
     scatter = 0.0
-    for sight in window.sights:
-        node, _, _ = gathered(sight, window.noise.cauchy)
-        each = states.v[sight.node] + sight.velocity
-        group = np.searchsorted(node, sight.node)
+    for measured in window.joint_measurements:
+        node, _, _ = stacked_measurements(measured, window.noise.cauchy)
+        each = states.v[measured.node] + measured.velocity
+        group = np.searchsorted(node, measured.node)
         total = np.stack([np.bincount(group, each[:, axis]) for axis in range(3)], axis=1)
         mean = total / np.bincount(group)[:, None]
         found += list(mean)
-        scatter += float(np.sum((each - mean[group]) ** 2 / sight.sigma_m[:, None] ** 2))
+        scatter += float(np.sum((each - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))
     return found, scatter

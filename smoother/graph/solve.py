@@ -215,9 +215,9 @@ def _message(
 
 def _residuals(values: gtsam.Values, window: Window, states: States) -> dict[str, FloatArray]:
     residuals = {}
-    for sight in window.sights:
-        key = L(JOINTS.index(sight.joint))
-        lever = values.atPoint3(key) if sight.joint in window.priors.layout.joints else np.zeros(3)
-        answer = states.p[sight.node] + states.R[sight.node] @ lever
-        residuals[sight.joint] = sight.position - sight.shift - answer
+    for measured in window.joint_measurements:
+        key = L(JOINTS.index(measured.joint))
+        lever = values.atPoint3(key) if measured.joint in window.priors.layout.joints else np.zeros(3)
+        answer = states.p[measured.node] + states.R[measured.node] @ lever
+        residuals[measured.joint] = measured.position - measured.shift - answer
     return residuals

@@ -1,1 +1,1 @@
-"""."""
+"""What was measured, made ready: inertial signal, attitude, clocks, what is visible, outliers."""

@@ -20,7 +20,7 @@ from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray
 from .attitude import InertialAttitude
 from .inertial import InertialSignal
-from .segment import Piece
+from .segment import Segment
 
 GRAVITY = 9.81
 
@@ -188,7 +188,7 @@ def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
 
 
 def pairs(
-    piece: Piece, frame_t: FloatArray, accepted: BoolArray, calibration: ArmCalibration
+    segment: Segment, frame_t: FloatArray, accepted: BoolArray, calibration: ArmCalibration
 ) -> list[VectorPairs]:
     """What camera and IMU both saw: the forearm's direction, and the acceleration of one joint."""
     found: list[VectorPairs] = []
@@ -196,16 +196,16 @@ def pairs(
     along_A = calibration.forearm_direction
     both = accepted[:, elbow] & accepted[:, wrist]
     if along_A is not None and both.any():
-        position = piece.position[both]
+        position = segment.position[both]
         found.append(
-            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], piece.attitude, along_A)
+            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], segment.attitude, along_A)
         )
     for joint in ("strap", "wrist", "hand", "elbow"):  # the first that is known: nearest to the IMU
         lever, column = lever_of(calibration, joint), JOINTS.index(joint)
         rows = accepted[:, column]
         if lever is not None and rows.sum() >= 8:
-            point = piece.position[rows, column]
-            both_saw = acceleration_pairs(frame_t[rows], point, piece.attitude, piece.signal, GRAVITY)
+            point = segment.position[rows, column]
+            both_saw = acceleration_pairs(frame_t[rows], point, segment.attitude, segment.signal, GRAVITY)
             found.append(both_saw.with_lever(lever))
             break
     return found

@@ -12,7 +12,7 @@ from ..recording import FloatArray
 from .inertial import InertialSignal
 
 #: Half width of the time over which the sensor's liveliness is judged, s.
-LIVELY_HALF_S = 0.5
+ACCELERATION_STD_HALF_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,19 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
     return InertialAttitude(edges[1:], Rotation.from_quat(quaternion), np.median(answer["bias"], axis=0))
 
 
-def liveliness(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
+def acceleration_std(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
     """How much the sensor's acceleration varies about each time, m/s^2 (n,), one sigma over its axes.
 
-    Standard deviation over `LIVELY_HALF_S` on both sides, so that the inertial attitude's slow error,
-    which turns gravity into a constant acceleration, does not count.
+    Standard deviation over `ACCELERATION_STD_HALF_S` on both sides, so that the inertial attitude's slow
+    error, which turns gravity into a constant acceleration, does not count.
     """
     step = 0.02
-    around = LIVELY_HALF_S + step
+    around = ACCELERATION_STD_HALF_S + step
     edges = np.arange(max(signal.start_s, t[0] - around), min(signal.end_s, t[-1] + around), step)
     force = signal.mean(edges[:-1], edges[1:])[:, :3]
     acc = attitude.at(0.5 * (edges[1:] + edges[:-1])).apply(force)
     acc -= acc.mean(axis=0)
-    lo, hi = np.searchsorted(edges[:-1], [t - LIVELY_HALF_S, t + LIVELY_HALF_S])
+    lo, hi = np.searchsorted(edges[:-1], [t - ACCELERATION_STD_HALF_S, t + ACCELERATION_STD_HALF_S])
     hi = np.maximum(hi, lo + 1)
     sums = np.vstack([np.zeros(3), np.cumsum(acc, axis=0)])
     squares = np.concatenate([[0.0], np.cumsum(np.sum(acc**2, axis=1))])

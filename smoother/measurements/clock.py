@@ -19,7 +19,7 @@ LARGEST_OFFSET_S = 0.4
 OFFSET_SIGMA_S = 0.15
 
 #: Times that are taken together, so that a long recording's need no memory of their own.
-TOGETHER = 1 << 16
+BATCH_TIMES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Clock:
     def at(self, t: FloatArray) -> FloatArray:
         """Offsets at camera times, s; beyond the knots they go on with the skew."""
         offset = np.empty(len(t))
-        for start in range(0, len(t), TOGETHER):
-            part = np.asarray(t[start : start + TOGETHER])
+        for start in range(0, len(t), BATCH_TIMES):
+            part = np.asarray(t[start : start + BATCH_TIMES])
             outside = np.minimum(part - self.t[0], 0.0) + np.maximum(part - self.t[-1], 0.0)
-            offset[start : start + TOGETHER] = np.interp(part, self.t, self.offset) + self.skew * outside
+            offset[start : start + BATCH_TIMES] = np.interp(part, self.t, self.offset) + self.skew * outside
         return offset
 
     def after(self, coarse: Clock | None) -> Clock:
@@ -73,6 +73,6 @@ class Clock:
         return float(np.ptp(self.offset))
 
 
-def constant(offset_s: float, sigma_s: float = OFFSET_SIGMA_S) -> Clock:
+def constant_clock(offset_s: float, sigma_s: float = OFFSET_SIGMA_S) -> Clock:
     """A clock that does not drift."""
     return Clock(np.zeros(1), np.full(1, offset_s), sigma_s)

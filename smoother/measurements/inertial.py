@@ -20,14 +20,14 @@ FINE_STEP_S = 1.0 / 240.0
 #: Intervals are done together when their step counts differ by less than this; the finer count counts.
 STEP_FACTOR = 1.42
 #: Longest stretch that one pair of equivalent samples stands for, s (see `Preintegration`).
-BLOCK_S = 0.036
+STEP_S = 0.036
 
 
 #: Share of a knock's impulse that the samples may have missed.
-ROUGH_SHARE = 0.2
+IMPACT_SHARE = 0.2
 
 
-def _roughness(imu: ImuStream) -> FloatArray:
+def _impact_size(imu: ImuStream) -> FloatArray:
     """How far each sample's specific force is from its neighbours' mean, m/s^2 (N,)."""
     rough = np.zeros(len(imu))
     rough[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
@@ -51,7 +51,7 @@ class InertialSignal:
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
         self._integral = CubicSpline(self.edges, integral)
-        self._rough = np.concatenate(([0.0], np.cumsum((_roughness(imu) * np.diff(self.edges)) ** 2)))
+        self._rough = np.concatenate(([0.0], np.cumsum((_impact_size(imu) * np.diff(self.edges)) ** 2)))
 
     def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
         return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
@@ -72,7 +72,7 @@ class InertialSignal:
         Between neighbouring samples a knock is faster than the sensor follows: part of the impulse
         is filtered, aliased or clipped. Root sum of squares over the samples.
         """
-        return ROUGH_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._rough)), 0.0))
+        return IMPACT_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._rough)), 0.0))
 
     def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Mean (specific force m/s^2, angular rate rad/s) over intervals, (..., 6) in {A}."""
@@ -136,15 +136,15 @@ def integrate_between(
     return Preintegration(delta_R, delta_v, delta_p, dt)
 
 
-def split_blocks(t: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Cut the intervals between times into blocks no longer than `BLOCK_S`.
+def split_steps(t: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Cut the intervals between times into blocks no longer than `STEP_S`.
 
     Returns
     -------
     block_t : (m + 1,) times of the blocks' edges, s.
     first : (n,) index of each interval's first block, and after the last one m: (n + 1,).
     """
-    count = np.maximum(np.ceil(np.diff(t) / BLOCK_S - 1e-9).astype(int), 1)
+    count = np.maximum(np.ceil(np.diff(t) / STEP_S - 1e-9).astype(int), 1)
     first = np.concatenate(([0], np.cumsum(count)))
     inside = np.arange(first[-1]) - np.repeat(first[:-1], count)
     start = np.repeat(t[:-1], count)

@@ -11,7 +11,7 @@ from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream
 from .attitude import InertialAttitude, inertial_attitude
 from .clock import LARGEST_OFFSET_S
 from .inertial import InertialSignal
-from .timestamps import split_at_pauses, stamps_made_up, steady
+from .timestamps import dejitter, split_at_pauses, synthetic_stamps
 from .visibility import accepted_samples, joints_needed
 
 #: The inertial filter runs no faster than this, Hz.
@@ -23,7 +23,7 @@ AROUND_S = LARGEST_OFFSET_S + 1.0
 
 
 @dataclass(frozen=True)
-class Piece:
+class Segment:
     """A stretch of the recording without a pause of the IMU, as it was recorded.
 
     Attributes
@@ -38,7 +38,7 @@ class Piece:
     start_s, end_s : the part to look at, on the IMU's clock.
     core_start_s, core_end_s : the part of it to answer for; the rest is there for its sake.
     recording : which recording of several.
-    made_up : the camera's stamps were made up (`clock.stamps_made_up`).
+    synthetic_stamps : the camera's stamps were made up (`clock.stamps_made_up`).
     down_sigma_rad : how well `down` is known, an axis; None = roughly.
     """
 
@@ -54,12 +54,12 @@ class Piece:
     start_s: float
     end_s: float
     recording: int = 0
-    made_up: bool = False
+    synthetic_stamps: bool = False
     down_sigma_rad: float | None = None
     core_start_s: float = -np.inf
     core_end_s: float = np.inf
 
-    def between(self, start_s: float, end_s: float) -> Piece:
+    def between(self, start_s: float, end_s: float) -> Segment:
         """The same piece, of which only a part (IMU clock) is looked at, with the frames around it."""
         start_s, end_s = max(start_s, self.start_s), min(end_s, self.end_s)
         first, last = np.searchsorted(self.frame_t, [start_s - AROUND_S, end_s + AROUND_S])
@@ -77,28 +77,28 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Traits:
-    """What holds for all pieces of a recording; see `Piece`."""
+class SegmentTraits:
+    """What holds for all pieces of a recording; see `Segment`."""
 
     down: FloatArray
     down_sigma_rad: float | None
     needed: int
-    made_up: bool
+    synthetic_stamps: bool
     recording: int = 0
 
 
-def traits_of(recording: Recording, number: int = 0) -> Traits:
+def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
     """The traits of a recording; `number`: which of several."""
-    return Traits(
+    return SegmentTraits(
         down=down_hint(recording),
         down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
         needed=joints_needed(recording.arm),
-        made_up=stamps_made_up(recording.arm.t_s),
+        synthetic_stamps=synthetic_stamps(recording.arm.t_s),
         recording=number,
     )
 
 
-def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Piece]:
+def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -> list[Segment]:
     """The pieces of a recording that hold at least two frames with a forearm joint.
 
     Parameters
@@ -107,22 +107,22 @@ def take_apart(recording: Recording, slack_s: float, number: int = 0) -> list[Pi
     number : which recording of several.
     """
     traits = traits_of(recording, number)
-    pieces = []
+    segments = []
     for samples in split_at_pauses(recording.imu):
         imu = recording.imu.select(samples)
         if len(imu) < FEWEST_SAMPLES:
             continue
         first, last = np.searchsorted(recording.arm.t_s, [imu.t_s[0] - slack_s, imu.t_s[-1] + slack_s])
         frames = slice(int(first), int(last))
-        piece = make_piece(imu, steady(imu.t_s), recording.arm.select(frames), frames, traits)
-        if piece is not None:
-            pieces.append(piece)
-    return pieces
+        segment = make_segment(imu, dejitter(imu.t_s), recording.arm.select(frames), frames, traits)
+        if segment is not None:
+            segments.append(segment)
+    return segments
 
 
-def make_piece(
-    imu: ImuStream, steady_t: FloatArray, arm: JointTracks, frames: slice, traits: Traits
-) -> Piece | None:
+def make_segment(
+    imu: ImuStream, steady_t: FloatArray, arm: JointTracks, frames: slice, traits: SegmentTraits
+) -> Segment | None:
     """One piece with its inertial attitude; None without two frames with a forearm joint.
 
     Parameters
@@ -135,7 +135,7 @@ def make_piece(
     if accepted[:, forearm].any(axis=1).sum() < 2:
         return None
     signal = InertialSignal(replace(imu, t_s=steady_t))
-    return Piece(
+    return Segment(
         signal=signal,
         attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
         frame_t=arm.t_s,
@@ -148,7 +148,7 @@ def make_piece(
         start_s=float(imu.t_s[0]),
         end_s=float(imu.t_s[-1]),
         recording=traits.recording,
-        made_up=traits.made_up,
+        synthetic_stamps=traits.synthetic_stamps,
         down_sigma_rad=traits.down_sigma_rad,
     )
 

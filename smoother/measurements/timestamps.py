@@ -19,9 +19,9 @@ RATE_TOLERANCE = 0.01
 PAUSE_S = 0.1
 PAUSE_SAMPLES = 5.0
 #: Stamps that scatter by more than this part of a sample are steadied, over a span of time, s.
-STEADY_SCATTER = 0.08
-STEADY_SPAN_S = 4.0
-STEADY_FEWEST = 50
+JITTER_SCATTER = 0.08
+JITTER_SPAN_S = 4.0
+JITTER_FEWEST = 50
 
 
 def split_at_pauses(imu: ImuStream) -> list[slice]:
@@ -33,7 +33,7 @@ def split_at_pauses(imu: ImuStream) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def steady(t: FloatArray) -> FloatArray:
+def dejitter(t: FloatArray) -> FloatArray:
     """Sample times of a sensor that ticks evenly, from stamps that a radio or a driver made uneven.
 
     Bluetooth sensors sample evenly, but their packets are stamped on arrival. Where the stamps scatter
@@ -44,17 +44,17 @@ def steady(t: FloatArray) -> FloatArray:
     ----------
     t : (N,) increasing stamps, s.
     """
-    if len(t) < STEADY_FEWEST:
+    if len(t) < JITTER_FEWEST:
         return t
     dt = np.diff(t)
     tick = float(t[-1] - t[0]) / (len(t) - 1)
     scatter = 1.4826 * float(np.median(np.abs(dt - tick)))
-    if scatter < STEADY_SCATTER * tick:
+    if scatter < JITTER_SCATTER * tick:
         return t
     count = np.arange(len(t), dtype=float)
     slope, start = np.polyfit(count, t, 1)
     departure = t - (start + slope * count)
-    width = max(int(STEADY_SPAN_S / slope), 3) | 1
+    width = max(int(JITTER_SPAN_S / slope), 3) | 1
     slow = uniform_filter1d(departure, width, mode="nearest")
     left = departure - slow
     # a missing sample makes a step of a whole tick: then the stamps are all there is
@@ -66,7 +66,7 @@ def steady(t: FloatArray) -> FloatArray:
     return steadied if np.diff(steadied).min() > 0.2 * slope else t
 
 
-def stamps_made_up(t_s: FloatArray) -> bool:
+def synthetic_stamps(t_s: FloatArray) -> bool:
     """Whether frame times (F,) were spread evenly by somebody instead of measured.
 
     They are even to a tenth of a millisecond, at a rate that no camera runs at.

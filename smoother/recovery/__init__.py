@@ -1,1 +1,1 @@
-"""."""
+"""The recovery of a recording: sections, two passes, one trajectory."""

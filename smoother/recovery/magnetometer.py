@@ -19,11 +19,11 @@ import numpy as np
 from ..linalg import skew
 from ..recording import BoolArray, FloatArray, ImuStream
 from ..result import Recovery
-from ..window.problem import FieldSight, Solution, Window
+from ..window.problem import FieldMeasurements, Solution, Window
 from ..window.shared import axes_across
 
 #: Samples are gathered over blocks of so long: a place's disturbance lasts about as long as the arm stays.
-BLOCK_S = 2.0
+MEAN_S = 2.0
 #: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
 #: stronger or weaker than where the magnetometer was calibrated is another one.
 STRENGTH_OFF = 0.1
@@ -35,8 +35,8 @@ LEAST_FAR = 0.03
 #: A block takes part when so much of it is undisturbed.
 SHARE_NEEDED = 0.8
 #: Blocks that the field's direction needs, and the share of all that has to agree.
-BLOCKS_NEEDED = 8
-BLOCKS_SHARE = 0.5
+MEANS_NEEDED = 8
+MEANS_SHARE = 0.5
 #: No room's field is known better than this, rad.
 LEAST_SIGMA_RAD = np.radians(0.7)
 #: No factor is trusted more than this, rad: in gaps of some seconds, what the field is off in tilt costs
@@ -49,7 +49,7 @@ NEAR_S = 0.05
 
 
 @dataclass(frozen=True)
-class Block:
+class FieldMean:
     """The field over a block of a window.
 
     Attributes
@@ -107,7 +107,7 @@ NO_MAGNETOMETER = Magnetometer(np.full(3, np.nan))
 
 
 @dataclass(frozen=True)
-class Observed:
+class FieldObservation:
     """What the magnetometer read in a window of the first pass.
 
     Attributes
@@ -133,12 +133,12 @@ def takes_part(imu: ImuStream) -> bool:
     return imu.mag is not None and imu.mag_calibrated
 
 
-def observe(imu: ImuStream, window: Window, solution: Solution) -> Observed:
+def observe(imu: ImuStream, window: Window, solution: Solution) -> FieldObservation:
     """What a window's solution, with covariance, makes of the magnetometer's samples."""
     assert imu.mag is not None and solution.pose_covariance is not None
     have = imu.select(np.asarray(np.isfinite(imu.mag).all(axis=1)))
     in_K = np.full((len(window.t), 3), np.nan) if len(have) < 2 else _in_camera(have, window, solution)
-    return Observed(window.t, in_K, solution.states.R, solution.pose_covariance[:, 3:, 3:])
+    return FieldObservation(window.t, in_K, solution.states.R, solution.pose_covariance[:, 3:, 3:])
 
 
 def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer]:
@@ -155,19 +155,19 @@ def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer
     return strength, NO_MAGNETOMETER
 
 
-def decide(blocks: Sequence[Block]) -> tuple[dict[int, FieldSight], Magnetometer]:
+def decide(blocks: Sequence[FieldMean]) -> tuple[dict[int, FieldMeasurements], Magnetometer]:
     """What each window of the second pass is told, by its number, and what became of the magnetometer."""
     calm = [block for block in blocks if block.share >= SHARE_NEEDED]
-    if len(blocks) < BLOCKS_NEEDED:
+    if len(blocks) < MEANS_NEEDED:
         return {}, _without("the recording is too short to learn the field's direction from it")
-    if len(calm) < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+    if len(calm) < max(MEANS_SHARE * len(blocks), MEANS_NEEDED):
         return {}, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
     direction, covariance, sigma, good = _agree(blocks, calm)
-    if good.sum() < max(BLOCKS_SHARE * len(blocks), BLOCKS_NEEDED):
+    if good.sum() < max(MEANS_SHARE * len(blocks), MEANS_NEEDED):
         return {}, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
     common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
     kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
-    told: dict[int, list[Block]] = {}
+    told: dict[int, list[FieldMean]] = {}
     for block in kept:
         told.setdefault(block.window, []).append(block)
     believed = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
@@ -184,7 +184,9 @@ def _without(reason: str) -> Magnetometer:
     return Magnetometer(np.full(3, np.nan), note=reason and f"the magnetometer was left out: {reason}")
 
 
-def _agree(blocks: Sequence[Block], calm: list[Block]) -> tuple[FloatArray, FloatArray, float, BoolArray]:
+def _agree(
+    blocks: Sequence[FieldMean], calm: list[FieldMean]
+) -> tuple[FloatArray, FloatArray, float, BoolArray]:
     """The field's direction that most blocks agree on, and which do.
 
     Least squares over the windows, each with the attitude's covariance that its first solution states: the
@@ -232,14 +234,14 @@ def _agree(blocks: Sequence[Block], calm: list[Block]) -> tuple[FloatArray, Floa
     return direction, covariance, sigma, good
 
 
-def _far_from_bad(blocks: Sequence[Block], calm: list[Block], good: BoolArray) -> BoolArray:
+def _far_from_bad(blocks: Sequence[FieldMean], calm: list[FieldMean], good: BoolArray) -> BoolArray:
     """Which of the calm blocks have no block beside them that was left out."""
     kept = {id(block) for block, is_good in zip(calm, good, strict=True) if is_good}
     bad = np.array([block.t_s for block in blocks if id(block) not in kept])
     if not len(bad):
         return np.ones(len(calm), dtype=bool)
     t = np.array([block.t_s for block in calm])
-    return np.asarray(np.abs(t[:, None] - bad).min(axis=1) > 1.5 * BLOCK_S)
+    return np.asarray(np.abs(t[:, None] - bad).min(axis=1) > 1.5 * MEAN_S)
 
 
 def _off(bad: int, blocks: int, what: str) -> str:
@@ -257,9 +259,9 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
     return np.asarray(np.einsum("nij,nj->ni", solution.states.R, sample))
 
 
-def blocks_of(
-    number: int, seen: Observed, strength: float, later_t: FloatArray, later_R: FloatArray
-) -> Iterator[Block]:
+def field_means(
+    number: int, seen: FieldObservation, strength: float, later_t: FloatArray, later_R: FloatArray
+) -> Iterator[FieldMean]:
     """Means over blocks of a window, of the samples with the field's usual strength.
 
     Parameters
@@ -270,7 +272,7 @@ def blocks_of(
     t = seen.t_s
     with np.errstate(invalid="ignore"):
         good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF
-    count = max(round(float(t[-1] - t[0]) / BLOCK_S), 1)
+    count = max(round(float(t[-1] - t[0]) / MEAN_S), 1)
     edges = np.linspace(t[0], t[-1], count + 1)
     of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
     for k in range(count):
@@ -281,7 +283,7 @@ def blocks_of(
         mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)
         middle = rows[len(rows) // 2]
         node = int(np.argmin(np.abs(later_t - t[middle])))
-        yield Block(
+        yield FieldMean(
             number,
             node,
             float(later_t[node]),
@@ -302,9 +304,9 @@ def middle_direction(vectors: FloatArray) -> FloatArray:
     return np.asarray(middle / np.linalg.norm(middle))
 
 
-def _sight(own: list[Block], direction: FloatArray, sigma: float, common: float) -> FieldSight:
+def _sight(own: list[FieldMean], direction: FloatArray, sigma: float, common: float) -> FieldMeasurements:
     """A window's blocks; together they know the direction no better than the recording does."""
-    return FieldSight(
+    return FieldMeasurements(
         node=np.array([block.node for block in own]),
         in_A=np.array([block.in_A / np.linalg.norm(block.in_A) for block in own]),
         in_K=direction,

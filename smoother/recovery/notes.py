@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
-from ..measurements.timestamps import split_at_pauses, stamps_made_up
+from ..measurements.timestamps import split_at_pauses, synthetic_stamps
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import FrameResiduals
-from ..selfcal.rounds import Knowledge
+from ..selfcal.rounds import SelfCalibration
 
 #: A one-sided gap longer than this deserves a sentence, s.
 OPEN_GAP_S = 0.5
@@ -23,7 +23,7 @@ DRIFT_S = 0.005
 
 def notes_on(
     recording: Recording,
-    known: Knowledge,
+    known: SelfCalibration,
     clock: Clock,
     residuals: FrameResiduals,
     gaps: tuple[Gap, ...],
@@ -41,17 +41,17 @@ def notes_on(
 
 def _pauses(recording: Recording) -> list[str]:
     t = recording.imu.t_s
-    pieces = split_at_pauses(recording.imu)
+    segments = split_at_pauses(recording.imu)
     return [
         f"the IMU stream pauses from {t[a.stop - 1]:.2f} s to {t[b.start]:.2f} s: the recording is solved"
         " apart on both sides, and nothing is recovered in between"
-        for a, b in pairwise(pieces)
+        for a, b in pairwise(segments)
     ]
 
 
 def _clock(recording: Recording, clock: Clock) -> list[str]:
     notes = []
-    if stamps_made_up(recording.arm.t_s):
+    if synthetic_stamps(recording.arm.t_s):
         notes.append(
             "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
             " up, dropped frames are hidden, and fast movement is known less well"
@@ -66,7 +66,7 @@ def _clock(recording: Recording, clock: Clock) -> list[str]:
     return notes
 
 
-def _mounting(known: Knowledge) -> list[str]:
+def _mounting(known: SelfCalibration) -> list[str]:
     if not known.mounting_unknown:
         return []
     return [

@@ -15,17 +15,17 @@ from ..config import Config
 from ..graph.solve import solve
 from ..measurements.alignment import GRAVITY, Alignment
 from ..measurements.clock import Clock
-from ..measurements.outliers import by_camera, by_residual
-from ..measurements.segment import Piece
+from ..measurements.outliers import reject_by_camera, reject_by_residual
+from ..measurements.segment import Segment
 from ..recording import FloatArray
-from ..selfcal.clock_fit import Pulls, pulls_of
-from ..selfcal.rounds import Knowledge, screen_attitude, started
-from ..window.cut import Stretch, cut, cut_times, window_nodes
+from ..selfcal.clock_fit import ClockScore, clock_score
+from ..selfcal.rounds import SelfCalibration, reject_by_direction, with_initial_values
+from ..window.cut import PreparedSegment, cut, cut_times, window_nodes
 from ..window.prepare import prepare
-from ..window.problem import FieldSight, Message, Noise, Priors, Window
-from ..window.trajectory import Motion, join
-from .magnetometer import Block, Observed, blocks_of, observe
-from .samples import SectionAnswer, answer_of, frame_residuals
+from ..window.problem import FieldMeasurements, Message, NoiseModel, Priors, Window
+from ..window.trajectory import Trajectory, merge_windows
+from .magnetometer import FieldMean, FieldObservation, field_means, observe
+from .samples import SectionAnswer, frame_residuals, sample_section
 from .sections import SectionData
 
 #: The first pass is a start for the second, which ends within 0.02 sigma (0.15 mm) of where it would with a
@@ -49,10 +49,10 @@ class Task:
     with_clock : the first pass asks every section for the clock.
     """
 
-    known: Knowledge
+    known: SelfCalibration
     config: Config
     prior: Priors
-    noise: Noise
+    noise: NoiseModel
     sharing: int
     joints: tuple[str, ...]
     magnetometer: bool
@@ -60,14 +60,14 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Kept:
+class SectionState:
     """What the second pass needs of a section.
 
     Attributes
     ----------
     imu_t : the IMU's stamps, of which the first is the recording's sample `first_sample`.
-    piece, stretch, alignment, borders, motion : samples, nodes, the inertial frame's alignment, where windows
-        begin and end, and the motion found.
+    segment, prepared, alignment, borders, motion : samples, nodes, the inertial frame's alignment, where
+        windows begin and end, and the motion found.
     clock : that the first pass had.
     seen : what the magnetometer read, a window each; empty without one.
     believed : samples that the first pass contradicts were set aside already.
@@ -75,13 +75,13 @@ class Kept:
 
     imu_t: FloatArray
     first_sample: int
-    piece: Piece
-    stretch: Stretch
+    segment: Segment
+    prepared: PreparedSegment
     alignment: Alignment
     clock: Clock
     borders: list[float]
-    motion: Motion
-    seen: tuple[Observed, ...]
+    motion: Trajectory
+    seen: tuple[FieldObservation, ...]
     believed: bool = False
 
 
@@ -94,13 +94,13 @@ class FirstAnswer:
     kept : what its second pass needs.
     messages : on the shared quantities, a window each.
     strengths : of the magnetic field where it was read, a window each.
-    pulls : on the clock, of one window.
+    score : on the clock, of one window.
     """
 
-    kept: Kept
+    kept: SectionState
     messages: list[Message]
     strengths: tuple[FloatArray, ...]
-    pulls: Pulls
+    score: ClockScore
 
 
 @dataclass(frozen=True)
@@ -119,19 +119,19 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
     SolveError
         A window leaves something free; the text names the time.
     """
-    piece = data.piece()
-    if piece is None:
+    segment = data.segment()
+    if segment is None:
         return None
     known, config = task.known, task.config
     clock = known.clocks[0]
-    (piece,) = known.bias.corrected([by_camera(piece)])
-    piece, alignment = screen_attitude(piece, known.start, clock)
-    ready = prepare(piece, known.start, clock, known.sigma_m, config.windows.margin_s, alignment)
+    (segment,) = known.bias.corrected([reject_by_camera(segment)])
+    segment, alignment = reject_by_direction(segment, known.start, clock)
+    ready = prepare(segment, known.start, clock, known.sigma_m, config.windows.margin_s, alignment)
     if ready is None:
         return None
-    stretch, alignment = ready
-    borders = cut_times(stretch, config.windows.length_s)
-    windows = _windows(stretch, borders, [task.prior] * (len(borders) - 1), task)
+    prepared, alignment = ready
+    borders = cut_times(prepared, config.windows.length_s)
+    windows = _windows(prepared, borders, [task.prior] * (len(borders) - 1), task)
     middle = len(windows) // 2
     solutions = [
         solve(
@@ -142,25 +142,25 @@ def first_pass(data: SectionData, task: Task) -> FirstAnswer | None:
         )
         for k, window in enumerate(windows)
     ]
-    pulls = pulls_of([windows[middle]], [solutions[middle]]).gathered()
+    score = clock_score([windows[middle]], [solutions[middle]]).gathered()
     seen = tuple(
         observe(data.imu, window, solution)
         for window, solution in zip(windows, solutions, strict=True)
         if task.magnetometer  # it is judged by what the first pass knows of the attitude
     )
-    motion = join(stretch.t, windows, solutions)
-    kept = Kept(
-        data.imu.t_s, data.section.samples.start, piece, stretch, alignment, clock, borders, motion, seen
+    motion = merge_windows(prepared.t, windows, solutions)
+    kept = SectionState(
+        data.imu.t_s, data.section.samples.start, segment, prepared, alignment, clock, borders, motion, seen
     )
     messages, strengths = [each.message for each in solutions], tuple(each.strength for each in seen)
-    return FirstAnswer(kept, messages, strengths, pulls)
+    return FirstAnswer(kept, messages, strengths, score)
 
 
 def second_pass(
-    kept: Kept,
+    kept: SectionState,
     told: Sequence[Priors],
     found: ArmCalibration,
-    fields: Mapping[int, FieldSight],
+    fields: Mapping[int, FieldMeasurements],
     task: Task,
 ) -> SecondAnswer:
     """Solve a section again with what all others found.
@@ -171,61 +171,63 @@ def second_pass(
     found : the arm's calibration as all sections together have it.
     fields : what the magnetometer adds, by the window's number in the section.
     """
-    kept = believe(kept, found, task)
+    kept = reject_outliers(kept, found, task)
     windows = [
         replace(window, field=fields[number]) if number in fields else window
-        for number, window in enumerate(_windows(kept.stretch, kept.borders, told, task))
+        for number, window in enumerate(_windows(kept.prepared, kept.borders, told, task))
     ]
     solutions = [
         solve(window, with_covariance=True, with_message=False, tolerance=SECOND_TOLERANCE)
         for window in windows
     ]
-    motion = join(kept.stretch.t, windows, solutions)
-    answer = answer_of(
-        kept.imu_t, kept.first_sample, kept.piece, kept.stretch, motion, found, task.known, task.joints
+    motion = merge_windows(kept.prepared.t, windows, solutions)
+    answer = sample_section(
+        kept.imu_t, kept.first_sample, kept.segment, kept.prepared, motion, found, task.known, task.joints
     )
     return SecondAnswer(answer, [each.message for each in solutions])
 
 
-def believe(kept: Kept, found: ArmCalibration, task: Task) -> Kept:
+def reject_outliers(kept: SectionState, found: ArmCalibration, task: Task) -> SectionState:
     """Without samples that the first pass contradicts, and with better start values."""
     if kept.believed:
         return kept
-    piece, stretch, motion, known = kept.piece, kept.stretch, kept.motion, task.known
+    segment, prepared, motion, known = kept.segment, kept.prepared, kept.motion, task.known
     clock = known.clocks[0]
     residual = frame_residuals(
-        piece.position, piece.frame_t + clock.at(piece.frame_t), stretch, motion, found
+        segment.position, segment.frame_t + clock.at(segment.frame_t), prepared, motion, found
     )
-    believed = by_residual(piece, residual, known.noise)
+    believed = reject_by_residual(segment, residual, known.noise)
     margin_s = task.config.windows.margin_s
     again = None
-    if believed is not piece:
+    if believed is not segment:
         again = prepare(believed, known.start, clock, known.sigma_m, margin_s, kept.alignment)
     if again is None:
         # frames may lie elsewhere, on a clock that was found anew; they are carried to the same nodes
-        before = piece.frame_t + kept.clock.at(piece.frame_t)
-        inside = (before >= piece.start_s) & (before <= piece.end_s)
+        before = segment.frame_t + kept.clock.at(segment.frame_t)
+        inside = (before >= segment.start_s) & (before <= segment.end_s)
         frame_t = np.clip(
-            piece.frame_t + clock.at(piece.frame_t), stretch.signal.start_s, stretch.signal.end_s
+            segment.frame_t + clock.at(segment.frame_t), prepared.signal.start_s, prepared.signal.end_s
         )[inside]
-        return replace(kept, stretch=replace(stretch, start=motion.states, frame_t=frame_t), believed=True)
-    return replace(kept, piece=believed, stretch=started(again[0], motion), believed=True)
+        return replace(kept, prepared=replace(prepared, start=motion.states, frame_t=frame_t), believed=True)
+    return replace(kept, segment=believed, prepared=with_initial_values(again[0], motion), believed=True)
 
 
-def field_blocks(
-    kept: Kept, first_window: int, strength: float, found: ArmCalibration, task: Task
-) -> tuple[Kept, list[Block]]:
+def section_field_means(
+    kept: SectionState, first_window: int, strength: float, found: ArmCalibration, task: Task
+) -> tuple[SectionState, list[FieldMean]]:
     """Where the magnetometer could take part in the second pass; windows are numbered from `first_window`."""
-    kept = believe(kept, found, task)
-    stretch, margin_s = kept.stretch, task.config.windows.margin_s
-    blocks: list[Block] = []
+    kept = reject_outliers(kept, found, task)
+    prepared, margin_s = kept.prepared, task.config.windows.margin_s
+    blocks: list[FieldMean] = []
     for number, seen in enumerate(kept.seen):
-        rows = window_nodes(stretch.t, kept.borders, number, margin_s)
-        blocks += blocks_of(first_window + number, seen, strength, stretch.t[rows], stretch.start.R[rows])
+        rows = window_nodes(prepared.t, kept.borders, number, margin_s)
+        blocks += field_means(first_window + number, seen, strength, prepared.t[rows], prepared.start.R[rows])
     return replace(kept, seen=()), blocks
 
 
-def _windows(stretch: Stretch, borders: list[float], priors: Sequence[Priors], task: Task) -> list[Window]:
+def _windows(
+    prepared: PreparedSegment, borders: list[float], priors: Sequence[Priors], task: Task
+) -> list[Window]:
     return list(
-        cut(stretch, priors, task.noise, borders, task.config.windows.margin_s, GRAVITY, task.sharing)
+        cut(prepared, priors, task.noise, borders, task.config.windows.margin_s, GRAVITY, task.sharing)
     )

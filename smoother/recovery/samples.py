@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.alignment import lever_of
-from ..measurements.segment import Piece
+from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS, BoolArray, FloatArray
-from ..selfcal.rounds import Knowledge
-from ..window.cut import Stretch
-from ..window.trajectory import BLEND_HALF_S, Motion, at_times
+from ..selfcal.rounds import SelfCalibration
+from ..window.cut import PreparedSegment
+from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times
 
 #: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
 COMMON_BIAS_SHARE = 1.0
@@ -63,14 +63,14 @@ class SectionAnswer:
     gravity: FloatArray
 
 
-def answer_of(
+def sample_section(
     imu_t: FloatArray,
     first_sample: int,
-    piece: Piece,
-    stretch: Stretch,
-    motion: Motion,
+    segment: Segment,
+    prepared: PreparedSegment,
+    motion: Trajectory,
     calibration: ArmCalibration,
-    known: Knowledge,
+    known: SelfCalibration,
     names: Sequence[str],
 ) -> SectionAnswer:
     """The answer of a section from its joined motion.
@@ -81,11 +81,11 @@ def answer_of(
     names : joints to answer for.
     """
     clock = known.clocks[0]
-    start_s = max(motion.t[0], stretch.start_s - BLEND_HALF_S)
-    end_s = min(motion.t[-1], stretch.end_s + BLEND_HALF_S)
+    start_s = max(motion.t[0], prepared.start_s - BLEND_HALF_S)
+    end_s = min(motion.t[-1], prepared.end_s + BLEND_HALF_S)
     first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
     t = imu_t[first:last]
-    states = at_times(motion, stretch.signal, t)
+    states = at_times(motion, prepared.signal, t)
     pose = widen_turns(interpolate(motion.t, motion.pose_covariance, t))
     pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
     # a clock that is off by a moment moves the whole path along itself
@@ -93,12 +93,12 @@ def answer_of(
     joints = {joint: _joint(joint, states.R, states.p, pose, calibration, motion, t) for joint in names}
     if known.mounting_unknown:  # joints that are seen are known all the same
         pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
-    frame_t = piece.frame_t + clock.at(piece.frame_t)
-    own = slice(*np.searchsorted(frame_t, [piece.core_start_s, piece.core_end_s]).tolist())
-    seen = piece.position[own] + known.bias.found_m  # as the camera said it
+    frame_t = segment.frame_t + clock.at(segment.frame_t)
+    own = slice(*np.searchsorted(frame_t, [segment.core_start_s, segment.core_end_s]).tolist())
+    seen = segment.position[own] + known.bias.found_m  # as the camera said it
     return SectionAnswer(
         samples=slice(first_sample + int(first), first_sample + int(last)),
-        occluded=occluded_at(t, stretch.gaps),
+        occluded=occluded_at(t, prepared.gaps),
         position=states.p,
         quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
         velocity=states.v,
@@ -106,14 +106,14 @@ def answer_of(
         velocity_covariance=interpolate(motion.t, motion.velocity_covariance, t),
         joints={joint: place for joint, (place, _) in joints.items()},
         joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
-        border_s=piece.core_start_s,
+        border_s=segment.core_start_s,
         gaps=tuple(
-            gap for gap in stretch.gaps if gap.end_s > stretch.start_s and gap.start_s < stretch.end_s
+            gap for gap in prepared.gaps if gap.end_s > prepared.start_s and gap.start_s < prepared.end_s
         ),
-        frames=slice(piece.frames.start + own.start, piece.frames.start + own.stop),
-        residual=frame_residuals(seen, frame_t[own], stretch, motion, calibration),
-        used=piece.accepted[own],
-        reason=piece.reason[own],
+        frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
+        residual=frame_residuals(seen, frame_t[own], prepared, motion, calibration),
+        used=segment.accepted[own],
+        reason=segment.reason[own],
         gravity=motion.gravity.mean(axis=0),
     )
 
@@ -147,7 +147,7 @@ def _joint(
     p: FloatArray,
     pose_covariance: FloatArray,
     calibration: ArmCalibration,
-    motion: Motion,
+    motion: Trajectory,
     t: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's position and covariance at the samples: a lever arm on the pose, or the shoulder."""
@@ -168,8 +168,8 @@ def _joint(
 def frame_residuals(
     position: FloatArray,
     frame_t: FloatArray,
-    stretch: Stretch,
-    motion: Motion,
+    prepared: PreparedSegment,
+    motion: Trajectory,
     calibration: ArmCalibration,
 ) -> FloatArray:
     """Camera minus answer (f, 5, 3) m at frames (IMU clock), seen or set aside; nan where there is none."""
@@ -177,7 +177,7 @@ def frame_residuals(
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):
         return residual
-    states = at_times(motion, stretch.signal, frame_t[rows])
+    states = at_times(motion, prepared.signal, frame_t[rows])
     for column, joint in enumerate(JOINTS):
         if joint == "shoulder":
             if motion.shoulder is not None:

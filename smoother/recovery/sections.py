@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..measurements.clock import Clock
-from ..measurements.segment import FEWEST_SAMPLES, Piece, Traits, make_piece, traits_of
-from ..measurements.timestamps import split_at_pauses, steady
+from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, make_segment, traits_of
+from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import MISSING_S, enough_joints, joints_needed
 from ..recording import FloatArray, ImuStream, JointState, JointTracks, Recording
 from ..window.cut import KEEP_S
@@ -59,14 +59,14 @@ class SectionData:
     imu: ImuStream
     arm: JointTracks
     steady_t: FloatArray
-    traits: Traits
+    traits: SegmentTraits
 
-    def piece(self) -> Piece | None:
+    def segment(self) -> Segment | None:
         """The section as a piece; None where the camera saw nothing of the forearm."""
-        piece = make_piece(self.imu, self.steady_t, self.arm, self.section.frames, self.traits)
-        if piece is None:
+        segment = make_segment(self.imu, self.steady_t, self.arm, self.section.frames, self.traits)
+        if segment is None:
             return None
-        return replace(piece, core_start_s=self.section.start_s, core_end_s=self.section.end_s)
+        return replace(segment, core_start_s=self.section.start_s, core_end_s=self.section.end_s)
 
 
 class Sections:
@@ -94,7 +94,7 @@ class Sections:
             own = list(_sections(recording.imu.t_s, stretch, frame_t, runs))
             self.all += own
             self._stretch += [stretch.start] * len(own)
-            self._steady[stretch.start] = steady(recording.imu.t_s[stretch])
+            self._steady[stretch.start] = dejitter(recording.imu.t_s[stretch])
 
     def __iter__(self) -> Iterator[SectionData]:
         """The sections with their samples, which are read when their turn comes."""

@@ -15,38 +15,38 @@ from ..measurements.outliers import REASONS
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, FloatArray, Recording
 from ..result import FrameResiduals, Recovery
-from ..runtime.store import Room
-from ..selfcal.rounds import Knowledge
+from ..runtime.store import Store
+from ..selfcal.rounds import SelfCalibration
 from ..window.problem import Message
 from ..window.trajectory import mix, share_after, turn_to
 from .notes import notes_on
 from .samples import SectionAnswer
 
 
-class Stitch:
+class Merger:
     """Puts the sections' answers together, in the order of time.
 
     Parameters
     ----------
     recording : what is answered for.
     names : joints to answer for.
-    room : where the columns live.
+    store : where the columns live.
     """
 
-    def __init__(self, recording: Recording, names: tuple[str, ...], room: Room) -> None:
+    def __init__(self, recording: Recording, names: tuple[str, ...], store: Store) -> None:
         self._recording = recording
         samples, frames = len(recording.imu), len(recording.arm)
         self._columns = {
-            "position": room.array((samples, 3)),
-            "quaternion": room.array((samples, 4)),
-            "velocity": room.array((samples, 3)),
-            "pose_covariance": room.array((samples, 6, 6)),
-            "velocity_covariance": room.array((samples, 3, 3)),
+            "position": store.array((samples, 3)),
+            "quaternion": store.array((samples, 4)),
+            "velocity": store.array((samples, 3)),
+            "pose_covariance": store.array((samples, 6, 6)),
+            "velocity_covariance": store.array((samples, 3, 3)),
         }
-        self._joints = {joint: room.array((samples, 3)) for joint in names}
-        self._joint_covariance = {joint: room.array((samples, 3, 3)) for joint in names}
+        self._joints = {joint: store.array((samples, 3)) for joint in names}
+        self._joint_covariance = {joint: store.array((samples, 3, 3)) for joint in names}
         self._occluded = np.ones(samples, bool)
-        self._residual = room.array((frames, len(JOINTS), 3))
+        self._residual = store.array((frames, len(JOINTS), 3))
         self._used = np.zeros((frames, len(JOINTS)), bool)
         self._reason = np.zeros((frames, len(JOINTS)), np.uint8)
         self._gaps: list[Gap] = []
@@ -78,7 +78,7 @@ class Stitch:
         self._end = rows.stop
 
     def recovery(
-        self, calibration: ArmCalibration, config: Config, known: Knowledge, clock: Clock
+        self, calibration: ArmCalibration, config: Config, known: SelfCalibration, clock: Clock
     ) -> Recovery:
         """The answer at every IMU sample; nan where no section has one.
 

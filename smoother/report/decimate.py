@@ -13,7 +13,7 @@ MOST_POINTS = 6000
 GAP_SHARE = 0.6
 
 
-def thin(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
+def decimate(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
     """Samples to draw: at most `most`, evenly spaced, closer together where it is important.
 
     Parameters

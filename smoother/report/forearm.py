@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 from calib.forearm.forearm_frame import forearm_frame
 from calib.forearm.forearm_summary import AGREE, Compared, compare, next_time, open_questions, verdict
 from calib.forearm.held_pose_fit import ForearmCalibration
-from calib.motion.estimates import Found
+from calib.motion.estimates import ArmEstimates
 from calib.motion.evidence import Evidence
 
 from ..recording import JOINTS, Recording
@@ -77,9 +77,9 @@ def _sections(recording: Recording, found: ForearmCalibration, rows: list[Compar
     yield listing("What stayed open", open_questions(found), "Nothing stayed open.")
 
 
-def _as_found(found: ForearmCalibration) -> Found:
+def _as_found(found: ForearmCalibration) -> ArmEstimates:
     nothing = Evidence(float("nan"), {}, float("nan"), float("nan"))
-    return Found(found.calibration, forearm_frame(found.calibration), (), nothing, ())
+    return ArmEstimates(found.calibration, forearm_frame(found.calibration), (), nothing, ())
 
 
 def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.imu.allan import Noise
+from calib.imu.allan import SensorNoise
 from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
 from calib.imu.sensor_calibration import ImuCalibration
 from calib.imu.sphere_coverage import sphere_points
@@ -175,7 +175,7 @@ def residuals(found: ImuCalibration) -> go.Figure:
     return dress(drawn, 320, xaxis={"title": "rest"}, yaxis={"title": "|force| - gravity, m/s²"})
 
 
-def allan(noise: Noise, unit: str) -> go.Figure:
+def allan(noise: SensorNoise, unit: str) -> go.Figure:
     """Allan deviation over averaging time, both logarithmic."""
     drawn = go.Figure()
     for column, (axis, colour) in enumerate(AXIS_COLOURS.items()):

@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from calib.motion.estimates import Found
+from calib.motion.estimates import ArmEstimates
 
 from ..calibration import LeverArm
 from ..recording import FloatArray
@@ -22,7 +22,7 @@ SIGMAS = 2.0
 _CHAIN = ("elbow", "wrist", "hand")
 
 
-def mount(found: Found | None) -> go.Figure | None:
+def mount(found: ArmEstimates | None) -> go.Figure | None:
     """The forearm from the side and from above, with the sensor and its axes; None without a lever arm."""
     if found is None or not found.calibration.lever_arms:
         return None
@@ -71,7 +71,7 @@ def mount(found: Found | None) -> go.Figure | None:
     return dress(figure, int(np.clip(height, 420, 900)), head=40)
 
 
-def directions(found: Found) -> tuple[FloatArray, FloatArray]:
+def directions(found: ArmEstimates) -> tuple[FloatArray, FloatArray]:
     """Unit vectors in {A}: along the forearm, and from it to the sensor (or any across it)."""
     levers = found.calibration.lever_arms
     if found.frame is not None:
@@ -97,7 +97,7 @@ def ellipse(lever: LeverArm, onto: FloatArray, sigmas: float = SIGMAS) -> FloatA
     return 100 * (onto @ lever.position_m + sigmas * (circle * np.sqrt(np.maximum(values, 0))) @ axes.T)
 
 
-def _traces(found: Found, onto: FloatArray) -> list[go.Scatter]:
+def _traces(found: ArmEstimates, onto: FloatArray) -> list[go.Scatter]:
     levers = found.calibration.lever_arms
     chain = [joint for joint in _CHAIN if joint in levers]
     bones = 100 * np.array([onto @ levers[joint].position_m for joint in chain]).reshape(-1, 2)
@@ -185,7 +185,7 @@ def _beyond(tip: FloatArray) -> str:
     return "top center" if tip[1] > 0 else "bottom center"
 
 
-def _lengths(figure: go.Figure, found: Found, onto: FloatArray, row: int) -> None:
+def _lengths(figure: go.Figure, found: ArmEstimates, onto: FloatArray, row: int) -> None:
     """Lengths beside what they measure; the sensor's distance only where it is seen."""
     levers, frame = found.calibration.lever_arms, found.frame
     if frame is None:

@@ -14,7 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from calib.motion.estimates import Found, found_in
+from calib.motion.estimates import ArmEstimates, found_in
 
 from ..evaluation.advice import advice
 from ..evaluation.coverage import camera_residuals
@@ -23,7 +23,7 @@ from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery
 from ..runtime.atomic import writing
 from . import tables
-from .decimate import MOST_POINTS, thin
+from .decimate import MOST_POINTS, decimate
 from .mount import mount
 from .path3d import flat_views, path_in_space
 from .points import points
@@ -125,7 +125,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             f" The recording is long: of its {len(recovery)} samples about {MOST_POINTS} are drawn,"
             " closer together in the gaps."
         )
-    recovery = recovery.rows(thin(recovery.occluded))
+    recovery = recovery.rows(decimate(recovery.occluded))
     reference = " The dashed black line is the reference." if truth is not None else ""
     arms = " The thick lines are the arm (shoulder, elbow, wrist, hand) at a few instants."
     directions = ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""
@@ -210,7 +210,7 @@ def _trust(recovery: Recovery, truth: Truth | None) -> Iterator[str]:
         yield f"<h2>What was set aside</h2>{aside}"
 
 
-def _found(recovery: Recovery, found: Found | None) -> Iterator[str]:
+def _found(recovery: Recovery, found: ArmEstimates | None) -> Iterator[str]:
     """How the sensor sits on the arm: drawn, as tables, and what stayed open."""
     heading, about = (
         "How the sensor sits on the arm",

@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from ..recording import BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
-from .decimate import split_line, thin
+from .decimate import decimate, split_line
 from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, dress
 
 #: How many arms are drawn.
@@ -19,13 +19,13 @@ _CHAIN = ("shoulder", "elbow", "wrist", "hand")
 def path_in_space(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
     """The sensor's path in 3D: visible and occluded, the truth dashed, the arm at some instants."""
     figure = go.Figure()
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     visible, hidden = split_line(recovery.position[index], recovery.occluded[index])
     line = {"width": 4}
     for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
         figure.add_trace(_line3d(values, name, {**line, "color": colour}))
     if truth is not None and len(truth):
-        drawn = truth.position[thin(np.zeros(len(truth), bool))]
+        drawn = truth.position[decimate(np.zeros(len(truth), bool))]
         figure.add_trace(_line3d(drawn, "reference", {"width": 3, "color": TRUTH, "dash": "dash"}))
     for name, occluded, colour in (("arm, seen", False, VISIBLE), ("arm, recovered", True, OCCLUDED)):
         chain = arm_lines(recovery, instants(recovery, occluded))
@@ -63,11 +63,11 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
         else None
     )
     figure = make_subplots(rows=1, cols=2, subplot_titles=titles)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     visible, hidden = split_line(recovery.position[index], recovery.occluded[index])
     lines = [("seen", visible, VISIBLE, "solid"), ("recovered", hidden, OCCLUDED, "solid")]
     if truth is not None and len(truth):
-        lines.append(("reference", truth.position[thin(np.zeros(len(truth), bool))], TRUTH, "dot"))
+        lines.append(("reference", truth.position[decimate(np.zeros(len(truth), bool))], TRUTH, "dot"))
     for column, ((right, mirrored), (upward, flipped)) in enumerate(views, start=1):
         for name, values, colour, dash in lines:
             figure.add_trace(

@@ -8,8 +8,7 @@ import numpy as np
 
 from ..recording import FloatArray, Truth
 from ..result import Recovery
-from ..runtime.pages import gathered
-from .decimate import thin
+from .decimate import decimate
 
 SENSOR = "sensor"
 #: Most camera samples of a point that are drawn.
@@ -65,11 +64,9 @@ def _point(
     arm = recovery.arm
     tracked = [part.tracked(joint) for part in recovery.frames()]
     frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
-    frames = frames[thin(np.zeros(len(frames), bool), MOST_DOTS)]
+    frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
     reference = np.zeros((0, 3))
     if truth is not None:
         reference = truth.position if truth_joint is None else truth.joints.get(truth_joint, reference)
     truth_t = truth.t_s if truth is not None and len(reference) else np.zeros(0)
-    return Point(
-        name, position, sigma, arm.t_s[frames], gathered(arm.joint(joint), frames), truth_t, reference
-    )
+    return Point(name, position, sigma, arm.t_s[frames], arm.joint(joint)[frames], truth_t, reference)

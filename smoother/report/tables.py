@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from calib.motion.estimates import Found
+from calib.motion.estimates import ArmEstimates
 
 from ..calibration import ArmCalibration
 from ..evaluation.rejected import rejected
@@ -109,7 +109,7 @@ def set_aside(recovery: Recovery) -> str:
     return table(columns, rows)
 
 
-def camera(found: Found) -> str:
+def camera(found: ArmEstimates) -> str:
     """Noise and constant errors of the camera's joints; "" where they are not known."""
     if not found.camera:
         return ""

@@ -9,8 +9,7 @@ from plotly.subplots import make_subplots
 from ..evaluation.validate import sample_errors
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
-from ..runtime.pages import gathered
-from .decimate import band, split_line, thin
+from .decimate import band, decimate, split_line
 from .points import Point
 from .style import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
 
@@ -20,7 +19,7 @@ _TIME = "time, s"
 def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | None) -> go.Figure:
     """Coordinates over time with their band of two sigmas; buttons choose the point."""
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     t, occluded = recovery.t_s[index], recovery.occluded[index]
     owner: list[str] = []
     for point in shown:
@@ -70,7 +69,7 @@ def _coordinate(
             go.Scatter(x=t, y=values, name=name, mode="lines", line={"color": colour, "width": 1.8})
         )
     if len(point.truth):
-        kept = thin(np.zeros(len(point.truth), bool))
+        kept = decimate(np.zeros(len(point.truth), bool))
         dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
         traces.append(
             go.Scatter(
@@ -86,7 +85,7 @@ def angles(recovery: Recovery) -> go.Figure | None:
     if not rows:
         return None
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     t = recovery.t_s[index]
     for row, (name, value) in enumerate(rows, start=1):
         visible, hidden = split_line(value[index], recovery.occluded[index])
@@ -128,7 +127,7 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
     if not np.isfinite(sigma_cm).any() and errors is None:
         return None
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     t = recovery.t_s[index]
     error_cm = None if errors is None else 100 * errors.distance_m
     error_deg = None if errors is None else errors.angle_deg
@@ -173,17 +172,17 @@ def residuals(recovery: Recovery) -> go.Figure | None:
 
 def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
     def distance_cm(index: IntArray) -> FloatArray:
-        return 100 * np.linalg.norm(gathered(kept.residual[:, joint], index), axis=1)
+        return 100 * np.linalg.norm(kept.residual[:, joint][index], axis=1)
 
     aside = ~kept.used[:, joint] & answered & (kept.reason[:, joint] != 0)
     index = np.flatnonzero(kept.used[:, joint] & answered)
-    index = index[thin(np.zeros(len(index), bool), 3000)]
+    index = index[decimate(np.zeros(len(index), bool), 3000)]
     dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
     traces = [
         go.Scatter(x=kept.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots)
     ]
     index = np.flatnonzero(aside)
-    index = index[thin(np.zeros(len(index), bool), 1000)]
+    index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
         cross = _cross("set aside", kept.t_s[index], distance_cm(index))
         cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)

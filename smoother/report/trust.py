@@ -11,7 +11,7 @@ from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
 from ..evaluation.rejected import rejected
 from ..recording import JOINTS, Truth
 from ..result import Recovery
-from .decimate import thin
+from .decimate import decimate
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
 
 #: Colours of the reasons for which samples are set aside, in the order of their frequency.
@@ -99,7 +99,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     drawn = [joint for joint in JOINTS if joint in drawn]
     for joint in drawn:
         index = np.flatnonzero(kept.used[:, JOINTS.index(joint)])
-        index = index[thin(np.zeros(len(index), bool), 2000)]
+        index = index[decimate(np.zeros(len(index), bool), 2000)]
         tick = {"symbol": "line-ns-open", "size": 8, "color": "#c9d3da"}
         figure.add_trace(
             go.Scatter(
@@ -117,7 +117,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     for number, (reason, why) in enumerate(reasons):
         text = f"{reason}: {why}" if why else reason
         at, column = np.nonzero(kept.reason == kept.reasons.index(text))
-        chosen = thin(np.zeros(len(at), bool), 3000)
+        chosen = decimate(np.zeros(len(at), bool), 3000)
         tick = {"symbol": "line-ns-open", "size": 20, "color": REASON_COLOURS[number % len(REASON_COLOURS)]}
         figure.add_trace(
             go.Scatter(

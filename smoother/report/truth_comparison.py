@@ -13,7 +13,7 @@ from ..evaluation.angle_figures import WORDS, AngleComparison
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import FloatArray, Truth
 from ..result import Recovery
-from .decimate import split_line, thin
+from .decimate import decimate, split_line
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress, shade
 from .tables import table
 
@@ -66,7 +66,7 @@ def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
     """Position and orientation errors over time, with the joints' to be switched on."""
     errors = sample_errors(recovery, truth)
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     t, occluded = recovery.t_s[index], recovery.occluded[index]
     for row, values in ((1, 100 * errors.distance_m), (2, errors.angle_deg)):
         if not np.isfinite(values).any():
@@ -94,7 +94,7 @@ def angle_curves(recovery: Recovery, angles: AngleComparison) -> go.Figure:
     """Angles of answer and reference over time, a row an angle."""
     names = angles.compared
     figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.03)
-    index = thin(recovery.occluded)
+    index = decimate(recovery.occluded)
     t, occluded = recovery.t_s[index], recovery.occluded[index]
     for row, name in enumerate(names, start=1):
         answer, true = _unwound(angles, name)
@@ -132,7 +132,7 @@ def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str,
             ("in gaps", recovery.occluded, OCCLUDED),
         ):
             chosen = np.flatnonzero(part & np.isfinite(difference))
-            chosen = chosen[thin(np.zeros(len(chosen), bool), 1500)]
+            chosen = chosen[decimate(np.zeros(len(chosen), bool), 1500)]
             dots = go.Scatter(
                 x=mean[chosen],
                 y=difference[chosen],

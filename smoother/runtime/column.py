@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from .store import Room
+from .store import Store
 
 #: Rows that are looked at together; keeps memory flat however long the column is.
-PASS_ROWS = 1 << 15
+BATCH_ROWS = 1 << 15
 #: Statistics of longer columns are taken of an even sub-sample of at least this many rows.
 _ENOUGH = 50_000
 
@@ -20,7 +20,7 @@ class Column:
 
     Parameters
     ----------
-    room : where the rows lie.
+    store : where the rows lie.
     tail : shape of a row.
     dtype : of its values.
     optional : rows cost nothing until the first that is not nan.
@@ -28,12 +28,12 @@ class Column:
 
     def __init__(
         self,
-        room: Room,
+        store: Store,
         tail: tuple[int, ...] = (),
         dtype: DTypeLike = np.float64,
         optional: bool = False,
     ):
-        self._room = room
+        self._store = store
         self._array: NDArray = np.empty((0, *tail), dtype)
         self._count = 0
         self._blank = optional
@@ -49,7 +49,7 @@ class Column:
             return
         if self._blank:
             before, self._count, self._blank = self._count, 0, False
-            for part in passes(before, self._room):
+            for part in batches(before):
                 self.append(np.full((part.stop - part.start, *self._array.shape[1:]), np.nan))
         if end > len(self._array):
             self._array = self._moved(max(end, 2 * len(self._array)))
@@ -70,25 +70,19 @@ class Column:
         return array
 
     def _moved(self, length: int) -> NDArray:
-        array = self._room.array((length, *self._array.shape[1:]), 0, self._array.dtype)
-        for part in passes(self._count, self._room):
+        array = self._store.array((length, *self._array.shape[1:]), 0, self._array.dtype)
+        for part in batches(self._count):
             array[part] = self._array[part]
         return array
 
 
-def passes(count: int, room: Room) -> Iterator[slice]:
-    """Parts of a column one after the other; those passed may leave the memory."""
-    for start in range(0, count, PASS_ROWS):
-        yield slice(start, min(start + PASS_ROWS, count))
-        if count > PASS_ROWS:
-            room.tidy()
+def batches(count: int) -> Iterator[slice]:
+    """Rows of a column some thousand at a time, so that what is computed of them stays small."""
+    for start in range(0, count, BATCH_ROWS):
+        yield slice(start, min(start + BATCH_ROWS, count))
 
 
-def sampled(values: NDArray, room: Room) -> NDArray:
+def sampled(values: NDArray) -> NDArray:
     """Rows for a statistic: all of up to 100,000, else a copy of every second, third, .. one."""
     step = max(len(values) // _ENOUGH, 1)
-    if step == 1:
-        return values
-    return np.concatenate(
-        [values[part][-part.start % step :: step].copy() for part in passes(len(values), room)]
-    )
+    return values if step == 1 else values[::step].copy()

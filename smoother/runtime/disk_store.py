@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import mmap
 import os
 import pickle
 import tempfile
-import weakref
 from types import TracebackType
 from typing import IO, Any, NamedTuple
 
@@ -16,37 +14,26 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import UnoccludeError
-from .store import Room
+from .store import Store
 
 #: Arrays smaller than this stay in memory.
 _SMALL_BYTES = 1 << 20
-#: Heap blocks from this size on lie on maps of their own (glibc's `mallopt`).
-_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 18
-#: Files are filled in pieces of this size.
-_PIECE_BYTES = 1 << 20
+#: Files are filled in batches of this size.
+_BATCH_BYTES = 1 << 20
 
 
-class Kept(NamedTuple):
+class StoredItem(NamedTuple):
     """Where a value lies that was put aside."""
 
     offset: int
     length: int
 
 
-def _libc() -> ctypes.CDLL | None:
-    """The C library where its allocator can be told to give memory back (glibc), else None."""
-    try:
-        library = ctypes.CDLL(None)
-        return library if hasattr(library, "malloc_trim") and hasattr(library, "mallopt") else None
-    except (OSError, TypeError):
-        return None
-
-
-class DiskRoom(Room):
+class DiskStore(Store):
     """Space for what grows with a recording's length, in nameless temporary files.
 
     Arrays are plain numpy arrays on shared maps of files: forked processes see what is written. A file goes
-    when its last array does, whatever happens to the program. Arrays outlive the room; values put aside
+    when its last array does, whatever happens to the program. Arrays outlive the store; values put aside
     do not.
 
     Parameters
@@ -60,15 +47,11 @@ class DiskRoom(Room):
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None):
-        self._allocator = _libc()
-        if self._allocator is not None:  # large arrays go back to the system as they are freed
-            self._allocator.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
         self._folder = os.fspath(folder) if folder is not None else tempfile.gettempdir()
-        self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._aside: IO[bytes] | None = None
-        self._kept: set[Kept] = set()
+        self._kept: set[StoredItem] = set()
 
-    def __enter__(self) -> DiskRoom:
+    def __enter__(self) -> DiskStore:
         return self
 
     def __exit__(
@@ -91,11 +74,10 @@ class DiskRoom(Room):
                 mapped = mmap.mmap(file.fileno(), size)
         except OSError as failure:
             raise self._no_space(failure) from failure
-        self._maps.add(mapped)
         return np.ndarray(shape, kind, mapped)
 
-    def keep(self, value: object) -> object:
-        """Put a value aside, in a file; `take` gives it back for what this returns."""
+    def put(self, value: object) -> object:
+        """Put a value aside, in a file; `pop` gives it back for what this returns."""
         try:
             if self._aside is None:
                 self._aside = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 (closed on exit)
@@ -106,25 +88,16 @@ class DiskRoom(Room):
             self._aside.flush()
         except OSError as failure:
             raise self._no_space(failure) from failure
-        kept = Kept(offset, self._aside.tell() - offset)
+        kept = StoredItem(offset, self._aside.tell() - offset)
         self._kept.add(kept)
         return kept
 
-    def take(self, kept: Any) -> Any:
+    def pop(self, kept: Any) -> Any:
         """The value that was put aside; it can be taken once."""
         self._kept.remove(kept)
         assert self._aside is not None
         self._aside.seek(kept.offset)
         return pickle.load(self._aside)
-
-    def tidy(self) -> None:
-        """Let the pages of all arrays leave the memory, and what was freed; the arrays are in the files."""
-        if self._allocator is not None:
-            self._allocator.malloc_trim(0)
-        if not hasattr(mmap, "MADV_DONTNEED"):
-            return
-        for mapped in list(self._maps):
-            mapped.madvise(mmap.MADV_DONTNEED)
 
     def _no_space(self, failure: OSError) -> UnoccludeError:
         if failure.errno in (errno.ENOSPC, errno.EDQUOT):
@@ -147,7 +120,7 @@ def _allocate(file: IO[bytes], size: int, fill: NDArray) -> None:
         except OSError as failure:
             if failure.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENODEV):
                 raise
-    piece = memoryview(np.repeat(fill, max(_PIECE_BYTES // fill.itemsize, 1)).tobytes())
+    piece = memoryview(np.repeat(fill, max(_BATCH_BYTES // fill.itemsize, 1)).tobytes())
     left = size
     while left:
         left -= file.write(piece[: min(left, len(piece))])

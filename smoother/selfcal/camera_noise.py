@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..measurements.joint_noise import JointNoise
 from ..recording import JOINTS, FloatArray
 from ..window.problem import Solution, Window
 
@@ -17,28 +18,14 @@ CLIP = 4.0
 SMALLEST_SIGMA_M = 5e-4
 
 
-@dataclass(frozen=True)
-class JointNoise:
-    """Noise of a joint's samples, m an axis.
-
-    `sample_m` is the deviation of one sample; `effective_m` that of a white noise with the same
-    long-run variance, which is what a graph of independent samples must be told; `memory_m` the part
-    that neighbours share.
-    """
-
-    sample_m: float
-    effective_m: float
-    memory_m: float
-
-
 def joint_noise(windows: list[Window], solutions: list[Solution]) -> dict[str, JointNoise]:
     """Noise of each forearm joint from its residuals (camera minus answer) in all windows."""
     found: dict[str, list[FloatArray]] = {}
     times: dict[str, list[FloatArray]] = {}
     for window, solution in zip(windows, solutions, strict=True):
-        for sight in window.sights:
-            found.setdefault(sight.joint, []).append(solution.residuals[sight.joint])
-            times.setdefault(sight.joint, []).append(sight.t_s)
+        for measured in window.joint_measurements:
+            found.setdefault(measured.joint, []).append(solution.residuals[measured.joint])
+            times.setdefault(measured.joint, []).append(measured.t_s)
     memory = _memory(found, times)
     return {joint: _noise(np.vstack(found[joint]), memory) for joint in found}
 

@@ -12,15 +12,15 @@ from ..recording import FloatArray, IntArray
 from ..window.problem import Solution, Window
 
 #: Offsets of made-up stamps are estimated over cells of this length, s; others a window at a time.
-CELL_MADE_UP_S = 0.5
+SYNTHETIC_CELL_S = 0.5
 #: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
 #: (log-likelihood). Stamps of a camera drift slowly; stamps that somebody made up hide dropped frames.
 WALKS = (0.0, 0.0003, 0.001)
-WALKS_MADE_UP = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
+WALKS_SYNTHETIC = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
 WALK_GAIN = 6.0
-WALK_GAIN_MADE_UP = 0.0
+WALK_GAIN_SYNTHETIC = 0.0
 #: How far a single frame's made-up stamp is off, s: about a third of a dropped frame.
-MADE_UP_SIGMA_S = 0.015
+SYNTHETIC_SIGMA_S = 0.015
 #: Crystals differ by some hundred parts in a million; it takes a while to show, s.
 SKEW_SIGMA = 5e-4
 SKEW_SPAN_S = 30.0
@@ -30,17 +30,17 @@ LONGEST_STEP_S = 0.06
 SMALLEST_PART = 0.02
 
 
-def refined_clock(clock: Clock, pulls: Pulls, made_up: bool) -> Clock:
+def refined_clock(clock: Clock, score: ClockScore, made_up: bool) -> Clock:
     """The clock that the residuals' pulls ask for; `made_up`: the stamps are (`stamps_made_up`)."""
-    if not pulls.information.sum() > 0:
+    if not score.information.sum() > 0:
         return clock
-    t = pulls.t - clock.mean_s  # back to the camera's clock, near enough to place knots
-    cell = np.floor(t / CELL_MADE_UP_S).astype(int) if made_up else pulls.window
+    t = score.t - clock.mean_s  # back to the camera's clock, near enough to place knots
+    cell = np.floor(t / SYNTHETIC_CELL_S).astype(int) if made_up else score.window
     _, cell = np.unique(cell, return_inverse=True)
-    information = np.bincount(cell, weights=pulls.information)
+    information = np.bincount(cell, weights=score.information)
     seen = information > 1e-6 * information.max()
     information = information[seen]
-    pull = np.bincount(cell, weights=pulls.slope)[seen]
+    pull = np.bincount(cell, weights=score.slope)[seen]
     middle = (np.bincount(cell, weights=t) / np.bincount(cell))[seen]
     now = clock.at(middle)
     local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
@@ -53,7 +53,7 @@ def refined_clock(clock: Clock, pulls: Pulls, made_up: bool) -> Clock:
         if again > 0.0:
             (_, offset, _, local_sigma), walk = wander, again
     if made_up:
-        local_sigma = np.hypot(local_sigma, MADE_UP_SIGMA_S)
+        local_sigma = np.hypot(local_sigma, SYNTHETIC_SIGMA_S)
     return Clock(
         middle,
         np.clip(drift + offset, -LARGEST_OFFSET_S, LARGEST_OFFSET_S),
@@ -80,12 +80,12 @@ class ClockFit:
         """Move every clock by what the residuals of another round say."""
         for number in np.unique(owner).tolist():
             chosen = np.flatnonzero(owner == number).tolist()
-            pulls = pulls_of([windows[k] for k in chosen], [solutions[k] for k in chosen])
-            self.clocks[number] = refined_clock(self.clocks[number], pulls, self._made_up[number])
+            score = clock_score([windows[k] for k in chosen], [solutions[k] for k in chosen])
+            self.clocks[number] = refined_clock(self.clocks[number], score, self._made_up[number])
 
 
 @dataclass(frozen=True)
-class Pulls:
+class ClockScore:
     """Sample by sample, (n,) each: time, fall of the loss for a later offset, information, window.
 
     The loss falls by residual . velocity / sigma^2 a second (envelope theorem). Information is
@@ -97,11 +97,11 @@ class Pulls:
     information: FloatArray
     window: IntArray
 
-    def gathered(self) -> Pulls:
+    def gathered(self) -> ClockScore:
         """The pulls of one window summed up over cells of half a second."""
-        _, cell = np.unique(np.floor(self.t / CELL_MADE_UP_S), return_inverse=True)
+        _, cell = np.unique(np.floor(self.t / SYNTHETIC_CELL_S), return_inverse=True)
         count = np.bincount(cell)
-        return Pulls(
+        return ClockScore(
             np.bincount(cell, weights=self.t) / count,
             np.bincount(cell, weights=self.slope).astype(float),
             np.bincount(cell, weights=self.information).astype(float),
@@ -109,18 +109,18 @@ class Pulls:
         )
 
 
-def pulls_of(windows: Sequence[Window], solutions: Sequence[Solution]) -> Pulls:
+def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> ClockScore:
     """What the samples of the windows' own parts say; the solutions state their offset information."""
     t, slope, information, number = [], [], [], []
     for k, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
         own, all_t, all_slope, bound = [], [], [], []
-        for sight in window.sights:
-            velocity = solution.states.v[sight.node] + sight.velocity
-            residual = solution.residuals[sight.joint]
-            size = np.linalg.norm(residual, axis=1) / sight.sigma_m
-            weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / sight.sigma_m**2
-            own.append((sight.t_s >= window.core_start_s) & (sight.t_s <= window.core_end_s))
-            all_t.append(sight.t_s)
+        for measured in window.joint_measurements:
+            velocity = solution.states.v[measured.node] + measured.velocity
+            residual = solution.residuals[measured.joint]
+            size = np.linalg.norm(residual, axis=1) / measured.sigma_m
+            weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
+            own.append((measured.t_s >= window.core_start_s) & (measured.t_s <= window.core_end_s))
+            all_t.append(measured.t_s)
             all_slope.append(weight * np.einsum("ni,ni->n", residual, velocity))
             bound.append(weight * np.einsum("ni,ni->n", velocity, velocity))
         if not own:
@@ -132,22 +132,22 @@ def pulls_of(windows: Sequence[Window], solutions: Sequence[Solution]) -> Pulls:
         information.append(part * most[core])
         number.append(np.full(int(core.sum()), k))
     if not t:
-        return Pulls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int))
-    return Pulls(*(np.concatenate(each) for each in (t, slope, information, number)))
+        return ClockScore(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int))
+    return ClockScore(*(np.concatenate(each) for each in (t, slope, information, number)))
 
 
-def together(pulls: Sequence[Pulls]) -> Pulls:
+def pooled_score(score: Sequence[ClockScore]) -> ClockScore:
     """The pulls of windows apart, numbered anew."""
-    number = [np.full(len(each.t), k) for k, each in enumerate(pulls)]
-    columns = [[getattr(each, name) for each in pulls] for name in ("t", "slope", "information")]
-    return Pulls(*(np.concatenate(each) for each in (*columns, number)))
+    number = [np.full(len(each.t), k) for k, each in enumerate(score)]
+    columns = [[getattr(each, name) for each in score] for name in ("t", "slope", "information")]
+    return ClockScore(*(np.concatenate(each) for each in (*columns, number)))
 
 
 def _likeliest(
     t: FloatArray, local: FloatArray, variance: FloatArray, made_up: bool
 ) -> tuple[tuple[float, FloatArray, float, float], float]:
     """The likeliest walk; zero unless another is clearly likelier."""
-    walks, gain = (WALKS_MADE_UP, WALK_GAIN_MADE_UP) if made_up else (WALKS, WALK_GAIN)
+    walks, gain = (WALKS_SYNTHETIC, WALK_GAIN_SYNTHETIC) if made_up else (WALKS, WALK_GAIN)
     tries = [_local_level(t, local, variance, walk) for walk in walks]
     best = max(range(len(walks)), key=lambda k: tries[k][0] - (gain if k else 0.0))
     return tries[best], walks[best]

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from ..errors import CalibrationError
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
-from .excerpts import spread_blocks
+from .excerpts import spread_excerpts
 
 #: Both speeds are taken on this grid, Hz, smoothed with this sigma, s: what joints' noise leaves of them.
 GRID_HZ, SMOOTH_S = 50.0, 0.12
@@ -34,7 +34,7 @@ SMALL_S = 0.15
 FEWEST_BLOCKS, AGREE = 3, 0.7
 
 
-def near(recording: Recording) -> tuple[Recording, Clock | None]:
+def synchronise_coarsely(recording: Recording) -> tuple[Recording, Clock | None]:
     """The recording with its camera's clock moved to where the fine search finds it, and how it was moved.
 
     Raises
@@ -82,7 +82,7 @@ def coarse_clock(recording: Recording) -> Clock | None:
 def _block_lags(recording: Recording, around_s: float) -> list[tuple[float, float]]:
     """Camera times and offsets of the blocks that are clear, s; none where they are too few."""
     rows = []
-    for block in spread_blocks(recording, BLOCKS, AROUND_S, around_s):
+    for block in spread_excerpts(recording, BLOCKS, AROUND_S, around_s):
         peak = _Peak.of(recording.imu.select(block.samples), recording.arm.select(block.frames))
         if peak is not None and peak.is_clear:
             rows.append((0.5 * (block.start_s + block.end_s), peak.lag_s))
@@ -107,8 +107,8 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
         return 0.0
     if peak.is_clear:
         return peak.lag_s
-    near = np.abs(peak.lags_s) <= reach_s
-    if near.any() and float(peak.score[near].max()) >= RIVAL * peak.score.max():
+    within_reach = np.abs(peak.lags_s) <= reach_s
+    if within_reach.any() and float(peak.score[within_reach].max()) >= RIVAL * peak.score.max():
         return 0.0  # the small offset explains the motion about as well
     if peak.correlation < BELIEVED:
         return 0.0  # no shift stands out; what the fine search finds carries its own sigma

@@ -10,16 +10,15 @@ from typing import TypeVar
 import numpy as np
 
 from ..measurements.clock import LARGEST_OFFSET_S
-from ..measurements.segment import Piece, make_piece, take_apart, traits_of
-from ..measurements.timestamps import split_at_pauses, steady
+from ..measurements.segment import Segment, make_segment, split_into_segments, traits_of
+from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import enough_joints, joints_needed
 from ..recording import FloatArray, JointState, Recording
-from ..runtime.pages import let_go
 
 #: Blocks that the calibration looks at: so long each, and so much in all, s.
-BLOCK_S = 20.0
-BLOCKS_S = 80.0
-WANTED = int(BLOCKS_S / BLOCK_S)
+EXCERPT_S = 20.0
+EXCERPTS_S = 80.0
+WANTED = int(EXCERPTS_S / EXCERPT_S)
 #: The inertial filter runs over so much more on both sides of a block, s.
 CONTEXT_S = 12.0
 #: Turning is judged over so long, s.
@@ -29,7 +28,7 @@ Block = TypeVar("Block")
 
 
 @dataclass(frozen=True)
-class Span:
+class Excerpt:
     """A block of a recording: what it looks at, s on the IMU's clock, and the rows that hold it and more."""
 
     start_s: float
@@ -38,9 +37,9 @@ class Span:
     frames: slice
 
 
-def spread_blocks(
+def spread_excerpts(
     recording: Recording, count: int, around_s: float, samples_around_s: float | None = None
-) -> list[Span]:
+) -> list[Excerpt]:
     """Blocks that tell most, as many as asked for, spread over the recording, with so much around each.
 
     Parameters
@@ -58,47 +57,46 @@ def spread_blocks(
         rows = slice(*np.searchsorted(t, [a, b]).tolist())
         inside = seen_t[slice(*np.searchsorted(seen_t, [a, b]).tolist())]
         turning = _turning(t[rows], recording.imu.gyro[rows])
-        let_go(recording.imu.gyro)
         return _worth(inside, turning)
 
     spans = []
     for part, a, b in _best(blocks, worth, count):
         first, last = part.start + np.searchsorted(t[part], [a - imu_around_s, b + imu_around_s])
         rows = np.searchsorted(arm_t, [a - around_s, b + around_s])
-        spans.append(Span(a, b, slice(int(first), int(last)), slice(int(rows[0]), int(rows[1]))))
+        spans.append(Excerpt(a, b, slice(int(first), int(last)), slice(int(rows[0]), int(rows[1]))))
     return spans
 
 
-def blocks_of(recording: Recording) -> list[Piece]:
+def excerpts_of(recording: Recording) -> list[Segment]:
     """The blocks of a recording as pieces; all of it where it is short.
 
     Of a long recording only the blocks are read (and what the inertial filter needs around them).
     """
     parts = split_at_pauses(recording.imu)
     t = recording.imu.t_s
-    if sum(t[part.stop - 1] - t[part.start] for part in parts) <= 1.5 * BLOCKS_S:
-        return take_apart(recording, LARGEST_OFFSET_S)
-    traits, pieces = traits_of(recording), []
-    for span in spread_blocks(recording, WANTED, CONTEXT_S):
+    if sum(t[part.stop - 1] - t[part.start] for part in parts) <= 1.5 * EXCERPTS_S:
+        return split_into_segments(recording, LARGEST_OFFSET_S)
+    traits, segments = traits_of(recording), []
+    for span in spread_excerpts(recording, WANTED, CONTEXT_S):
         imu, arm = recording.imu.select(span.samples), recording.arm.select(span.frames)
-        piece = make_piece(imu, steady(imu.t_s), arm, span.frames, traits)
-        if piece is not None:
-            pieces.append(piece.between(span.start_s, span.end_s))
-    return pieces
+        segment = make_segment(imu, dejitter(imu.t_s), arm, span.frames, traits)
+        if segment is not None:
+            segments.append(segment.between(span.start_s, span.end_s))
+    return segments
 
 
-def choose_blocks(pieces: list[Piece]) -> list[Piece]:
+def choose_excerpts(segments: list[Segment]) -> list[Segment]:
     """Parts of pieces that tell most: forearm visible and turning, spread over the whole."""
-    total = sum(piece.end_s - piece.start_s for piece in pieces)
-    if total <= 1.5 * BLOCKS_S:
-        return pieces
-    blocks = [piece.between(a, b) for piece in pieces for a, b in _even(piece.start_s, piece.end_s)]
+    total = sum(segment.end_s - segment.start_s for segment in segments)
+    if total <= 1.5 * EXCERPTS_S:
+        return segments
+    blocks = [segment.between(a, b) for segment in segments for a, b in _even(segment.start_s, segment.end_s)]
     return _best(blocks, _worth_of, WANTED)
 
 
 def _even(start_s: float, end_s: float) -> Iterator[tuple[float, float]]:
     """Blocks of equal length, from start to end."""
-    return pairwise(np.linspace(start_s, end_s, max(round((end_s - start_s) / BLOCK_S), 1) + 1).tolist())
+    return pairwise(np.linspace(start_s, end_s, max(round((end_s - start_s) / EXCERPT_S), 1) + 1).tolist())
 
 
 def _best(blocks: Sequence[Block], worth: Callable[[Block], float], wanted: int) -> list[Block]:
@@ -108,11 +106,11 @@ def _best(blocks: Sequence[Block], worth: Callable[[Block], float], wanted: int)
     return [blocks[max(group.tolist(), key=lambda k: worths[k])] for group in groups]
 
 
-def _worth_of(piece: Piece) -> float:
-    inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
-    edges = np.arange(piece.start_s, piece.end_s, TURN_S)
-    turning = np.linalg.norm(piece.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return _worth(piece.frame_t[enough_joints(piece.accepted, piece.needed) & inside], turning)
+def _worth_of(segment: Segment) -> float:
+    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    edges = np.arange(segment.start_s, segment.end_s, TURN_S)
+    turning = np.linalg.norm(segment.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
+    return _worth(segment.frame_t[enough_joints(segment.accepted, segment.needed) & inside], turning)
 
 
 def _worth(seen_t: FloatArray, turning: FloatArray) -> float:

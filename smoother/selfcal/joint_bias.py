@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..measurements.segment import Piece
+from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray
 from ..window.problem import Solution, Window
 
@@ -35,10 +35,10 @@ class JointBias:
         """Move the errors by what the residuals of another round leave."""
         rows: dict[str, list[FloatArray]] = {}
         for window, solution in zip(windows, solutions, strict=True):
-            for sight in window.sights:
-                residual = solution.residuals[sight.joint]
-                size = np.linalg.norm(residual, axis=1) / sight.sigma_m
-                rows.setdefault(sight.joint, []).append(residual[size < 3.0 * window.noise.cauchy])
+            for measured in window.joint_measurements:
+                residual = solution.residuals[measured.joint]
+                size = np.linalg.norm(residual, axis=1) / measured.sigma_m
+                rows.setdefault(measured.joint, []).append(residual[size < 3.0 * window.noise.cauchy])
         self.joints = tuple(joint for joint, each in rows.items() if sum(map(len, each)) >= 10)
         if len(self.joints) < 2:
             return
@@ -47,9 +47,9 @@ class JointBias:
         for joint, each in zip(self.joints, mean, strict=True):
             self.found_m[JOINTS.index(joint)] += GAIN * each
 
-    def corrected(self, pieces: Sequence[Piece]) -> list[Piece]:
+    def corrected(self, segments: Sequence[Segment]) -> list[Segment]:
         """The pieces with the errors taken off the camera's samples."""
-        return [replace(piece, position=piece.position - self.found_m) for piece in pieces]
+        return [replace(segment, position=segment.position - self.found_m) for segment in segments]
 
     @property
     def sigma_m(self) -> float:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, LeverArm
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
-from ..measurements.segment import Piece
+from ..measurements.segment import Segment
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
 
 #: Clock offsets tried first, s.
@@ -53,51 +53,53 @@ class Mounting:
     direction_spread_rad: float = float("nan")
 
 
-def find_mounting(pieces: list[Piece], known: ArmCalibration) -> Mounting:
+def find_mounting(segments: list[Segment], known: ArmCalibration) -> Mounting:
     """Offset, forearm direction and lever arms from the pieces of one or several recordings.
 
     Parameters
     ----------
     known : lever arms that need no finding; they are kept as they are.
     """
-    count = max(piece.recording for piece in pieces) + 1
+    count = max(segment.recording for segment in segments) + 1
     along = known.forearm_direction
-    both = [_both(piece) for piece in pieces]
+    both = [_both(segment) for segment in segments]
     offset_s, margin, spread = np.zeros(count), float("nan"), float("nan")
     if any(rows.sum() >= 10 for rows in both):
-        offset_s, found, margin, spread = _direction_and_offset(pieces, both, count, along)
+        offset_s, found, margin, spread = _direction_and_offset(segments, both, count, along)
         along = found if along is None else along
-    if along is None and "strap" not in _seen(pieces):
-        return Mounting(offset_s, _point_levers(pieces, known), margin, spread)
+    if along is None and "strap" not in _seen(segments):
+        return Mounting(offset_s, _point_levers(segments, known), margin, spread)
     levers = dict(known.lever_arms)
-    missing = [joint for joint in _seen(pieces) if joint not in levers and joint not in ("strap", "shoulder")]
+    missing = [
+        joint for joint in _seen(segments) if joint not in levers and joint not in ("strap", "shoulder")
+    ]
     if missing:
-        levers |= _levers(pieces, offset_s, along, known, missing)
+        levers |= _levers(segments, offset_s, along, known, missing)
     return Mounting(
         offset_s, ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A), margin, spread
     )
 
 
-def _seen(pieces: list[Piece]) -> list[str]:
+def _seen(segments: list[Segment]) -> list[str]:
     return [
         joint
         for joint in FOREARM_JOINTS
-        if sum(piece.accepted[:, JOINTS.index(joint)].sum() for piece in pieces) >= 8
+        if sum(segment.accepted[:, JOINTS.index(joint)].sum() for segment in segments) >= 8
     ]
 
 
-def _both(piece: Piece) -> BoolArray:
+def _both(segment: Segment) -> BoolArray:
     """Frames of the part looked at in which elbow and wrist are accepted, thinned out."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    inside = (piece.frame_t >= piece.start_s) & (piece.frame_t <= piece.end_s)
-    rows = inside & piece.accepted[:, elbow] & piece.accepted[:, wrist]
-    cell = np.floor(piece.frame_t * DIRECTION_RATE_HZ).astype(int)
+    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    rows = inside & segment.accepted[:, elbow] & segment.accepted[:, wrist]
+    cell = np.floor(segment.frame_t * DIRECTION_RATE_HZ).astype(int)
     first = np.concatenate(([True], np.diff(cell) > 0))
     return rows & first if len(rows) > 200 else rows
 
 
 def _direction_and_offset(
-    pieces: list[Piece], both: list[BoolArray], count: int, known: FloatArray | None
+    segments: list[Segment], both: list[BoolArray], count: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
     directions = _sphere(400) if known is None else known[None]
@@ -107,10 +109,10 @@ def _direction_and_offset(
     margin = spread = float("nan")
     for step in range(3):
         loss = np.zeros((count, len(offsets), len(directions)))
-        for piece, rows in zip(pieces, both, strict=True):
+        for segment, rows in zip(segments, both, strict=True):
             if rows.sum() >= 5:
-                centre = choice[piece.recording] if step else 0.0
-                loss[piece.recording] += _losses(piece, rows, centre + offsets, directions)
+                centre = choice[segment.recording] if step else 0.0
+                loss[segment.recording] += _losses(segment, rows, centre + offsets, directions)
         for r in range(count):
             loss[r] += 0.5 * ((offsets + (choice[r] if step else 0.0)) / OFFSET_SIGMA_S)[:, None] ** 2
         at = loss.min(axis=1).sum(axis=0)  # each recording has its own offset
@@ -129,17 +131,17 @@ def _direction_and_offset(
     return choice, best, margin, spread
 
 
-def _losses(piece: Piece, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
+def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: FloatArray) -> FloatArray:
     """Wahba's loss (offsets, directions), in units of the direction's variance."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    along = piece.position[rows, wrist] - piece.position[rows, elbow]
+    along = segment.position[rows, wrist] - segment.position[rows, elbow]
     along /= np.linalg.norm(along, axis=1)[:, None]
-    t = piece.frame_t[rows]
+    t = segment.frame_t[rows]
     chunk = ((t - t[0]) / CHUNK_S).astype(int)
     loss = np.zeros((len(offsets), len(directions)))
-    hint = np.outer(piece.down, [0.0, 0.0, -1.0]) * (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
+    hint = np.outer(segment.down, [0.0, 0.0, -1.0]) * (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
     for i, offset in enumerate(offsets):
-        R_E_A = piece.attitude.at(t + offset).as_matrix()
+        R_E_A = segment.attitude.at(t + offset).as_matrix()
         for part in np.unique(chunk):
             member = chunk == part
             tensor = np.einsum("na,nbc->abc", along[member], R_E_A[member])
@@ -179,7 +181,7 @@ def _cap(centre: FloatArray, width: float) -> FloatArray:
 
 
 def _levers(
-    pieces: list[Piece],
+    segments: list[Segment],
     offset_s: FloatArray,
     along: FloatArray | None,
     known: ArmCalibration,
@@ -187,70 +189,72 @@ def _levers(
 ) -> dict[str, LeverArm]:
     """Lever arms of the missing joints: differences between joints directly, the rest from accelerations."""
     reference = next(
-        (joint for joint in ("strap", *known.lever_arms) if joint in _seen(pieces)),
+        (joint for joint in ("strap", *known.lever_arms) if joint in _seen(segments)),
         "wrist" if "wrist" in missing else missing[0],
     )
-    frames = [_aligned(piece, float(offset_s[piece.recording]), along) for piece in pieces]
-    difference = {joint: _difference(pieces, frames, joint, reference) for joint in missing}
+    frames = [_aligned(segment, float(offset_s[segment.recording]), along) for segment in segments]
+    difference = {joint: _difference(segments, frames, joint, reference) for joint in missing}
     if reference == "strap" or reference in known.lever_arms:
         base = known.lever_arms[reference].position_m if reference in known.lever_arms else np.zeros(3)
         sigma = np.full(3, CLOSED_FORM_SIGMA_M)
     else:
         forearm = np.linalg.norm(difference.get("elbow", np.array([0.25, 0.0, 0.0])))
         expected = np.zeros(3) if along is None else WRIST_PART * forearm * along
-        base, sigma = _by_acceleration(pieces, frames, offset_s, reference, expected)
+        base, sigma = _by_acceleration(segments, frames, offset_s, reference, expected)
         sigma = np.hypot(sigma, CLOSED_FORM_SIGMA_M)
     return {joint: LeverArm(base + difference[joint], sigma) for joint in missing}
 
 
-def _aligned(piece: Piece, offset_s: float, along: FloatArray | None) -> Alignment:
+def _aligned(segment: Segment, offset_s: float, along: FloatArray | None) -> Alignment:
     """The inertial frame in the camera's, from the forearm's direction (or the strap's acceleration)."""
-    frame_t = piece.frame_t + offset_s
+    frame_t = segment.frame_t + offset_s
     pairs = []
     elbow, wrist, strap = (JOINTS.index(joint) for joint in ("elbow", "wrist", "strap"))
-    both = piece.accepted[:, elbow] & piece.accepted[:, wrist]
+    both = segment.accepted[:, elbow] & segment.accepted[:, wrist]
     if along is not None and both.any():
-        position = piece.position[both]
+        position = segment.position[both]
         pairs.append(
-            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], piece.attitude, along)
+            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], segment.attitude, along)
         )
-    if piece.accepted[:, strap].sum() >= 8:
-        rows = piece.accepted[:, strap]
+    if segment.accepted[:, strap].sum() >= 8:
+        rows = segment.accepted[:, strap]
         found = acceleration_pairs(
-            frame_t[rows], piece.position[rows, strap], piece.attitude, piece.signal, GRAVITY
+            frame_t[rows], segment.position[rows, strap], segment.attitude, segment.signal, GRAVITY
         )
         pairs.append(found.with_lever(np.zeros(3)))
-    return align(pairs, piece.start_s, piece.end_s, piece.down)
+    return align(pairs, segment.start_s, segment.end_s, segment.down)
 
 
-def _difference(pieces: list[Piece], frames: list[Alignment], joint: str, reference: str) -> FloatArray:
+def _difference(segments: list[Segment], frames: list[Alignment], joint: str, reference: str) -> FloatArray:
     """Mean of (joint - reference) in {A} over frames in which both are seen, (3,) m."""
     if joint == reference:
         return np.zeros(3)
     rows = []
     a, b = JOINTS.index(joint), JOINTS.index(reference)
-    for piece, frame in zip(pieces, frames, strict=True):
-        both = piece.accepted[:, a] & piece.accepted[:, b]
+    for segment, frame in zip(segments, frames, strict=True):
+        both = segment.accepted[:, a] & segment.accepted[:, b]
         if both.any():
-            t = piece.frame_t[both]
-            R_K_A = frame.at(t) * piece.attitude.at(t)
-            rows.append(R_K_A.inv().apply(piece.position[both, a] - piece.position[both, b]))
+            t = segment.frame_t[both]
+            R_K_A = frame.at(t) * segment.attitude.at(t)
+            rows.append(R_K_A.inv().apply(segment.position[both, a] - segment.position[both, b]))
     return np.median(np.vstack(rows), axis=0) if rows else np.zeros(3)
 
 
 def _by_acceleration(
-    pieces: list[Piece], frames: list[Alignment], offset_s: FloatArray, joint: str, expected: FloatArray
+    segments: list[Segment], frames: list[Alignment], offset_s: FloatArray, joint: str, expected: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """A joint's lever arm from R_K_E' a_K - a_E = turn lever, with a weak expectation, and its sigma, m."""
     column = JOINTS.index(joint)
     information = np.eye(3) / LEVER_SIGMA_M**2
     vector = information @ expected
-    for piece, frame in zip(pieces, frames, strict=True):
-        rows = piece.accepted[:, column]
+    for segment, frame in zip(segments, frames, strict=True):
+        rows = segment.accepted[:, column]
         if rows.sum() < 8:
             continue
-        t = piece.frame_t[rows] + offset_s[piece.recording]
-        found = acceleration_pairs(t, piece.position[rows, column], piece.attitude, piece.signal, GRAVITY)
+        t = segment.frame_t[rows] + offset_s[segment.recording]
+        found = acceleration_pairs(
+            t, segment.position[rows, column], segment.attitude, segment.signal, GRAVITY
+        )
         if len(found.t):
             right = frame.at(found.t).inv().apply(found.in_K) - found.in_E
             information += np.einsum("n,nab,nac->bc", found.weight, found.turn, found.turn)
@@ -259,10 +263,10 @@ def _by_acceleration(
     return covariance @ vector, np.sqrt(np.diag(covariance))
 
 
-def _point_levers(pieces: list[Piece], known: ArmCalibration) -> ArmCalibration:
+def _point_levers(segments: list[Segment], known: ArmCalibration) -> ArmCalibration:
     """One joint alone: it starts at the IMU, and the graph finds how far off it is."""
     levers = dict(known.lever_arms)
-    for joint in _seen(pieces):
+    for joint in _seen(segments):
         if joint not in levers and joint not in ("strap", "shoulder"):
             levers[joint] = LeverArm(np.zeros(3), np.full(3, LEVER_SIGMA_M))
     return ArmCalibration(known.side, levers, known.upper_arm, known.R_F_A)

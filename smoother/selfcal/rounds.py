@@ -18,13 +18,14 @@ from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
 from ..measurements.alignment import GRAVITY, Alignment, align, pairs
-from ..measurements.clock import Clock, constant
-from ..measurements.outliers import by_attitude
-from ..measurements.segment import Piece
+from ..measurements.clock import Clock, constant_clock
+from ..measurements.joint_noise import JointNoise
+from ..measurements.outliers import reject_by_attitude
+from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray
 from ..runtime.pool import Pool
-from ..window.cut import Stretch, cut, cut_times
-from ..window.pooling import combine
+from ..window.cut import PreparedSegment, cut, cut_times
+from ..window.pooling import pooled
 from ..window.prepare import prepare
 from ..window.priors import (
     Start,
@@ -32,14 +33,14 @@ from ..window.priors import (
     first_priors,
     noise_of,
     start_of,
-    upper_arm_flex,
+    upper_arm_length_sigma,
     upper_arm_seen,
 )
 from ..window.problem import Solution, Window
-from ..window.trajectory import Motion, at_times, join
-from .camera_noise import JointNoise, joint_noise, sigma_by_joint
+from ..window.trajectory import Trajectory, at_times, merge_windows
+from .camera_noise import joint_noise, sigma_by_joint
 from .clock_fit import ClockFit
-from .excerpts import choose_blocks
+from .excerpts import choose_excerpts
 from .joint_bias import JointBias
 from .mounting import find_mounting
 
@@ -56,7 +57,7 @@ WORTH_AGAIN = 0.05
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class SelfCalibration:
     """What the recovery starts from.
 
     Attributes
@@ -68,7 +69,7 @@ class Knowledge:
     sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
     direction_spread_rad : how far the forearm's direction in the sensor may be from the one found;
         nan where it was given or not looked for.
-    flex_m : how far from constant the upper arm's length is, m.
+    upper_arm_sigma_m : how far from constant the upper arm's length is, m.
     bias : the camera's constant errors, joint by joint.
     begin : start values of the shared quantities.
     """
@@ -78,7 +79,7 @@ class Knowledge:
     clocks: tuple[Clock, ...]
     noise: dict[str, JointNoise]
     sigma_m: FloatArray
-    flex_m: float
+    upper_arm_sigma_m: float
     bias: JointBias
     begin: Start
     direction_spread_rad: float = float("nan")
@@ -89,18 +90,21 @@ class Knowledge:
         return self.direction_spread_rad > LARGEST_SPREAD_RAD
 
 
-def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, pool: Pool) -> Knowledge:
+def self_calibrate(
+    segments: list[Segment], known: ArmCalibration, config: Config, pool: Pool
+) -> SelfCalibration:
     """Find what the calibration lacks, and each recording's clock offset.
 
     Parameters
     ----------
-    pieces : of one or several recordings of one person and mounting.
+    segments : of one or several recordings of one person and mounting.
     known : what is given; its sigmas are believed.
     """
-    blocks = choose_blocks(pieces)
+    blocks = choose_excerpts(segments)
     mounting = find_mounting(blocks, known)
     screened = [
-        screen_attitude(b, mounting.calibration, constant(mounting.offset_s[b.recording]))[0] for b in blocks
+        reject_by_direction(b, mounting.calibration, constant_clock(mounting.offset_s[b.recording]))[0]
+        for b in blocks
     ]
     lost = sum(int((old.accepted & ~new.accepted).sum()) for new, old in zip(screened, blocks, strict=True))
     if lost > WORTH_AGAIN * sum(int(block.accepted.sum()) for block in blocks):
@@ -111,51 +115,58 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
     if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
         calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
     given = calibration
-    sigma_m, flex_m = np.full(len(JOINTS), config.camera.joint_sigma_m), config.arm.upper_arm_flex_m
-    made_up = {piece.recording: piece.made_up for piece in blocks}
+    sigma_m, upper_arm_sigma_m = (
+        np.full(len(JOINTS), config.camera.joint_sigma_m),
+        config.arm.upper_arm_flex_m,
+    )
+    synthetic_stamps = {segment.recording: segment.synthetic_stamps for segment in blocks}
     clocks = ClockFit(
-        [constant(offset) for offset in mounting.offset_s],
-        [made_up.get(number, False) for number in range(len(mounting.offset_s))],
+        [constant_clock(offset) for offset in mounting.offset_s],
+        [synthetic_stamps.get(number, False) for number in range(len(mounting.offset_s))],
     )
     bias, seen = JointBias(), blocks
-    motions: dict[int, Motion] = {}
+    motions: dict[int, Trajectory] = {}
     margin_s = config.windows.margin_s
     for _ in range(ROUNDS):
         ready = [
-            (piece, each)
-            for piece in blocks
-            if (each := prepare(piece, calibration, clocks.clocks[piece.recording], sigma_m, margin_s))
+            (segment, each)
+            for segment in blocks
+            if (each := prepare(segment, calibration, clocks.clocks[segment.recording], sigma_m, margin_s))
             is not None
         ]
         if not ready:
             raise CalibrationError("at no time do the IMU and a visible forearm come together")
-        stretches = [started(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)]
-        begin = start_of(stretches, [each[1] for _, each in ready], [piece for piece, _ in ready])
+        prepared_segments = [
+            with_initial_values(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)
+        ]
+        begin = start_of(prepared_segments, [each[1] for _, each in ready], [segment for segment, _ in ready])
         prior = first_priors(begin, calibration, config)
         windows: list[Window] = []
         owner: list[int] = []
-        borders = [cut_times(stretch, config.windows.length_s) for stretch in stretches]
+        borders = [cut_times(prepared, config.windows.length_s) for prepared in prepared_segments]
         sharing = sum(len(border) - 1 for border in borders)
-        for (piece, _), stretch, border in zip(ready, stretches, borders, strict=True):
+        for (segment, _), prepared, border in zip(ready, prepared_segments, borders, strict=True):
             windows += cut(
-                stretch,
+                prepared,
                 [prior] * (len(border) - 1),
-                noise_of(config, flex_m),
+                noise_of(config, upper_arm_sigma_m),
                 border,
                 margin_s,
                 GRAVITY,
                 sharing,
             )
-            owner += [piece.recording] * (len(border) - 1)
+            owner += [segment.recording] * (len(border) - 1)
         answers = list(
             pool.map(partial(solve, with_covariance=False, with_offset=True, tolerance=TOLERANCE), windows)
         )
-        motions = _motions(stretches, borders, windows, answers)
+        motions = _motions(prepared_segments, borders, windows, answers)
         found = calibration_from(
-            combine([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
+            pooled([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
         )
         noise = joint_noise(windows, answers)
-        flex_m = upper_arm_flex(blocks, config, max((each.sample_m for each in noise.values()), default=0.0))
+        upper_arm_sigma_m = upper_arm_length_sigma(
+            blocks, config, max((each.sample_m for each in noise.values()), default=0.0)
+        )
         sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         times, errors = list(clocks.clocks), bias.found_m.copy()
         bias.step(windows, answers)
@@ -169,12 +180,14 @@ def self_calibrate(pieces: list[Piece], known: ArmCalibration, config: Config, p
         calibration = _recentred(found, given, known)
         if moved < SETTLED_M:
             break
-    return Knowledge(found, calibration, tuple(clocks.clocks), noise, sigma_m, flex_m, bias, begin, spread)
+    return SelfCalibration(
+        found, calibration, tuple(clocks.clocks), noise, sigma_m, upper_arm_sigma_m, bias, begin, spread
+    )
 
 
-def screen_attitude(
-    piece: Piece, calibration: ArmCalibration, clock: Clock
-) -> tuple[Piece, Alignment | None]:
+def reject_by_direction(
+    segment: Segment, calibration: ArmCalibration, clock: Clock
+) -> tuple[Segment, Alignment | None]:
     """The piece without the frames whose forearm does not point where the inertial attitude says.
 
     Returns
@@ -183,31 +196,34 @@ def screen_attitude(
     """
     along_A = calibration.forearm_direction
     if along_A is None:
-        return piece, None
-    frame_t = piece.frame_t + clock.at(piece.frame_t)
+        return segment, None
+    frame_t = segment.frame_t + clock.at(segment.frame_t)
     alignment = align(
-        pairs(piece, frame_t, piece.accepted, calibration), piece.start_s, piece.end_s, piece.down
+        pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
     )
-    screened = by_attitude(piece, frame_t, alignment, along_A)
-    return screened, alignment if screened is piece else None
+    screened = reject_by_attitude(segment, frame_t, alignment, along_A)
+    return screened, alignment if screened is segment else None
 
 
-def started(stretch: Stretch, motion: Motion | None) -> Stretch:
+def with_initial_values(prepared: PreparedSegment, motion: Trajectory | None) -> PreparedSegment:
     """The stretch with an earlier solution's motion as start values."""
     if motion is None:
-        return stretch
-    inside = np.clip(stretch.t, motion.t[0], motion.t[-1])
-    return replace(stretch, start=at_times(motion, stretch.signal, inside))
+        return prepared
+    inside = np.clip(prepared.t, motion.t[0], motion.t[-1])
+    return replace(prepared, start=at_times(motion, prepared.signal, inside))
 
 
 def _motions(
-    stretches: list[Stretch], borders: list[list[float]], windows: list[Window], answers: list[Solution]
-) -> dict[int, Motion]:
+    prepared_segments: list[PreparedSegment],
+    borders: list[list[float]],
+    windows: list[Window],
+    answers: list[Solution],
+) -> dict[int, Trajectory]:
     """The joined motion of each stretch, by its number."""
     found, first = {}, 0
-    for k, (stretch, border) in enumerate(zip(stretches, borders, strict=True)):
+    for k, (prepared, border) in enumerate(zip(prepared_segments, borders, strict=True)):
         last = first + len(border) - 1
-        found[k] = join(stretch.t, windows[first:last], answers[first:last])
+        found[k] = merge_windows(prepared.t, windows[first:last], answers[first:last])
         first = last
     return found
 

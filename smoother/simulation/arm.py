@@ -15,7 +15,7 @@ from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
 from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
 from .inertial import ideal_imu, measure
-from .motion import ArmMotion, Motion, draw_stage, draw_wobble
+from .motion import ArmMotion, MotionModel, draw_stage, draw_wobble
 from .protocol import perform
 
 #: What the true calibration claims to be good to, m.
@@ -44,10 +44,10 @@ class SimulatedArm:
     parameters: dict[str, Any]
     ideal_imu: ImuStream
     occluded: BoolArray
-    motion: Motion
+    motion: MotionModel
 
 
-def true_motion(motion: Motion, t_s: FloatArray) -> Truth:
+def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
     """The motion at the given times (N,) as a reference to score against."""
     R, position = motion.imu_pose(t_s)
     quaternion = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)  # to qw, qx, qy, qz

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..recording import FloatArray, ImuStream
 from .config import SensorErrors
-from .motion import Motion
+from .motion import MotionModel
 
 #: At least this many points a second lie under every sample's average.
 FINE_RATE_HZ = 1000.0
@@ -16,7 +16,7 @@ FINE_RATE_HZ = 1000.0
 _CHUNK = 4000
 
 
-def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, gravity: FloatArray) -> ImuStream:
+def ideal_imu(motion: MotionModel, duration_s: float, rate_hz: float, gravity: FloatArray) -> ImuStream:
     """Error-free samples: the mean over each sample's interval, stamped at its centre.
 
     Angular velocity and acceleration come from five-point differences of the smooth motion at 1 kHz or more,
@@ -39,7 +39,7 @@ def ideal_imu(motion: Motion, duration_s: float, rate_hz: float, gravity: FloatA
 
 
 def _averages(
-    motion: Motion, begin: int, count: int, rate_hz: float, gravity: FloatArray
+    motion: MotionModel, begin: int, count: int, rate_hz: float, gravity: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Mean specific force and angular velocity (count, 3) in {A} of samples from number `begin` on."""
     fine = 2 * int(np.ceil(FINE_RATE_HZ / rate_hz / 2))  # even, for Simpson's rule

@@ -24,7 +24,7 @@ LEVEL_FROM_KINECT = {
 }
 
 
-class Motion(Protocol):
+class MotionModel(Protocol):
     """A body with an IMU on it, in {K}, at any time of the recording (and 0.4 s beyond its ends)."""
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -128,7 +128,7 @@ class ArmMotion:
         return np.asarray(points_T @ self.stage.R_K_T.T + self.stage.place_K)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Motion.imu_pose`."""
+        """See `MotionModel.imu_pose`."""
         _, elbow, R_T_F, wobble = self._chain(t_s)
         strap = Rotation.from_rotvec(wobble).as_matrix()
         # The strap turns about the arm's core: the sensor moves with it.
@@ -139,7 +139,7 @@ class ArmMotion:
         return R_K_A, self._to_camera(position)
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `Motion.joints`."""
+        """See `MotionModel.joints`."""
         shoulder, elbow, R_T_F, _ = self._chain(t_s)
         along, direction = self.measures.along_forearm, R_T_F[:, :, 1]
         places = {"shoulder": shoulder, "elbow": elbow}

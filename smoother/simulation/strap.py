@@ -52,7 +52,7 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class Noise:
+class StrapImageNoise:
     """Errors of the images; the defaults are those of a good camera in a lit room."""
 
     brightness: float = 4.0
@@ -62,7 +62,9 @@ class Noise:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
 
-def render(arm: Arm, lens: Lens, noise: Noise | None = None) -> tuple[NDArray[np.uint8], FloatArray]:
+def render(
+    arm: Arm, lens: Lens, noise: StrapImageNoise | None = None
+) -> tuple[NDArray[np.uint8], FloatArray]:
     """Brightness (height, width) and depth (z in the lens's axes, m; nan where there is none).
 
     Depth fails on most of a black strap, and on a reflective marker with a rim about it.

@@ -83,12 +83,12 @@ def _run(client: Client, jobs: Iterator[Job], scheduler: str) -> Generator[Row |
     done: queue.SimpleQueue[Any] = queue.SimpleQueue()
     open_jobs: dict[str, Job] = {}
     futures: dict[str, Any] = {}
-    room, looked = 0, -_LOOK_S
+    slots, looked = 0, -_LOOK_S
     while True:
         if time.monotonic() - looked >= _LOOK_S:  # workers come and go
             threads = sum(client.nthreads().values())
-            room, looked = max(1, threads) * (1 + _AHEAD), time.monotonic()
-        while len(futures) < room and (job := next(jobs, None)) is not None:
+            slots, looked = max(1, threads) * (1 + _AHEAD), time.monotonic()
+        while len(futures) < slots and (job := next(jobs, None)) is not None:
             # the same key for the same work: what runs already is not started again
             key = f"unocclude-{job.key}"
             future = client.submit(run_job, job, key=key, pure=False)

@@ -14,9 +14,9 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError
-from ..runtime.store import Room
+from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of
-from .fingerprint import Choice, file_hash, row_id, text_hash
+from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
 
 #: The recording was done before, by its content; there is nothing to add to the results.
@@ -60,7 +60,7 @@ class Job:
     folder: str
     word: str
     config: Config
-    choice: Choice
+    choice: Fingerprint
     config_hash: str
     calibration: str = ""
     calibration_hash: str = ""
@@ -162,15 +162,17 @@ def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
 
 
 def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
-    from ..runtime.disk_store import DiskRoom
+    from ..runtime.disk_store import DiskStore
 
     if job.calibration and file_hash(job.calibration) != job.calibration_hash:
         raise _Surroundings(f"{job.calibration} was changed while the study ran; start it again")
-    with DiskRoom() as room:
-        return _recover_in(room, job, folder, input_hash, before, began)
+    with DiskStore() as store:
+        return _recover_in(store, job, folder, input_hash, before, began)
 
 
-def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float) -> Row:
+def _recover_in(
+    store: Store, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float
+) -> Row:
     from calib.motion.estimates import with_given
 
     from ..io import write_recovery
@@ -185,12 +187,12 @@ def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, befo
         skeleton=choice.skeleton,
         side=choice.side,
         body=choice.body,
-        room=room,
+        store=store,
         truth=False,
     )
     windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = job.config.model_copy(update={"windows": windows})
-    recovery = with_given(smooth(recording, calibration, config, room=room), calibration)
+    recovery = with_given(smooth(recording, calibration, config, store=store), calibration)
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
@@ -199,7 +201,6 @@ def _recover_in(room: Room, job: Job, folder: StudyFolder, input_hash: str, befo
             staged,
             source=job.source,
             passthrough_images=choice.passthrough_images,
-            room=room,
         )
         about = os.stat(staged)
         row = job.row(

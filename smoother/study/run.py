@@ -13,7 +13,7 @@ from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
 from .columns import DONE, FAILED, Row
-from .fingerprint import Choice, config_hash, file_hash
+from .fingerprint import Fingerprint, config_hash, file_hash
 from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
@@ -40,7 +40,7 @@ class StudySettings:
     """
 
     config: Config = field(default_factory=Config)
-    choice: Choice = field(default_factory=Choice)
+    choice: Fingerprint = field(default_factory=Fingerprint)
     calibration: str = ""
     again: bool = False
     retry_failed: bool = False

@@ -9,18 +9,26 @@ from itertools import pairwise
 import numpy as np
 
 from ..linalg import interpolate
-from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_blocks
+from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
-from .problem import Inertia, Noise, Priors, ShoulderSight, Sight, States, Window
-from .propagate import carry
+from .problem import (
+    ImuIncrements,
+    JointMeasurements,
+    NoiseModel,
+    Priors,
+    ShoulderMeasurements,
+    States,
+    Window,
+)
+from .propagate import propagate
 
 #: Shoulder knots keep at least so far apart, s.
 KNOT_S = 0.09
 #: A still arm's acceleration, m/s^2, and how long an acceleration lasts, s (`_velocity_change`).
-QUIET_ACCELERATION = 0.1
+STILL_ACCELERATION = 0.1
 CHANGE_TIME_S = 0.2
-LIVELY_FACTOR = 1.0
+ACCELERATION_FACTOR = 1.0
 #: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
 FREE_RAD = 1.0
 #: Borders of windows keep so far from gaps where the visible stretch is long enough, s.
@@ -28,7 +36,7 @@ KEEP_S = 2.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class PreparedSegment:
     """A stretch of the recording without a pause of the IMU, ready to be cut.
 
     Attributes
@@ -40,7 +48,7 @@ class Stretch:
     frame_node : (f,) node that each camera frame is told to, -1 where there is none.
     position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
     gaps : the occluded stretches inside.
-    liveliness : (n,) how much the sensor's acceleration varies, m/s^2.
+    acceleration_std : (n,) how much the sensor's acceleration varies, m/s^2.
     attitude, attitude_covariance : (n, 3, 3) orientations from the inertial filter and the alignment,
         and their covariance, rad^2 in {K}: the weak prior.
     start_s, end_s : the part that is answered for; nodes beyond are there for its sake.
@@ -55,19 +63,19 @@ class Stretch:
     accepted: BoolArray
     sigma_m: FloatArray
     gaps: tuple[Gap, ...]
-    liveliness: FloatArray
+    acceleration_std: FloatArray
     attitude: FloatArray
     attitude_covariance: FloatArray
     start_s: float
     end_s: float
 
 
-def cut_times(stretch: Stretch, length_s: float) -> list[float]:
+def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
     """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
-    t0, t1 = max(float(stretch.t[0]), stretch.start_s), min(float(stretch.t[-1]), stretch.end_s)
+    t0, t1 = max(float(prepared.t[0]), prepared.start_s), min(float(prepared.t[-1]), prepared.end_s)
     visible = []
     last = t0
-    for gap in (gap for gap in stretch.gaps if gap.end_s > t0 and gap.start_s < t1):
+    for gap in (gap for gap in prepared.gaps if gap.end_s > t0 and gap.start_s < t1):
         visible.append((last, gap.start_s))
         last = gap.end_s
     visible.append((last, t1))
@@ -84,9 +92,9 @@ def cut_times(stretch: Stretch, length_s: float) -> list[float]:
 
 
 def cut(
-    stretch: Stretch,
+    prepared: PreparedSegment,
     priors: Sequence[Priors],
-    noise: Noise,
+    noise: NoiseModel,
     borders: list[float],
     margin_s: float,
     gravity_magnitude: float,
@@ -100,25 +108,25 @@ def cut(
     sharing : how many windows share the attitude prior, of all stretches.
     """
     for index, (a, b) in enumerate(pairwise(borders)):
-        rows = window_nodes(stretch.t, borders, index, margin_s)
+        rows = window_nodes(prepared.t, borders, index, margin_s)
         lo, hi, prior = rows.start, rows.stop, priors[index]
-        t = stretch.t[rows]
-        start = States(stretch.start.R[rows], stretch.start.p[rows], stretch.start.v[rows])
-        attitude_node = _best_node(stretch.attitude_covariance[rows])
+        t = prepared.t[rows]
+        start = States(prepared.start.R[rows], prepared.start.p[rows], prepared.start.v[rows])
+        attitude_node = _best_node(prepared.attitude_covariance[rows])
         yield Window(
             index=index,
             t=t,
             core_start_s=a,
             core_end_s=b,
-            inertia=_inertia(stretch.signal, t, prior.shared.mean[prior.layout.bias]),
-            sights=_sights(stretch, lo, hi, prior, gravity_magnitude),
-            shoulder=_shoulder(stretch, lo, hi),
+            increments=_increments(prepared.signal, t, prior.shared.mean[prior.layout.bias]),
+            joint_measurements=_joint_measurements(prepared, lo, hi, prior, gravity_magnitude),
+            shoulder=_shoulder(prepared, lo, hi),
             start=start,
-            velocity_change=_velocity_change(stretch, lo, hi),
+            velocity_change=_velocity_change(prepared, lo, hi),
             attitude_node=attitude_node,
-            attitude=stretch.attitude[lo + attitude_node],
+            attitude=prepared.attitude[lo + attitude_node],
             # one prior for all windows together: they have its error in common
-            attitude_covariance=_weakened(stretch.attitude_covariance[lo + attitude_node], sharing),
+            attitude_covariance=_weakened(prepared.attitude_covariance[lo + attitude_node], sharing),
             priors=prior,
             noise=noise,
             gravity_magnitude=gravity_magnitude,
@@ -138,17 +146,17 @@ def _best_node(covariance: FloatArray) -> int:
     return int(np.argmin(np.trace(covariance, axis1=1, axis2=2)))
 
 
-def _velocity_change(stretch: Stretch, lo: int, hi: int) -> FloatArray:
+def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
     """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere.
 
     An arm whose sensor is quiet keeps its velocity. This says no more than that, so it matters where the
     integrated IMU knows less: at its worst the answer is as good as a straight line.
     """
-    t = stretch.t[lo:hi]
+    t = prepared.t[lo:hi]
     middle, dt = 0.5 * (t[1:] + t[:-1]), np.diff(t)
-    lively = np.maximum(stretch.liveliness[lo : hi - 1], stretch.liveliness[lo + 1 : hi])
-    change = np.hypot(LIVELY_FACTOR * lively, QUIET_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S)
-    return np.where(occluded_at(middle, stretch.gaps), change, np.inf)
+    lively = np.maximum(prepared.acceleration_std[lo : hi - 1], prepared.acceleration_std[lo + 1 : hi])
+    change = np.hypot(ACCELERATION_FACTOR * lively, STILL_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S)
+    return np.where(occluded_at(middle, prepared.gaps), change, np.inf)
 
 
 def _weakened(covariance: FloatArray, factor: float) -> FloatArray:
@@ -157,59 +165,61 @@ def _weakened(covariance: FloatArray, factor: float) -> FloatArray:
     return (axes * np.minimum(variance * factor, FREE_RAD**2)) @ axes.T
 
 
-def _inertia(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Inertia:
-    block_t, first = split_blocks(t)
+def _increments(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> ImuIncrements:
+    block_t, first = split_steps(t)
     acc, gyro, h = equivalent_samples(integrate(signal, block_t, bias))
-    return Inertia(acc, gyro, h, first, bias, signal.velocity_error(t))
+    return ImuIncrements(acc, gyro, h, first, bias, signal.velocity_error(t))
 
 
-def _sights(stretch: Stretch, lo: int, hi: int, prior: Priors, gravity_magnitude: float) -> tuple[Sight, ...]:
+def _joint_measurements(
+    prepared: PreparedSegment, lo: int, hi: int, prior: Priors, gravity_magnitude: float
+) -> tuple[JointMeasurements, ...]:
     layout, mean = prior.layout, prior.shared.mean
-    inside = np.flatnonzero((stretch.frame_node >= lo) & (stretch.frame_node < hi))
-    node, frame_t = stretch.frame_node[inside], stretch.frame_t[inside]
+    inside = np.flatnonzero((prepared.frame_node >= lo) & (prepared.frame_node < hi))
+    node, frame_t = prepared.frame_node[inside], prepared.frame_t[inside]
     gravity = layout.down(mean) * gravity_magnitude
-    way = carry(stretch.signal, stretch.t, stretch.start, frame_t, node, gravity, mean[layout.bias])
-    sights = []
+    way = propagate(prepared.signal, prepared.t, prepared.start, frame_t, node, gravity, mean[layout.bias])
+    joint_measurements = []
     for joint in FOREARM_JOINTS:
         column = JOINTS.index(joint)
-        rows = np.flatnonzero(stretch.accepted[inside, column])
+        rows = np.flatnonzero(prepared.accepted[inside, column])
         if len(rows):
             lever = mean[layout.lever(joint)] if joint in layout.joints else np.zeros(3)
-            sights.append(
-                Sight(
+            joint_measurements.append(
+                JointMeasurements(
                     joint,
                     frame_t[rows],
                     node[rows] - lo,
-                    stretch.position[inside[rows], column],
-                    stretch.sigma_m[inside[rows], column],
+                    prepared.position[inside[rows], column],
+                    prepared.sigma_m[inside[rows], column],
                     way.shift(lever)[rows],
                     way.velocity(lever)[rows],
                 )
             )
-    return tuple(sights)
+    return tuple(joint_measurements)
 
 
-def _shoulder(stretch: Stretch, lo: int, hi: int) -> ShoulderSight | None:
+def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasurements | None:
     """Knots about every tenth of a second, each with the mean of the frames nearest to it."""
     column = JOINTS.index("shoulder")
-    if not stretch.accepted[:, column].any():
+    if not prepared.accepted[:, column].any():
         return None
-    t = stretch.t[lo:hi]
+    t = prepared.t[lo:hi]
     knots = [0]
     for i in range(1, len(t)):
         if t[i] - t[knots[-1]] >= KNOT_S or i == len(t) - 1:
             knots.append(i)
     node = np.array(knots)
-    seen = np.flatnonzero(stretch.accepted[:, column])
-    seen_t = stretch.frame_t[seen]
+    seen = np.flatnonzero(prepared.accepted[:, column])
+    seen_t = prepared.frame_t[seen]
     near = (seen_t >= t[0] - KNOT_S) & (seen_t <= t[-1] + KNOT_S)
     owner = np.searchsorted(0.5 * (t[node][1:] + t[node][:-1]), seen_t[near])
     count = np.bincount(owner, minlength=len(node)).astype(float)
     total = np.zeros((len(node), 3))
-    np.add.at(total, owner, stretch.position[seen[near], column])
-    variance = np.bincount(owner, weights=stretch.sigma_m[seen[near], column] ** 2, minlength=len(node))
+    np.add.at(total, owner, prepared.position[seen[near], column])
+    variance = np.bincount(owner, weights=prepared.sigma_m[seen[near], column] ** 2, minlength=len(node))
     with np.errstate(invalid="ignore", divide="ignore"):
         position = total / count[:, None]
         sigma = np.sqrt(variance) / count
-    start = interpolate(seen_t, stretch.position[seen, column], t[node])
-    return ShoulderSight(node, position, sigma, np.where(count[:, None] > 0, position, start))
+    start = interpolate(seen_t, prepared.position[seen, column], t[node])
+    return ShoulderMeasurements(node, position, sigma, np.where(count[:, None] > 0, position, start))

@@ -14,11 +14,11 @@ GAP_NODE_S = 0.2
 CLOSEST_S = 0.008
 #: Frames up to so far from a node are carried to it, s, except so near to a gap, s: there the camera's last
 #: samples decide.
-CARRIED_S = 0.07
+GROUPED_S = 0.07
 FINE_S = 0.15
 
 
-def thin(t: FloatArray) -> BoolArray:
+def decimate(t: FloatArray) -> BoolArray:
     """Which of the increasing times to keep so that neighbours are `CLOSEST_S` apart."""
     keep = np.ones(len(t), dtype=bool)
     if len(t) < 2 or np.diff(t).min() >= CLOSEST_S:
@@ -30,7 +30,7 @@ def thin(t: FloatArray) -> BoolArray:
     return keep
 
 
-def gather(t: FloatArray, visible: BoolArray) -> IntArray:
+def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
     """Which frame's node each frame is told to, (n,): itself, or the middle one of an odd group.
 
     The IMU ties frames a few hundredths of a second apart much better than the camera sees them, so
@@ -46,7 +46,7 @@ def gather(t: FloatArray, visible: BoolArray) -> IntArray:
         return owner
     dt = np.diff(t)
     step = float(np.median(dt))
-    half = int(CARRIED_S / step)
+    half = int(GROUPED_S / step)
     if half < 1:
         return owner
     breaks = np.flatnonzero((dt > 2.5 * step) | (visible[1:] != visible[:-1])) + 1
@@ -57,10 +57,10 @@ def gather(t: FloatArray, visible: BoolArray) -> IntArray:
         if count > 0 and visible[a]:
             rows = first + np.arange(count * size)
             owner[rows] = first + half + size * np.repeat(np.arange(count), size)
-    return np.where(np.abs(t - t[owner]) <= 1.5 * CARRIED_S, owner, np.arange(len(t)))
+    return np.where(np.abs(t - t[owner]) <= 1.5 * GROUPED_S, owner, np.arange(len(t)))
 
 
-def fill(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
+def insert_nodes(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
     """Node times: the given ones, start and end, and evenly spaced ones where they are far apart."""
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))

@@ -48,7 +48,7 @@ class _Information:
         return Gaussian(covariance @ self.vector, covariance)
 
 
-def tell(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
+def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
     """The second pass's priors, one a window, in the order of time.
 
     Parameters
@@ -63,11 +63,11 @@ def tell(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
     return (replace(prior, shared=each) for each in told)
 
 
-def combine(messages: Sequence[Message], prior: Priors) -> Gaussian:
+def pooled(messages: Sequence[Message], prior: Priors) -> Gaussian:
     """The constants of the arm (upper arm, lever arms) from all windows and the prior together."""
     part = prior.layout.constants
     answers = [_part(message.shared, part) for message in messages]
-    start, widened, _ = _heard(answers, _part(prior.shared, part))
+    start, widened, _ = _accumulated(answers, _part(prior.shared, part))
     return (start + widened.sum()).gaussian()
 
 
@@ -75,7 +75,9 @@ def _part(whole: Gaussian, part: slice) -> Gaussian:
     return Gaussian(whole.mean[part], whole.covariance[part, part])
 
 
-def _heard(answers: Sequence[Gaussian], prior: Gaussian) -> tuple[_Information, _Information, FloatArray]:
+def _accumulated(
+    answers: Sequence[Gaussian], prior: Gaussian
+) -> tuple[_Information, _Information, FloatArray]:
     """The prior, each window's own data widened by the spread between windows, and that spread."""
     before = inverse(prior.covariance)
     start = _Information(before, before @ prior.mean)
@@ -83,7 +85,7 @@ def _heard(answers: Sequence[Gaussian], prior: Gaussian) -> tuple[_Information, 
     vector = np.einsum("kij,kj->ki", matrix, np.array([answer.mean for answer in answers]))
     # take the prior out of each answer
     own = _Information(_positive(matrix - start.matrix), vector - start.vector)
-    spread = _excess(own)
+    spread = _between_window_variance(own)
     return start, _widen(own, np.diag(spread)), spread
 
 
@@ -95,7 +97,7 @@ def _others(
     Forward and backward filter in information form over the windows, each component wandering by
     `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
     """
-    start, widened, spread = _heard(answers, prior)
+    start, widened, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
 
     def on(heard: _Information, step_s: float) -> _Information:
@@ -132,7 +134,7 @@ def _widen(information: _Information, covariance: FloatArray) -> _Information:
     return _Information(0.5 * (matrix + np.swapaxes(matrix, -1, -2)), vector)
 
 
-def _excess(own: _Information) -> FloatArray:
+def _between_window_variance(own: _Information) -> FloatArray:
     """Variance between windows beyond what they state, (s,), axis by axis."""
     size = own.matrix.shape[-1]
     if len(own) < 3:

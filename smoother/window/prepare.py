@@ -12,13 +12,13 @@ from ..measurements.alignment import (
     lever_of,
     pairs,
 )
-from ..measurements.attitude import liveliness
+from ..measurements.attitude import acceleration_std
 from ..measurements.clock import Clock
-from ..measurements.segment import Piece
+from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
-from .cut import Stretch
-from .nodes import fill, gather, thin
+from .cut import PreparedSegment
+from .nodes import decimate, group_frames, insert_nodes
 from .problem import States
 
 #: Beyond so much time from the last visible frame there is no answer, s.
@@ -26,13 +26,13 @@ REACH_S = 10.0
 
 
 def prepare(
-    piece: Piece,
+    segment: Segment,
     calibration: ArmCalibration,
     clock: Clock,
     sigma_m: FloatArray,
     margin_s: float,
     alignment: Alignment | None = None,
-) -> tuple[Stretch, Alignment] | None:
+) -> tuple[PreparedSegment, Alignment] | None:
     """Nodes and start values of a piece.
 
     Parameters
@@ -48,50 +48,50 @@ def prepare(
     nothing of the forearm near enough.
     """
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    frame_t = piece.frame_t + clock.at(piece.frame_t)
-    inside = (frame_t >= piece.start_s) & (frame_t <= piece.end_s)
-    accepted = piece.accepted & inside[:, None]
+    frame_t = segment.frame_t + clock.at(segment.frame_t)
+    inside = (frame_t >= segment.start_s) & (frame_t <= segment.end_s)
+    accepted = segment.accepted & inside[:, None]
     measured = accepted[:, forearm].any(axis=1)
     if measured.sum() < 2:
         return None
     seen = frame_t[measured]
-    start_s, end_s = max(piece.start_s, seen[0] - REACH_S), min(piece.end_s, seen[-1] + REACH_S)
-    core_start_s, core_end_s = max(start_s, piece.core_start_s), min(end_s, piece.core_end_s)
+    start_s, end_s = max(segment.start_s, seen[0] - REACH_S), min(segment.end_s, seen[-1] + REACH_S)
+    core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
         return None
-    visible = enough_joints(accepted, piece.needed)
+    visible = enough_joints(accepted, segment.needed)
     rows = np.flatnonzero(inside)
     gaps = find_gaps(frame_t[rows], visible[rows], start_s, end_s)
-    kept = np.flatnonzero(measured)[thin(seen)]
-    owner = kept[gather(frame_t[kept], visible[kept])]
-    t = fill(frame_t[np.unique(owner)], start_s, end_s)
+    kept = np.flatnonzero(measured)[decimate(seen)]
+    owner = kept[group_frames(frame_t[kept], visible[kept])]
+    t = insert_nodes(frame_t[np.unique(owner)], start_s, end_s)
     first, last = reach(core_start_s, core_end_s, gaps, margin_s)
     t = t[(t >= first) & (t <= last)]
     if alignment is None:
-        alignment = align(pairs(piece, frame_t, accepted, calibration), start_s, end_s, piece.down)
-    R = (alignment.at(t) * piece.attitude.at(t)).as_matrix()
+        alignment = align(pairs(segment, frame_t, accepted, calibration), start_s, end_s, segment.down)
+    R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     frame_node = np.full(len(frame_t), -1)
     node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)
     frame_node[kept] = np.where(np.abs(t[node] - frame_t[owner]) < 1e-9, node, -1)
-    imu_t, imu_position = _imu_positions(piece, frame_t, accepted, alignment, calibration)
+    imu_t, imu_position = _imu_positions(segment, frame_t, accepted, alignment, calibration)
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
-    stretch = Stretch(
-        signal=piece.signal,
+    prepared = PreparedSegment(
+        signal=segment.signal,
         t=t,
         start=states_from_camera(t, R, imu_t, imu_position),
         frame_t=frame_t[rows],
         frame_node=frame_node[rows],
-        position=piece.position[rows],
+        position=segment.position[rows],
         accepted=accepted[rows],
         sigma_m=np.tile(sigma_m, (len(rows), 1)),
         gaps=gaps,
-        liveliness=liveliness(piece.signal, piece.attitude, t),
+        acceleration_std=acceleration_std(segment.signal, segment.attitude, t),
         attitude=R,
         attitude_covariance=alignment.covariance[nearest],
         start_s=core_start_s,
         end_s=core_end_s,
     )
-    return stretch, alignment
+    return prepared, alignment
 
 
 def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
@@ -106,21 +106,21 @@ def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) 
 
 
 def _imu_positions(
-    piece: Piece,
+    segment: Segment,
     frame_t: FloatArray,
     accepted: BoolArray,
     alignment: Alignment,
     calibration: ArmCalibration,
 ) -> tuple[FloatArray, FloatArray]:
     """The IMU's position at frames where a joint with a known lever arm is seen: mean over joints."""
-    R = (alignment.at(frame_t) * piece.attitude.at(frame_t)).as_matrix()
+    R = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
     total, count = np.zeros((len(frame_t), 3)), np.zeros(len(frame_t))
     for joint in FOREARM_JOINTS:
         lever, column = lever_of(calibration, joint), JOINTS.index(joint)
         if lever is None:
             continue
         rows = accepted[:, column]
-        total[rows] += piece.position[rows, column] - R[rows] @ lever
+        total[rows] += segment.position[rows, column] - R[rows] @ lever
         count[rows] += 1.0
     seen = count > 0
     return frame_t[seen], total[seen] / count[seen, None]

@@ -9,18 +9,18 @@ import numpy as np
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Config
 from ..measurements.alignment import Alignment
-from ..measurements.segment import Piece
+from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray, ImuStream
-from .cut import Stretch
-from .problem import Noise, Priors
-from .shared import Gaussian, Layout, axes_across
+from .cut import PreparedSegment
+from .problem import NoiseModel, Priors
+from .shared import Gaussian, SharedLayout, axes_across
 
 #: How well gravity's direction is known from the start values, rad.
 GRAVITY_SIGMA_RAD = 0.2
 #: Sensor noise that was measured counts for no less than this part of the configured one.
 LEAST_DENSITY_SHARE = 0.3
 #: The upper arm's length is never believed to vary more than this, m.
-LARGEST_FLEX_M = 0.04
+LARGEST_UPPER_ARM_SIGMA_M = 0.04
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,28 @@ class Start:
     has_shoulder: bool
 
 
-def start_of(stretches: list[Stretch], alignments: list[Alignment], pieces: list[Piece]) -> Start:
+def start_of(
+    prepared_segments: list[PreparedSegment], alignments: list[Alignment], segments: list[Segment]
+) -> Start:
     """Start values from the longest of the stretches."""
-    longest = int(np.argmax([len(stretch.t) for stretch in stretches]))
+    longest = int(np.argmax([len(prepared.t) for prepared in prepared_segments]))
     down = -alignments[longest].R_K_E.apply([0.0, 0.0, 1.0]).mean(axis=0)
-    sigma_rad = pieces[longest].down_sigma_rad
+    sigma_rad = segments[longest].down_sigma_rad
     if sigma_rad is not None:  # a base IMU knows it better than the arm's motion
-        down = pieces[longest].down
+        down = segments[longest].down
     return Start(
         down=down,
         down_sigma_rad=GRAVITY_SIGMA_RAD if sigma_rad is None else sigma_rad,
-        gyroscope_bias=pieces[longest].attitude.gyroscope_bias,
-        has_shoulder=any(stretch.accepted[:, JOINTS.index("shoulder")].any() for stretch in stretches),
+        gyroscope_bias=segments[longest].attitude.gyroscope_bias,
+        has_shoulder=any(
+            prepared.accepted[:, JOINTS.index("shoulder")].any() for prepared in prepared_segments
+        ),
     )
 
 
 def first_priors(start: Start, calibration: ArmCalibration, config: Config) -> Priors:
     """The same priors for every window of a first pass."""
-    layout = Layout(
+    layout = SharedLayout(
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
         has_upper_arm=start.has_shoulder and "elbow" in calibration.lever_arms,
         gravity_axes=axes_across(start.down),
@@ -80,20 +84,20 @@ def first_priors(start: Start, calibration: ArmCalibration, config: Config) -> P
     return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
 
 
-def upper_arm_seen(pieces: list[Piece], config: Config) -> Length:
+def upper_arm_seen(segments: list[Segment], config: Config) -> Length:
     """Median distance from shoulder to elbow while both are seen; the configured length without any."""
     shoulder, elbow = JOINTS.index("shoulder"), JOINTS.index("elbow")
     lengths = [
-        np.linalg.norm(piece.position[both, elbow] - piece.position[both, shoulder], axis=1)
-        for piece in pieces
-        if (both := piece.accepted[:, shoulder] & piece.accepted[:, elbow]).any()
+        np.linalg.norm(segment.position[both, elbow] - segment.position[both, shoulder], axis=1)
+        for segment in segments
+        if (both := segment.accepted[:, shoulder] & segment.accepted[:, elbow]).any()
     ]
     if not lengths:
         return Length(config.arm.upper_arm_m, config.arm.upper_arm_sigma_m)
     return Length(float(np.median(np.concatenate(lengths))), config.arm.upper_arm_sigma_m)
 
 
-def upper_arm_flex(pieces: list[Piece], config: Config, sample_m: float) -> float:
+def upper_arm_length_sigma(segments: list[Segment], config: Config, sample_m: float) -> float:
     """How far from constant the upper arm's length is as the camera sees it, m (one sigma).
 
     The shoulder's joint moves in a real arm, and a skeleton follows it badly: what the visible lengths
@@ -101,15 +105,15 @@ def upper_arm_flex(pieces: list[Piece], config: Config, sample_m: float) -> floa
     """
     shoulder, elbow = JOINTS.index("shoulder"), JOINTS.index("elbow")
     lengths = [
-        np.linalg.norm(piece.position[both, elbow] - piece.position[both, shoulder], axis=1)
-        for piece in pieces
-        if (both := piece.accepted[:, shoulder] & piece.accepted[:, elbow]).sum() > 10
+        np.linalg.norm(segment.position[both, elbow] - segment.position[both, shoulder], axis=1)
+        for segment in segments
+        if (both := segment.accepted[:, shoulder] & segment.accepted[:, elbow]).sum() > 10
     ]
     if not lengths:
         return config.arm.upper_arm_flex_m
     spread = 1.4826 * np.median(np.abs(np.concatenate([each - np.median(each) for each in lengths])))
     extra = float(np.sqrt(max(spread**2 - 2.0 * sample_m**2, 0.0)))
-    return float(np.clip(extra, config.arm.upper_arm_flex_m, LARGEST_FLEX_M))
+    return float(np.clip(extra, config.arm.upper_arm_flex_m, LARGEST_UPPER_ARM_SIGMA_M))
 
 
 def with_measured_noise(config: Config, imu: ImuStream) -> Config:
@@ -126,21 +130,21 @@ def with_measured_noise(config: Config, imu: ImuStream) -> Config:
     return config.model_copy(update={"imu": config.imu.model_copy(update=measured)}) if measured else config
 
 
-def noise_of(config: Config, flex_m: float) -> Noise:
+def noise_of(config: Config, upper_arm_sigma_m: float) -> NoiseModel:
     """The configuration's densities and losses, and the upper arm's flex, as the graph takes them."""
-    return Noise(
+    return NoiseModel(
         accelerometer_density=config.imu.accelerometer_density,
         gyroscope_density=config.imu.gyroscope_density,
         accelerometer_share=config.imu.accelerometer_share,
         gyroscope_share=config.imu.gyroscope_share,
         cauchy=config.camera.cauchy,
-        upper_arm_sigma_m=round(flex_m, 4),
+        upper_arm_sigma_m=round(upper_arm_sigma_m, 4),
         shoulder_walk=config.arm.shoulder_walk,
     )
 
 
 def calibration_from(
-    found: Gaussian, layout: Layout, before: ArmCalibration, joint_bias_m: float
+    found: Gaussian, layout: SharedLayout, before: ArmCalibration, joint_bias_m: float
 ) -> ArmCalibration:
     """The arm's calibration from the constants' Gaussian (`firstpass.combine`).
 

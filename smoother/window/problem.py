@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..recording import FloatArray, IntArray
-from .shared import Gaussian, Layout
+from .shared import Gaussian, SharedLayout
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class Priors:
     bias_walk : (6,) how far the bias wanders inside the window, unit/sqrt(s).
     """
 
-    layout: Layout
+    layout: SharedLayout
     shared: Gaussian
     bias_walk: FloatArray
 
 
 @dataclass(frozen=True)
-class Inertia:
+class ImuIncrements:
     """Equivalent IMU samples of the window's intervals (see `inertial.equivalent_samples`).
 
     Attributes
@@ -48,7 +48,7 @@ class Inertia:
 
 
 @dataclass(frozen=True)
-class Sight:
+class JointMeasurements:
     """A forearm joint's accepted camera samples.
 
     Attributes
@@ -73,7 +73,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class ShoulderSight:
+class ShoulderMeasurements:
     """The shoulder's knots: where the smooth shoulder has a variable.
 
     Attributes
@@ -100,7 +100,7 @@ class States:
 
 
 @dataclass(frozen=True)
-class FieldSight:
+class FieldMeasurements:
     """A calibrated magnetometer's directions (see `magnetic`).
 
     Attributes
@@ -118,7 +118,7 @@ class FieldSight:
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseModel:
     """Densities and losses that all windows share.
 
     The `..._share` grow with the motion: what scale and mounting errors of the sensor cost, as a part of
@@ -147,18 +147,18 @@ class Window:
     t: FloatArray
     core_start_s: float
     core_end_s: float
-    inertia: Inertia
-    sights: tuple[Sight, ...]
-    shoulder: ShoulderSight | None
+    increments: ImuIncrements
+    joint_measurements: tuple[JointMeasurements, ...]
+    shoulder: ShoulderMeasurements | None
     start: States
     velocity_change: FloatArray
     attitude_node: int
     attitude: FloatArray
     attitude_covariance: FloatArray
     priors: Priors
-    noise: Noise
+    noise: NoiseModel
     gravity_magnitude: float
-    field: FieldSight | None = None
+    field: FieldMeasurements | None = None
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Solution:
     shoulder : (k, 3) knots, and shoulder_covariance (k, 3, 3).
     message : the shared quantities.
     bias : (n, 6) at the nodes.
-    residuals : by joint, camera minus answer (k, 3) in the order of `Sight`.
+    residuals : by joint, camera minus answer (k, 3) in the order of `JointMeasurements`.
     iterations, error : of the optimiser; `error` is half the weighted squared sum.
     offset_information : on a clock offset of the window's own, 1/s^2; 0 where not asked for.
     """

@@ -12,7 +12,7 @@ from .problem import States
 
 
 @dataclass(frozen=True)
-class Way:
+class RelativeMotion:
     """The IMU's motion from each frame's node to the frame, in {K}.
 
     Attributes
@@ -42,7 +42,7 @@ class Way:
 RATE_S = 0.02
 
 
-def carry(
+def propagate(
     signal: InertialSignal,
     t: FloatArray,
     states: States,
@@ -50,7 +50,7 @@ def carry(
     node: IntArray,
     gravity: FloatArray,
     bias: FloatArray,
-) -> Way:
+) -> RelativeMotion:
     """Follow the IMU from nodes to frames, forwards or backwards.
 
     A velocity that is wrong at the node moves the frames before and after it by as much in opposite
@@ -79,4 +79,4 @@ def carry(
     speed[away], position[away] = np.where(back, -gained, gained), np.where(back, -gone, gone)
     inside = np.clip(frame_t, signal.start_s + 0.5 * RATE_S, signal.end_s - 0.5 * RATE_S)
     rate = signal.mean(inside - 0.5 * RATE_S, inside + 0.5 * RATE_S)[:, 3:] - bias[3:]
-    return Way(R, R_frame, position, speed, rate)
+    return RelativeMotion(R, R_frame, position, speed, rate)

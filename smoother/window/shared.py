@@ -22,7 +22,7 @@ class Gaussian:
 
 
 @dataclass(frozen=True)
-class Layout:
+class SharedLayout:
     """Where each shared quantity stands in the vector.
 
     Attributes

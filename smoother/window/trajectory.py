@@ -17,7 +17,7 @@ BLEND_HALF_S = 0.5
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trajectory:
     """The arm at times t (n,): states, covariances (see `Recovery`), bias (n, 6), gravity (n, 3) m/s^2.
 
     `levers`: by joint (n, 3) m in {A}, each window's own, which its poses go with.
@@ -40,7 +40,7 @@ class Motion:
         return interpolate(self.t, self.levers[joint], t)
 
 
-def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Motion:
+def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory:
     """Blend the windows at the nodes t (n,) of a stretch; each window covers a run of them.
 
     Covariances stay zero where the windows were solved without.
@@ -88,7 +88,7 @@ def join(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Mot
             if covariance is not None:
                 mix(shoulder_covariance, rows, covariance[own], share)
         filled[rows] = True
-    return Motion(
+    return Trajectory(
         t,
         States(R, p, v),
         pose,
@@ -137,7 +137,7 @@ def _shoulder_at_nodes(window: Window, solution: Solution) -> tuple[FloatArray, 
     )
 
 
-def at_times(motion: Motion, signal: InertialSignal, at: FloatArray) -> States:
+def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> States:
     """Pose and velocity at any times within the nodes: the IMU carries each node's state forward.
 
     What is missing at the next node (millimetres) is spread over the interval by the cubic that

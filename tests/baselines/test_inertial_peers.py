@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from smoother.baselines import error_state as es
 from smoother.baselines.linear import Chain, kalman_filter, rts_smoother
 from smoother.baselines.rts import linearised, residuals, rts, start
-from smoother.baselines.scene import Peer
+from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import Belief, predicted, process_noise, sigma_points, ukf, updated
 from smoother.config import ImuNoise
 from smoother.linalg import skew
@@ -20,12 +20,12 @@ from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import JOINTS
 
 
-def states_of_an_arm(seed: int, rng: np.random.Generator) -> tuple[es.Trajectory, InertialSignal]:
+def states_of_an_arm(seed: int, rng: np.random.Generator) -> tuple[es.InertialTrajectory, InertialSignal]:
     """Ten nodes of a moving arm, their states off by a little, gravity and biases not zero."""
     scene = scene_of(arm("white", seed, occlusion_lengths_s=NO_GAPS, duration_s=5.0))
     states, _ = start(scene, es.levers_of(scene))
     part = slice(60, 70)
-    near = es.Trajectory(
+    near = es.InertialTrajectory(
         *(getattr(states, name)[part] for name in ("t", "p", "v", "R", "bias", "gravity", "shoulder"))
     )
     return near.moved(0.02 * rng.normal(size=(10, es.SIZE))), InertialSignal(scene.imu)
@@ -36,7 +36,7 @@ def test_transition_is_the_derivative_of_the_prediction(column: int):
     rng = np.random.default_rng(5)
     states, signal = states_of_an_arm(3, rng)
 
-    def ahead(at: es.Trajectory) -> np.ndarray:
+    def ahead(at: es.InertialTrajectory) -> np.ndarray:
         """Error of the predicted next state against the unchanged one."""
         p, v, R = es.predict(at, integrate(signal, at.t, at.bias[:-1]))
         p0, v0, R0 = es.predict(states, integrate(signal, states.t, states.bias[:-1]))
@@ -59,7 +59,7 @@ def test_measurements_are_the_derivative_of_the_residuals():
     error = 1e-4 * rng.normal(size=(len(states.t), es.SIZE))
     chain = linearised(states, sights, InertialSignal(scene.imu), scene, ImuNoise(), 0.1)
 
-    def loss(at: es.Trajectory) -> np.ndarray:
+    def loss(at: es.InertialTrajectory) -> np.ndarray:
         """Half the weighted squares of a node, the weights those of the linearisation."""
         left, first = residuals(at, sights), residuals(states, sights)
         size = np.linalg.norm(first, axis=2) / sights.sigma_m
@@ -68,7 +68,7 @@ def test_measurements_are_the_derivative_of_the_residuals():
         elbow = at.p + at.R @ sights.levers["elbow"]
         off = np.linalg.norm(elbow - at.shoulder, axis=1) - sights.upper_arm_m
         share = np.minimum(np.gradient(at.t) / 0.09, 1.0)
-        return total + 0.5 * share * (off / sights.flex_m) ** 2
+        return total + 0.5 * share * (off / sights.upper_arm_sigma_m) ** 2
 
     slope = loss(states.moved(error)) - loss(states.moved(-error))
     expected = -2.0 * np.einsum("ni,ni->n", chain.vector[..., 0], error)
@@ -125,7 +125,7 @@ def test_ukf_is_the_error_state_filter_where_errors_are_small():
         unscented.append(belief)
     # the same by the linear filter: transitions of the first nine errors, measurements as information
     n = len(t)
-    track = es.Trajectory(
+    track = es.InertialTrajectory(
         t,
         np.array([b.p for b in unscented]),
         np.array([b.v for b in unscented]),
@@ -166,7 +166,9 @@ def test_sigma_points_have_the_covariance():
 
 
 @pytest.mark.parametrize(("peer", "most_m", "most_deg"), [(rts, 0.0003, 0.05), (ukf, 0.0005, 0.1)])
-def test_error_free_sensors_come_back_to_tenths_of_a_millimetre(peer: Peer, most_m: float, most_deg: float):
+def test_error_free_sensors_come_back_to_tenths_of_a_millimetre(
+    peer: Baseline, most_m: float, most_deg: float
+):
     # measured 0.02 and 0.1 mm, 0.01 and 0.03 degrees
     made = arm("clean", 1, occlusion_lengths_s=NO_GAPS, duration_s=10.0)
     path = peer(scene_of(made, sigma_m=1e-4))
@@ -227,7 +229,7 @@ def test_ukf_says_what_a_gap_costs():
 
 
 @pytest.mark.parametrize("peer", [rts, ukf])
-def test_ends_and_nothing_seen(peer: Peer):
+def test_ends_and_nothing_seen(peer: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=10.0)
     scene = scene_of(made)
     unseen = (scene.frame_t < 1.0) | (scene.frame_t > 9.0)
@@ -248,7 +250,7 @@ def test_ends_and_nothing_seen(peer: Peer):
 
 
 @pytest.mark.parametrize("peer", [rts, ukf])
-def test_strap_alone_is_enough(peer: Peer):
+def test_strap_alone_is_enough(peer: Baseline):
     made = arm("white", 3, occlusion_lengths_s=(1.0,), strap=True)
     scene = scene_of(made, tilt_deg=2.0)
     joints = np.full_like(scene.joints, np.nan)
@@ -267,7 +269,7 @@ def test_strap_alone_is_enough(peer: Peer):
 
 def test_moved_states_turn_in_the_cameras_frame():
     R = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
-    states = es.Trajectory(
+    states = es.InertialTrajectory(
         np.zeros(1),
         np.zeros((1, 3)),
         np.zeros((1, 3)),

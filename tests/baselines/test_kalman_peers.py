@@ -10,9 +10,9 @@ from made_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.kalman import deviations_at_rest, kalman, low_pass, state_model
 from smoother.baselines.linear import kalman_filter
-from smoother.baselines.multirate_kalman import Events, Noise, merge, multirate_kalman
+from smoother.baselines.multirate_kalman import Events, FilterNoise, merge, multirate_kalman
 from smoother.baselines.multirate_kalman import state_model as wiener_model
-from smoother.baselines.scene import Peer, Scene
+from smoother.baselines.scene import Baseline, Scene
 from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
 
@@ -107,7 +107,7 @@ def test_multirate_states_smaller_sigmas_as_published():
     1.4 mm/s (still) and 2.8 mm and 7.3 mm/s (moving), so that the mean depends on how long the hand moved.
     """
     both, single, speed = feng_move(0)
-    noise = Noise()
+    noise = FilterNoise()
     one, _ = kalman_filter(wiener_model(single, np.zeros(len(single.t), dtype=bool), noise, 2000e-6))
     moving = np.interp(both.t, np.arange(450) / 90.0, speed) > 0.150
     two, _ = kalman_filter(wiener_model(both, moving, noise, 2000e-6))
@@ -130,7 +130,7 @@ def scene_without_gaps(seed: int, **changes: object) -> tuple[Scene, SimulatedAr
 @pytest.mark.parametrize(
     ("peer", "fast_m", "slow_m"), [(kalman, 0.02, 0.003), (multirate_kalman, 0.002, 0.0008)]
 )
-def test_error_free_sensors_come_back_to_the_methods_order(peer: Peer, fast_m: float, slow_m: float):
+def test_error_free_sensors_come_back_to_the_methods_order(peer: Baseline, fast_m: float, slow_m: float):
     # measured: kalman 2.9-5.5 mm and 0.4-0.6, multirate 0.5-0.8 and 0.1-0.2; the docstrings' orders
     for speed, most in ((1.0, fast_m), (0.5, slow_m)):
         scene, made = scene_without_gaps(1, speed=speed)
@@ -138,7 +138,7 @@ def test_error_free_sensors_come_back_to_the_methods_order(peer: Peer, fast_m: f
 
 
 @pytest.mark.parametrize("peer", [kalman, multirate_kalman])
-def test_filters_say_what_a_gap_costs(peer: Peer):
+def test_filters_say_what_a_gap_costs(peer: Baseline):
     made = arm("white", 1, occlusion_lengths_s=(1.0,))
     scene = scene_of(made, tilt_deg=1.0)
     path = peer(scene)
@@ -157,7 +157,7 @@ def test_filters_say_what_a_gap_costs(peer: Peer):
 
 
 @pytest.mark.parametrize("peer", [kalman, multirate_kalman])
-def test_filters_begin_with_the_first_frame_and_go_on_after_the_last(peer: Peer):
+def test_filters_begin_with_the_first_frame_and_go_on_after_the_last(peer: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=12.0)
     scene = scene_of(made)
     point = scene.point.copy()

@@ -12,7 +12,7 @@ from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman
 from smoother.baselines.multirate_kalman import multirate_kalman
 from smoother.baselines.rts import rts
-from smoother.baselines.scene import Path, Peer, Scene
+from smoother.baselines.scene import Baseline, Path, Scene
 from smoother.baselines.ukf import ukf
 from smoother.measurements.visibility import find_gaps
 from smoother.recording import JOINTS, BoolArray
@@ -61,14 +61,14 @@ def check(scene: Scene, path: Path) -> None:
 
 @every_peer
 @pytest.mark.parametrize("count", [8, 13, 40])
-def test_short_scenes(peer: Peer, count: int):
+def test_short_scenes(peer: Baseline, count: int):
     made = arm("white", 1, occlusion_lengths_s=NO_GAPS, duration_s=3.0)
     scene = first_samples(scene_of(made), count)
     check(scene, peer(scene))
 
 
 @every_peer
-def test_frames_that_stand_alone(peer: Peer):
+def test_frames_that_stand_alone(peer: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=8.0)
     scene = scene_of(made)
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def test_frames_that_stand_alone(peer: Peer):
 
 @every_peer
 @pytest.mark.parametrize("rate_hz", [30.0, 400.0])
-def test_slow_and_fast_imus(peer: Peer, rate_hz: float):
+def test_slow_and_fast_imus(peer: Baseline, rate_hz: float):
     made = arm("white", 3, occlusion_lengths_s=NO_GAPS, duration_s=6.0, imu_rate_hz=rate_hz)
     scene = scene_of(made)
     path = peer(scene)
@@ -92,7 +92,7 @@ def test_slow_and_fast_imus(peer: Peer, rate_hz: float):
 
 
 @every_peer
-def test_no_shoulder_and_no_measures(peer: Peer):
+def test_no_shoulder_and_no_measures(peer: Baseline):
     made = arm("white", 4, duration_s=10.0)
     scene = scene_of(made)
     joints = scene.joints.copy()
@@ -105,6 +105,6 @@ def test_no_shoulder_and_no_measures(peer: Peer):
 
 
 @every_peer
-def test_the_same_scene_gives_the_same_answer(peer: Peer):
+def test_the_same_scene_gives_the_same_answer(peer: Baseline):
     scene = scene_of(arm("white", 5, duration_s=6.0))
     np.testing.assert_array_equal(peer(scene).position, peer(scene).position)

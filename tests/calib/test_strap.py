@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calib.strap.strap_camera import Depth, Lens
 from calib.strap.strap_in_image import find_strap
-from smoother.simulation.strap import Arm, Noise, render
+from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 #: The colour camera sits 5 cm beside the depth camera, as in a Kinect.
 COLOUR = Lens(450.0, 450.0, 320.0, 180.0, 640, 360, t_C_K=np.array([0.05, 0.0, 0.0]))
@@ -32,7 +32,7 @@ def an_arm(seed: int) -> tuple[Arm, np.random.Generator]:
 
 def look(arm: Arm, rng: np.random.Generator, joint_sigma_m: float, colour: Lens = COLOUR):
     """Render and search, with joints as a camera places them."""
-    noise = Noise(rng=rng)
+    noise = StrapImageNoise(rng=rng)
     grey, _ = render(arm, colour, noise)
     _, z = render(arm, INFRARED, noise)
     elbow, wrist = (end + rng.normal(0, joint_sigma_m, 3) for end in (arm.elbow, arm.wrist))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smoother import Config, smoothing
-from smoother.baselines.registry import PEERS
+from smoother.baselines.registry import BASELINES
 from smoother.cli.methods import METHODS, PeerSettings, SharedGraph, choose, make_methods, peer_settings
 from smoother.cli.run import run
 from smoother.errors import SolveError
@@ -55,7 +55,7 @@ def test_every_promised_method_is_there():
     assert choose("hold, graph,hold") == ["hold", "graph"]
 
 
-@pytest.mark.parametrize("method", sorted(PEERS))
+@pytest.mark.parametrize("method", sorted(BASELINES))
 def test_smooth(session: Path, tmp_path: Path, method: str, capsys):
     out, figures_file = tmp_path / "out.mcap", tmp_path / "out.json"
     done(

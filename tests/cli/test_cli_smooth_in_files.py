@@ -13,15 +13,15 @@ from calib.file import read_calibration
 from calib.imu.correction import corrected
 from smoother.cli.run import run
 from smoother.io import read_recording
-from smoother.runtime.disk_store import DiskRoom
-from smoother.runtime.store import Room
+from smoother.runtime.disk_store import DiskStore
+from smoother.runtime.store import Store
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 
 
 def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, limit in (("memory", 1 << 40), ("files", 1)):
-        monkeypatch.setattr(smoother.io.disk_room, "_SMALL_BYTES", limit)
+        monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", limit)
         outputs = ["-o", tmp_path / f"{name}.mcap", "--json", tmp_path / f"{name}.json"]
         arguments = ["smooth", DEMO, *outputs, "--report", tmp_path / f"{name}.html", "--processes", 1]
         assert run([str(argument) for argument in arguments]) == 0
@@ -33,7 +33,7 @@ def test_where_the_columns_lie_does_not_show(tmp_path: Path, monkeypatch: pytest
 def test_no_room_for_temporary_files_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(smoother.io.disk_room, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", 1)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     assert run(["smooth", str(DEMO), "-o", str(tmp_path / "out.mcap"), "--processes", "1"]) != 0
     said = capsys.readouterr().err
@@ -53,10 +53,10 @@ def test_an_imu_is_corrected_part_by_part(
     )
     calibration = read_calibration(tmp_path / "cal.toml")
     monkeypatch.setattr("calib.imu.correction._SAMPLES", 10**9)
-    whole = corrected(recording, calibration, Room())
+    whole = corrected(recording, calibration, Store())
     assert not np.array_equal(whole.imu.acc, recording.imu.acc)
     monkeypatch.setattr("calib.imu.correction._SAMPLES", samples)
-    with DiskRoom(tmp_path) as room:
-        parts = corrected(recording, calibration, room)
+    with DiskStore(tmp_path) as store:
+        parts = corrected(recording, calibration, store)
         for name in ("t_s", "acc", "gyro"):
             np.testing.assert_allclose(getattr(parts.imu, name), getattr(whole.imu, name), rtol=1e-14)

@@ -12,7 +12,7 @@ from smoother.calibration import ArmCalibration
 from smoother.evaluation import validate
 from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
 from smoother.evaluation.lag import lag_s
-from smoother.evaluation.reference import Alignment
+from smoother.evaluation.reference import ReferenceAlignment
 
 #: Shrout and Fleiss, Psychological Bulletin 86 (1979), table 2: 6 targets by 4 judges.
 SHROUT_FLEISS = np.array(
@@ -198,7 +198,7 @@ class TestValidation:
             "medial_epicondyle": truth.joints["elbow"] - 0.04 * tilted,
             "lateral_epicondyle": truth.joints["elbow"] + 0.04 * tilted,
         }
-        found = validate(make_recovery(make_recording()), truth, Alignment(landmarks=landmarks))
+        found = validate(make_recovery(make_recording()), truth, ReferenceAlignment(landmarks=landmarks))
         assert abs(expected) > 1
         assert found.angles.carrying_truth_deg == pytest.approx(expected, abs=0.05)
         assert "carrying" not in found.angle_figures["all"]

@@ -12,7 +12,7 @@ from scenes import arm, last_pass, plain, point
 from slow_window import Answer, SlowWindow
 
 import smoother.graph.solve
-import smoother.measurements.timestamps
+import smoother.window.nodes
 from smoother.errors import SolveError
 from smoother.graph.build import DENSITY_STEP, bias_of_intervals
 from smoother.graph.solve import solve
@@ -31,7 +31,7 @@ class Pair:
     def __init__(self, window: Window) -> None:
         self.window = plain(window)
         with patch.object(
-            smoother.solve, "_some", lambda t, *_, **__: np.arange(len(t))
+            smoother.graph.solve, "_some", lambda t, *_, **__: np.arange(len(t))
         ):  # nothing interpolated
             self.fast: Solution = solve(self.window, with_covariance=True)
         self.slow: Answer = SlowWindow(self.window).solve()
@@ -46,7 +46,7 @@ def one_window(noise_m: float = 0.008) -> Window:
 
 def every_frame(made: SimulatedArm) -> Window:
     """The only window of a recording, each camera frame a node."""
-    with patch.object(smoother.timing, "CARRIED_S", 0.0):
+    with patch.object(smoother.window.nodes, "GROUPED_S", 0.0):
         (job,) = last_pass(made.recording, made.calibration)
     return job.window
 
@@ -146,11 +146,11 @@ def test_a_point_agrees_too(point_pair: Pair) -> None:
 
 def test_residuals_are_camera_minus_answer(pair: Pair) -> None:
     layout, states = pair.window.priors.layout, pair.fast.states
-    assert [sight.joint for sight in pair.window.sights] == list(pair.fast.residuals)
-    for sight in pair.window.sights:
-        lever = pair.fast.message.shared.mean[layout.lever(sight.joint)]
-        seen = states.p[sight.node] + states.R[sight.node] @ lever
-        np.testing.assert_allclose(pair.fast.residuals[sight.joint], sight.position - seen, atol=1e-9)
+    assert [measured.joint for measured in pair.window.joint_measurements] == list(pair.fast.residuals)
+    for measured in pair.window.joint_measurements:
+        lever = pair.fast.message.shared.mean[layout.lever(measured.joint)]
+        seen = states.p[measured.node] + states.R[measured.node] @ lever
+        np.testing.assert_allclose(pair.fast.residuals[measured.joint], measured.position - seen, atol=1e-9)
 
 
 def test_an_outlier_is_held_back_by_the_robust_loss() -> None:
@@ -159,12 +159,19 @@ def test_an_outlier_is_held_back_by_the_robust_loss() -> None:
     The pull of a white-noise model would be 0.5 m / 30 samples and more at the node itself.
     """
     window = one_window()
-    sights = list(window.sights)
-    k = [sight.joint for sight in sights].index("wrist")
-    position = sights[k].position.copy()
+    joint_measurements = list(window.joint_measurements)
+    k = [measured.joint for measured in joint_measurements].index("wrist")
+    position = joint_measurements[k].position.copy()
     position[15] += [0.5, 0.0, 0.0]
     wrong = replace(
-        window, sights=tuple([*sights[:k], replace(sights[k], position=position), *sights[k + 1 :]])
+        window,
+        joint_measurements=tuple(
+            [
+                *joint_measurements[:k],
+                replace(joint_measurements[k], position=position),
+                *joint_measurements[k + 1 :],
+            ]
+        ),
     )
     clean = solve(window, with_covariance=False).states.p
     held = np.abs(solve(wrong, with_covariance=False).states.p - clean).max()
@@ -179,7 +186,7 @@ def test_a_knock_is_a_larger_accelerometer_noise() -> None:
     factor = DENSITY_STEP**6
     density = window.noise.accelerometer_density
     error = density * np.sqrt(factor**2 - 1) * np.sqrt(np.diff(window.t))
-    knocked = replace(window, inertia=replace(window.inertia, velocity_error=error))
+    knocked = replace(window, increments=replace(window.increments, velocity_error=error))
     louder = replace(window, noise=replace(window.noise, accelerometer_density=density * factor))
     a, b = solve(knocked, with_covariance=True), solve(louder, with_covariance=True)
     np.testing.assert_allclose(a.states.p, b.states.p, atol=1e-9)
@@ -194,7 +201,7 @@ def test_a_knock_is_a_larger_accelerometer_noise() -> None:
 def test_noise_that_grows_with_the_motion() -> None:
     """A share of the turning rate: between the answers with the least and the most of it."""
     window = plain(one_window())
-    rate = np.linalg.norm(window.inertia.gyro, axis=1)
+    rate = np.linalg.norm(window.increments.gyro, axis=1)
     share = 0.004
 
     def sigmas(shared: float, density: float) -> FloatArray:
@@ -240,7 +247,7 @@ def test_long_windows_have_a_bias_every_four_seconds() -> None:
 
 def test_what_nothing_determines_is_a_sentence_with_the_time() -> None:
     """No camera sample at all leaves position free: no key number, no traceback of another library."""
-    window = replace(one_window(), sights=(), shoulder=None)
+    window = replace(one_window(), joint_measurements=(), shoulder=None)
     layout = replace(window.priors.layout, joints=(), has_upper_arm=False)
     shared = window.priors.shared
     shared = replace(shared, mean=shared.mean[:8], covariance=shared.covariance[:8, :8])

@@ -87,7 +87,7 @@ class Job:
 def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
     """Every window that `smooth` solves, pass by pass, by listening at the solver."""
     heard: list[Job] = []
-    solve = smoother.solve.solve
+    solve = smoother.graph.solve.solve
 
     def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
         solution = solve(window, with_covariance, **more)
@@ -106,9 +106,9 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:
     """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
-    inertia = replace(window.inertia, velocity_error=np.zeros(len(window.t) - 1))
+    increments = replace(window.increments, velocity_error=np.zeros(len(window.t) - 1))
     noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
-    return replace(window, noise=noise, inertia=inertia)
+    return replace(window, noise=noise, increments=increments)
 
 
 def assert_accurate(scene: Scene, rms_m: float = GAP_RMS_M, max_m: float = GAP_MAX_M) -> None:

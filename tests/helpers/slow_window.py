@@ -109,13 +109,13 @@ class SlowWindow:
 
         An interval with fewer samples than the longest gets samples of no length.
         """
-        inertia = self.window.inertia
-        count = np.diff(inertia.first)
+        increments = self.window.increments
+        count = np.diff(increments.first)
         samples = []
         for k in range(int(count.max())):
-            row = np.minimum(inertia.first[:-1] + k, inertia.first[1:] - 1)
-            h = np.where(k < count, inertia.h[row], 0.0)[:, None]
-            samples += [(inertia.acc[row, half], inertia.gyro[row], h) for half in range(2)]
+            row = np.minimum(increments.first[:-1] + k, increments.first[1:] - 1)
+            h = np.where(k < count, increments.h[row], 0.0)[:, None]
+            samples += [(increments.acc[row, half], increments.gyro[row], h) for half in range(2)]
         return samples
 
     def _increments(self, bias: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -150,7 +150,7 @@ class SlowWindow:
     def residuals(self, x: Unknowns) -> FloatArray:
         w, layout = self.window, self.window.priors.layout
         g = layout.down(x.shared) * w.gravity_magnitude
-        R, p, v = self._increments(x.shared[layout.bias] - w.inertia.bias)
+        R, p, v = self._increments(x.shared[layout.bias] - w.increments.bias)
         back, dt = np.swapaxes(x.R[:-1], 1, 2), self.dt[:, None]
         error = np.hstack(
             [
@@ -160,10 +160,10 @@ class SlowWindow:
             ]
         )
         out = [times(self.inertial, error).ravel()]
-        for sight in w.sights:
-            lever = x.shared[layout.lever(sight.joint)] if sight.joint in layout.joints else np.zeros(3)
-            seen = x.p[sight.node] + x.R[sight.node] @ lever
-            out.append(((seen - sight.position) / sight.sigma_m[:, None]).ravel())
+        for measured in w.joint_measurements:
+            lever = x.shared[layout.lever(measured.joint)] if measured.joint in layout.joints else np.zeros(3)
+            seen = x.p[measured.node] + x.R[measured.node] @ lever
+            out.append(((seen - measured.position) / measured.sigma_m[:, None]).ravel())
         out.append(self.prior @ (x.shared - w.priors.shared.mean))
         out.append(self.attitude @ self.R0 @ log(self.R0.T @ x.R[w.attitude_node]))
         quiet = np.isfinite(w.velocity_change)
@@ -175,9 +175,9 @@ class SlowWindow:
         if w.shoulder is None:
             return []
         node, seen = w.shoulder.node, np.isfinite(w.shoulder.position[:, 0])
-        sight = (x.shoulder - w.shoulder.position)[seen] / w.shoulder.sigma_m[seen, None]
+        measured = (x.shoulder - w.shoulder.position)[seen] / w.shoulder.sigma_m[seen, None]
         walk = np.diff(x.shoulder, axis=0) / (w.noise.shoulder_walk * np.sqrt(np.diff(w.t[node])))[:, None]
-        out = [sight.ravel(), walk.ravel()]
+        out = [measured.ravel(), walk.ravel()]
         if layout.has_upper_arm:
             elbow = x.p[node] + x.R[node] @ w.priors.shared.mean[layout.lever("elbow")]
             length = np.linalg.norm(x.shoulder - elbow, axis=1)

@@ -17,7 +17,7 @@ from calib.strap.strap_camera import Lens
 from smoother.io import write_recording
 from smoother.io.wire.schemas import schema_data
 from smoother.simulation.arm import SimulatedArm
-from smoother.simulation.strap import Arm, Noise, render
+from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 BASELINE_M = 0.05
 KINECT = np.diag([-1.0, -1.0, 1.0])
@@ -38,7 +38,7 @@ def with_images(simulated: SimulatedArm, path: Path, every: int = 3, seed: int =
         k = int(np.argmin(np.abs(truth.t_s - t)))
         elbow, wrist = truth.joints["elbow"][k], truth.joints["wrist"][k]
         arm = Arm(elbow, wrist, radius, measures["forearm_m"] - measures["strap_to_wrist_m"])
-        noise = Noise(rng=rng)
+        noise = StrapImageNoise(rng=rng)
         grey, _ = render(arm, COLOUR, noise)
         _, z = render(arm, DEPTH, noise)
         stamp = int(np.rint(t * 1e9))

@@ -24,12 +24,12 @@ from smoother.io.mcap.merge import END
 from smoother.io.mcap.parts import Axis, parts_of_time
 from smoother.recording import Recording
 from smoother.result import Recovery
-from smoother.runtime.disk_store import DiskRoom
-from smoother.runtime.store import Room
+from smoother.runtime.disk_store import DiskStore
+from smoother.runtime.store import Store
 
 
 def cut(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
-    monkeypatch.setattr(smoother.io.result, "parts_of_time", partial(parts_of_time, most=most))
+    monkeypatch.setattr(smoother.io.result.write, "parts_of_time", partial(parts_of_time, most=most))
 
 
 def messages(path: Path) -> list[tuple[str, int, int, int, bytes]]:
@@ -107,19 +107,11 @@ def test_log_times_that_run_back_are_held_across_parts(
         assert len(log) == len(t) and min(np.diff(log)) >= 0
 
 
-class Counted(Room):
-    def __init__(self) -> None:
-        self.tidied = 0
-
-    def tidy(self) -> None:
-        self.tidied += 1
-
-
-def on_disk(made: Recovery, room: Room) -> Recovery:
-    """The recovery with its columns in a room."""
+def on_disk(made: Recovery, store: Store) -> Recovery:
+    """The recovery with its columns in a store."""
 
     def put(values: np.ndarray) -> np.ndarray:
-        array = room.array(values.shape, 0, values.dtype)
+        array = store.array(values.shape, 0, values.dtype)
         array[:] = values
         return array
 
@@ -143,24 +135,17 @@ def on_disk(made: Recovery, room: Room) -> Recovery:
 def test_columns_in_files_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import smoother.runtime.disk_store
 
-    monkeypatch.setattr(smoother.io.disk_room, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(smoother.runtime.disk_store, "_SMALL_BYTES", 1)
     cut(monkeypatch, 64)
     made = recovery()
     write_recovery(made, tmp_path / "memory.mcap")
-    with DiskRoom(tmp_path) as room:
-        kept = on_disk(made, room)
-        write_recovery(kept, tmp_path / "files.mcap", room=room)
+    with DiskStore(tmp_path) as store:
+        kept = on_disk(made, store)
+        write_recovery(kept, tmp_path / "files.mcap")
         for block in kept.blocks():
             assert len(block)
-        assert_same(made, kept)  # pages that left the memory come back as they were
+        assert_same(made, kept)
     assert (tmp_path / "files.mcap").read_bytes() == (tmp_path / "memory.mcap").read_bytes()
-
-
-def test_the_room_is_tidied_after_every_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cut(monkeypatch, 50)
-    made, room = recovery(), Counted()
-    write_recovery(made, tmp_path / "a.mcap", room=room)
-    assert room.tidied == -(-len(made) // 50)
 
 
 def test_blocks_go_over_all_samples_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,12 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from smoother.measurements.inertial import (
-    BLOCK_S,
+    STEP_S,
     InertialSignal,
     Preintegration,
     equivalent_samples,
     integrate,
-    split_blocks,
+    split_steps,
 )
 from smoother.recording import FloatArray, ImuStream
 
@@ -75,7 +75,7 @@ def test_equivalent_samples_are_exact_in_gtsam(seed: int) -> None:
         Rotation.from_rotvec(rng.normal(0, 0.5, (20, 3))).as_matrix(),
         rng.normal(0, 1.0, (20, 3)),
         rng.normal(0, 0.1, (20, 3)),
-        rng.uniform(0.003, BLOCK_S, 20),
+        rng.uniform(0.003, STEP_S, 20),
     )
     acc, gyro, h = equivalent_samples(motion)
     for k in range(20):
@@ -103,8 +103,8 @@ def test_blocks_chained_in_gtsam_give_the_whole_interval() -> None:
     """
     signal = InertialSignal(Curve(0).imu(100.0, 5.0))
     t = np.append(np.arange(0.5, 4.5, 0.1), [4.5, 4.533, 4.55])
-    block_t, first = split_blocks(t)
-    assert np.diff(block_t).max() <= BLOCK_S + 1e-9
+    block_t, first = split_steps(t)
+    assert np.diff(block_t).max() <= STEP_S + 1e-9
     np.testing.assert_array_equal(block_t[first], t)
     fine = integrate(signal, t, NO_BIAS)
     acc, gyro, h = equivalent_samples(integrate(signal, block_t, NO_BIAS))

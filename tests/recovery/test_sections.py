@@ -10,7 +10,7 @@ import pytest
 
 from smoother import Config, Recovery, smooth
 from smoother.config import Windows
-from smoother.measurements.clock import constant
+from smoother.measurements.clock import constant_clock
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS
 from smoother.recovery.sections import SECTION_S, Sections, _borders
@@ -49,7 +49,7 @@ def whole(made: SimulatedArm) -> Recovery:
 
 
 def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
-    sections = Sections(made.recording, constant(0.0)).all
+    sections = Sections(made.recording, constant_clock(0.0)).all
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
     for a, b in pairwise(sections):
@@ -59,7 +59,7 @@ def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
 
 
 def test_borders_lie_in_visible_time(made: SimulatedArm, sectioned: Recovery) -> None:
-    borders = [section.start_s for section in Sections(made.recording, constant(0.0)).all[1:]]
+    borders = [section.start_s for section in Sections(made.recording, constant_clock(0.0)).all[1:]]
     for border in borders:
         assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
 
@@ -100,7 +100,7 @@ def test_no_seam_at_the_borders(made: SimulatedArm, sectioned: Recovery) -> None
     jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
     t = sectioned.t_s[1:-1]
     near = np.zeros(len(t), dtype=bool)
-    for section in Sections(made.recording, constant(0.0)).all[1:]:
+    for section in Sections(made.recording, constant_clock(0.0)).all[1:]:
         near |= np.abs(t - section.start_s) < 1.0
     assert near.sum() > 300
     assert jump[near].max() <= jump[~near].max()
@@ -108,7 +108,7 @@ def test_no_seam_at_the_borders(made: SimulatedArm, sectioned: Recovery) -> None
 
 def test_a_border_in_a_gap_that_only_screening_finds(made: SimulatedArm) -> None:
     """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
-    border = Sections(made.recording, constant(0.0)).all[1].start_s
+    border = Sections(made.recording, constant_clock(0.0)).all[1].start_s
     arm = made.recording.arm
     rows = np.flatnonzero((arm.t_s > border - 3.0) & (arm.t_s < border + 3.0))
     position = arm.position.copy()

@@ -9,7 +9,7 @@ import pytest
 from arms import make_recording, make_recovery, turn
 
 from calib.forearm.forearm_frame import ForearmFrame, forearm_frame
-from calib.motion.estimates import Found, JointError, found_in
+from calib.motion.estimates import ArmEstimates, JointError, found_in
 from calib.motion.evidence import ClockOffset, Evidence, gather_from
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.advice import NOTHING, advice, towards_the_camera
@@ -31,10 +31,10 @@ def arm(sigma_m: float = 0.003) -> ArmCalibration:
     return ArmCalibration("right", levers, Length(0.3, 0.003))
 
 
-def found(**changes: object) -> Found:
+def found(**changes: object) -> ArmEstimates:
     calibration = changes.get("calibration", arm())
     assert isinstance(calibration, ArmCalibration)
-    whole = Found(calibration, forearm_frame(calibration), (OFFSET,), GOOD, ())
+    whole = ArmEstimates(calibration, forearm_frame(calibration), (OFFSET,), GOOD, ())
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 
@@ -44,7 +44,7 @@ def result() -> Recovery:
     return replace(recovery, joints=recovery.joints | {"wrist": recovery.joints["elbow"] + WIDE})
 
 
-def said(recovery: Recovery | None = None, known: Found | None = None) -> str:
+def said(recovery: Recovery | None = None, known: ArmEstimates | None = None) -> str:
     return "\n".join(advice(recovery or result(), known or found()))
 
 

@@ -9,7 +9,7 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from calib.motion.estimates import Found, found_in
+from calib.motion.estimates import ArmEstimates, found_in
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.recording import JOINTS
 from smoother.report import write_report
@@ -18,7 +18,7 @@ from smoother.report.summary import summary
 from smoother.report.trust import timeline
 
 
-def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> Found:
+def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> ArmEstimates:
     turn = turn or Rotation.identity()
     recovery = make_recovery(make_recording(4.0))
     calibration = ArmCalibration(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
-from smoother.evaluation import Alignment, validate
+from smoother.evaluation import ReferenceAlignment, validate
 from smoother.report import write_report
 from smoother.report.truth_comparison import angle_curves, bland_altman, compared, error_over_time
 
@@ -28,7 +28,7 @@ def pair():
 
 def test_sections_say_where_the_truth_was_aligned(pair, tmp_path):
     recovery, truth = pair
-    found = validate(recovery, truth, Alignment("solved"))
+    found = validate(recovery, truth, ReferenceAlignment("solved"))
     titles = [title for title, *_ in compared(recovery, truth, found)]
     assert len(titles) == 4
     assert all("aligned: frame and clock" in title for title in titles)

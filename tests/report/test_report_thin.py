@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.report.decimate import band, split_line, thin
+from smoother.report.decimate import band, decimate, split_line
 
 
 def test_short_lines_are_kept_whole():
-    np.testing.assert_array_equal(thin(np.zeros(100, bool), 200), np.arange(100))
+    np.testing.assert_array_equal(decimate(np.zeros(100, bool), 200), np.arange(100))
 
 
 def test_long_lines_keep_ends_and_gaps():
     important = np.zeros(300_000, bool)
     important[1000:1200] = True
     important[200_000:200_400] = True
-    index = thin(important, 6000)
+    index = decimate(important, 6000)
     assert len(index) <= 6000
     assert index[0] == 0
     assert index[-1] == 299_999
@@ -24,7 +24,7 @@ def test_long_lines_keep_ends_and_gaps():
 
 
 def test_everything_important_is_still_bounded():
-    assert len(thin(np.ones(100_000, bool), 5000)) <= 5000
+    assert len(decimate(np.ones(100_000, bool), 5000)) <= 5000
 
 
 def test_split_line_meets_at_the_edges():

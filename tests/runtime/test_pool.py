@@ -24,7 +24,7 @@ def recover(processes: int) -> Recovery:
 
 def test_two_processes_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = recover(1)
-    monkeypatch.setattr(smoother.pool, "WORTH_FRAMES", 10)
+    monkeypatch.setattr(smoother.runtime.pool, "WORTH_FRAMES", 10)
     with Pool(2, 100) as pool:
         assert pool._executor is not None  # the threshold is what decides
     together = recover(2)

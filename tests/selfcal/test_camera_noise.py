@@ -7,31 +7,38 @@ from typing import cast
 
 import numpy as np
 import pytest
-from pieces import forearm
+from made_segments import forearm
 from scenes import Scene, arm, blind
 from scipy.signal import lfilter
 
 from smoother.config import Config
+from smoother.measurements.joint_noise import JointNoise
 from smoother.recording import JOINTS, FloatArray
-from smoother.selfcal.camera_noise import JointNoise, joint_noise, sigma_by_joint
+from smoother.selfcal.camera_noise import joint_noise, sigma_by_joint
 from smoother.selfcal.joint_bias import GAIN, JointBias
-from smoother.window.problem import Sight, Solution, Window
+from smoother.window.problem import JointMeasurements, Solution, Window
 
 STEP_S = 1 / 30
 
 
-def sight_of(joint: str, node: np.ndarray, sigma_m: float) -> Sight:
+def sight_of(joint: str, node: np.ndarray, sigma_m: float) -> JointMeasurements:
     """Samples at nodes, of which only time and sigma are looked at."""
     nothing = np.zeros((len(node), 3))
-    return Sight(joint, STEP_S * node, node, nothing, np.full(len(node), sigma_m), nothing, nothing)
+    return JointMeasurements(
+        joint, STEP_S * node, node, nothing, np.full(len(node), sigma_m), nothing, nothing
+    )
 
 
 def answered(residuals: dict[str, FloatArray], sigma_m: float = 0.01) -> tuple[Window, Solution]:
     """A window and an answer of which only times, samples and residuals are looked at."""
     count = max(map(len, residuals.values()))
-    sights = tuple(sight_of(joint, np.arange(len(each)), sigma_m) for joint, each in residuals.items())
+    joint_measurements = tuple(
+        sight_of(joint, np.arange(len(each)), sigma_m) for joint, each in residuals.items()
+    )
     window = SimpleNamespace(
-        t=STEP_S * np.arange(count), sights=sights, noise=SimpleNamespace(cauchy=Config().camera.cauchy)
+        t=STEP_S * np.arange(count),
+        joint_measurements=joint_measurements,
+        noise=SimpleNamespace(cauchy=Config().camera.cauchy),
     )
     return cast(Window, window), cast(Solution, SimpleNamespace(residuals=residuals))
 
@@ -79,8 +86,10 @@ def test_lost_frames_do_not_hide_the_memory() -> None:
         series = remembering(0.8, 0.008, 600, rng)
         kept = np.flatnonzero(rng.uniform(size=600) > 0.33)
         window, _ = answered({"wrist": series})
-        sight = sight_of("wrist", kept, 0.01)
-        windows.append(cast(Window, SimpleNamespace(t=window.t, sights=(sight,), noise=window.noise)))
+        measured = sight_of("wrist", kept, 0.01)
+        windows.append(
+            cast(Window, SimpleNamespace(t=window.t, joint_measurements=(measured,), noise=window.noise))
+        )
         solutions.append(cast(Solution, SimpleNamespace(residuals={"wrist": series[kept]})))
     assert joint_noise(windows, solutions)["wrist"].effective_m == pytest.approx(0.024, rel=0.3)
 

@@ -11,9 +11,9 @@ from scipy.stats import multivariate_normal
 
 from calib.motion.several_recordings import MotionCalibration, calibrate_motion
 from smoother.measurements.clock import OFFSET_SIGMA_S, Clock
-from smoother.measurements.timestamps import stamps_made_up
+from smoother.measurements.timestamps import synthetic_stamps
 from smoother.recording import FloatArray, Recording
-from smoother.selfcal.clock_fit import MADE_UP_SIGMA_S, _likeliest, _local_level
+from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, _likeliest, _local_level
 from smoother.simulation import SimulatedArm
 
 
@@ -103,7 +103,7 @@ def even(rate_hz: float) -> FloatArray:
     ids=["30", "29.97", "26.3", "ms", "jitter", "dropped", "few"],
 )
 def test_stamps_that_somebody_made_up(stamps: FloatArray, made_up: bool) -> None:
-    assert stamps_made_up(stamps) is made_up
+    assert synthetic_stamps(stamps) is made_up
 
 
 def calibrated(*recordings: Recording) -> MotionCalibration:
@@ -172,10 +172,10 @@ def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     made = arm(2, protocol="random", duration_s=40.0, dropped_frames=0.1)
     tracks = made.recording.arm
     spread = np.linspace(tracks.t_s[0], tracks.t_s[-1], len(tracks))
-    assert stamps_made_up(spread)
+    assert synthetic_stamps(spread)
     (clock,) = calibrated(replace(made.recording, arm=replace(tracks, t_s=spread))).knowledge.clocks
     error = spread + clock.at(spread) - tracks.t_s
     unmended = spread - tracks.t_s
-    assert clock.local_sigma_s >= MADE_UP_SIGMA_S
+    assert clock.local_sigma_s >= SYNTHETIC_SIGMA_S
     assert np.sqrt(np.mean(error**2)) < 0.7 * np.sqrt(np.mean(unmended**2))
     assert np.sqrt(np.mean(error**2)) < 3 * clock.local_sigma_s

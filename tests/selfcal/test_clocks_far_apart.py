@@ -12,7 +12,7 @@ from smoother.config import Windows
 from smoother.errors import SolveError
 from smoother.measurements.clock import Clock
 from smoother.recording import FloatArray, Recording
-from smoother.selfcal.coarse_clock import coarse_clock, near
+from smoother.selfcal.coarse_clock import coarse_clock, synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 ALONE = Config(windows=Windows(processes=1))
@@ -65,7 +65,7 @@ def test_seconds_apart(short: SimulatedArm, offset_s: float) -> None:
 
 def test_within_reach_nothing_is_moved(short: SimulatedArm, long: SimulatedArm) -> None:
     for made in (short, long):
-        recording, coarse = near(later(made, np.full(len(made.recording.arm), 0.1)))
+        recording, coarse = synchronise_coarsely(later(made, np.full(len(made.recording.arm), 0.1)))
         assert coarse is None
         np.testing.assert_array_equal(recording.arm.t_s, made.recording.arm.t_s - 0.1)
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration
 from smoother.measurements.clock import LARGEST_OFFSET_S
-from smoother.measurements.outliers import by_camera
-from smoother.measurements.segment import Piece, take_apart
+from smoother.measurements.outliers import reject_by_camera
+from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording
 from smoother.selfcal.mounting import (
     CHUNK_S,
@@ -37,12 +37,12 @@ LIMITS = {
 
 
 def found_in(*recordings: Recording) -> Mounting:
-    pieces = [
-        by_camera(piece)
+    segments = [
+        reject_by_camera(segment)
         for number, recording in enumerate(recordings)
-        for piece in take_apart(recording, LARGEST_OFFSET_S, number)
+        for segment in split_into_segments(recording, LARGEST_OFFSET_S, number)
     ]
-    return find_mounting(pieces, ArmCalibration())
+    return find_mounting(segments, ArmCalibration())
 
 
 def degrees_between(a: FloatArray, b: FloatArray) -> float:
@@ -90,25 +90,25 @@ def test_two_recordings_have_an_offset_each() -> None:
 
 def test_what_is_known_is_kept() -> None:
     made = arm(1, repetitions=1)
-    (piece,) = take_apart(made.recording, LARGEST_OFFSET_S)
+    (segment,) = split_into_segments(made.recording, LARGEST_OFFSET_S)
     wrist = made.calibration.lever_arms["wrist"]
-    found = find_mounting([piece], ArmCalibration("right", {"wrist": wrist}))
+    found = find_mounting([segment], ArmCalibration("right", {"wrist": wrist}))
     assert found.calibration.lever_arms["wrist"] is wrist
     assert errors(found, made)[2] < 0.01  # the others hang on the wrist by differences that were seen
 
 
-def slow_loss(piece: Piece, offset_s: float, direction: FloatArray) -> float:
+def slow_loss(segment: Segment, offset_s: float, direction: FloatArray) -> float:
     """Wahba's loss by scipy, stretch by stretch: half the weighted squared distance, in sigmas squared."""
-    rows = np.flatnonzero(_both(piece))
-    elbow, wrist = (piece.position[rows, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
+    rows = np.flatnonzero(_both(segment))
+    elbow, wrist = (segment.position[rows, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
     seen = (wrist - elbow) / np.linalg.norm(wrist - elbow, axis=1)[:, None]
-    t = piece.frame_t[rows]
-    inertial = piece.attitude.at(t + offset_s).apply(direction)
+    t = segment.frame_t[rows]
+    inertial = segment.attitude.at(t + offset_s).apply(direction)
     hint = (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
     total = 0.0
     for part in range(int((t[-1] - t[0]) / CHUNK_S) + 1):
         own = np.floor((t - t[0]) / CHUNK_S) == part
-        in_K, in_E = np.vstack([seen[own], piece.down]), np.vstack([inertial[own], [0.0, 0.0, -1.0]])
+        in_K, in_E = np.vstack([seen[own], segment.down]), np.vstack([inertial[own], [0.0, 0.0, -1.0]])
         weights = np.append(np.ones(own.sum()), hint)
         _, distance = Rotation.align_vectors(in_K, in_E, weights=weights)[:2]
         total += 0.5 * distance**2 - hint  # the fast one leaves the hint's own length out
@@ -117,12 +117,12 @@ def slow_loss(piece: Piece, offset_s: float, direction: FloatArray) -> float:
 
 def test_the_grid_against_another_solution_of_wahba_s_problem() -> None:
     made = arm(3, protocol="random", duration_s=45.0)
-    (piece,) = take_apart(made.recording, LARGEST_OFFSET_S)
+    (segment,) = split_into_segments(made.recording, LARGEST_OFFSET_S)
     offsets, directions = np.array([-0.1, 0.0, 0.06]), _sphere(12)
-    fast = _losses(piece, _both(piece), offsets, directions)
+    fast = _losses(segment, _both(segment), offsets, directions)
     for i, offset in enumerate(offsets):
         for k in (0, 5, 11):
-            assert fast[i, k] == pytest.approx(slow_loss(piece, offset, directions[k]), rel=1e-6, abs=1e-3)
+            assert fast[i, k] == pytest.approx(slow_loss(segment, offset, directions[k]), rel=1e-6, abs=1e-3)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from studies import BROKEN, NAMES, batch, query, start_batch, state, until
 from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.study import cluster
-from smoother.study.fingerprint import Choice
+from smoother.study.fingerprint import Fingerprint
 from smoother.study.inputs import find_entries
 from smoother.study.job import Job, run_job
 from smoother.study.run import StudySettings, run_study, study_folder
@@ -96,7 +96,7 @@ def test_a_scheduler_that_goes_away(monkeypatch, tmp_path, capfd):
             for number in range(100):
                 if number == 5:
                     leaving.close()
-                yield Job(f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), Choice(), "")
+                yield Job(f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), Fingerprint(), "")
 
         with pytest.raises(UnoccludeError, match="went away; the same command continues"):
             list(cluster.run_cluster(jobs(), address))

@@ -14,7 +14,7 @@ from studies import BROKEN, NAMES, batch, is_alive, query, start_batch, state, u
 
 from smoother.config import Config
 from smoother.study.columns import DONE, FAILED
-from smoother.study.fingerprint import Choice, config_hash
+from smoother.study.fingerprint import Fingerprint, config_hash
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger
 from smoother.study.local import run_local
@@ -26,7 +26,7 @@ from smoother.study.run import study_folder
 def job(made: Path, tmp_path: Path) -> Job:
     folder = study_folder(tmp_path / "out")
     word = folder.open()
-    config, choice = Config(), Choice()
+    config, choice = Config(), Fingerprint()
     source, hashed = str(made / NAMES[0]), config_hash(config, choice)
     return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
 

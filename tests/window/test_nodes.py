@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from smoother.measurements.timestamps import PAUSE_S, split_at_pauses
 from smoother.recording import ImuStream
-from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, fill, thin
+from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, decimate, insert_nodes
 
 #: Rounding of sums of steps: times are some tens of seconds.
 EPS = 1e-9
@@ -25,7 +25,7 @@ def stream(t: np.ndarray) -> ImuStream:
 @given(starts, steps)
 def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: list[float]) -> None:
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
-    keep = thin(t)
+    keep = decimate(t)
     kept = t[keep]
     assert keep[0]
     assert (np.diff(kept) >= CLOSEST_S - EPS).all()
@@ -35,8 +35,8 @@ def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: lis
 
 
 def test_thin_of_nothing_and_one() -> None:
-    assert thin(np.zeros(0)).tolist() == []
-    assert thin(np.array([3.0])).tolist() == [True]
+    assert decimate(np.zeros(0)).tolist() == []
+    assert decimate(np.array([3.0])).tolist() == [True]
 
 
 @given(starts, steps, st.floats(0.1, 50.0), st.floats(0.0, 1.0))
@@ -44,10 +44,10 @@ def test_nodes_increase_are_close_enough_and_keep_the_given_times(
     start: float, gaps: list[float], length: float, shift: float
 ) -> None:
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
-    t = t[thin(t)]
+    t = t[decimate(t)]
     start_s = start + shift
     end_s = start_s + length
-    nodes = fill(t, start_s, end_s)
+    nodes = insert_nodes(t, start_s, end_s)
     spacing = np.diff(nodes)
     assert nodes[0] == start_s
     assert nodes[-1] == end_s
@@ -63,9 +63,9 @@ def test_nodes_increase_are_close_enough_and_keep_the_given_times(
 def test_nodes_are_no_more_than_needed(start: float, gaps: list[float]) -> None:
     """Between two given times the fewest evenly spaced nodes."""
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
-    t = t[thin(t)]
+    t = t[decimate(t)]
     end = t[-1] + 1.0
-    nodes = fill(t, t[0], end)
+    nodes = insert_nodes(t, t[0], end)
     inner = t[(t > t[0] + CLOSEST_S) & (t < end - CLOSEST_S)]
     given_times = np.concatenate(([t[0]], inner, [end]))
     for a, b in itertools.pairwise(given_times):

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from smoother.recording import FloatArray
-from smoother.window.pooling import SLOW_WALK, _excess, _Information, _others, tell
+from smoother.window.pooling import (
+    SLOW_WALK,
+    _between_window_variance,
+    _Information,
+    _others,
+    leave_one_out_priors,
+)
 from smoother.window.problem import Message, Priors
-from smoother.window.shared import Gaussian, Layout, axes_across
+from smoother.window.shared import Gaussian, SharedLayout, axes_across
 
 Draw = Callable[[], FloatArray]
 
@@ -122,7 +128,9 @@ def test_excess_is_the_published_estimate(seed: int, between: float) -> None:
     x = 3.0 + np.sqrt(variance + between**2) * rng.normal(size=9)
     own = _Information(1 / variance[:, None, None], (x / variance)[:, None])
     # the common mean carries a 1e-9 of information towards zero: nothing next to the data's 10 to 100
-    assert _excess(own)[0] == pytest.approx(der_simonian_laird(x, variance), rel=1e-6, abs=1e-7)
+    assert _between_window_variance(own)[0] == pytest.approx(
+        der_simonian_laird(x, variance), rel=1e-6, abs=1e-7
+    )
 
 
 def test_excess_widens_what_everybody_is_told() -> None:
@@ -141,7 +149,7 @@ def test_excess_widens_what_everybody_is_told() -> None:
 
 def test_tell_lets_only_the_biases_wander() -> None:
     down = np.array([0.0, -1.0, 0.0])
-    layout = Layout(joints=("elbow", "wrist"), has_upper_arm=True, gravity_axes=axes_across(down))
+    layout = SharedLayout(joints=("elbow", "wrist"), has_upper_arm=True, gravity_axes=axes_across(down))
     rng = np.random.default_rng(1)
     prior = Gaussian(np.zeros(layout.size), np.eye(layout.size))
     priors = Priors(layout, prior, np.zeros(6))
@@ -151,7 +159,7 @@ def test_tell_lets_only_the_biases_wander() -> None:
     ]
     walk = np.zeros(layout.size)
     walk[layout.bias] = SLOW_WALK
-    for k, each in enumerate(tell(messages, priors)):
+    for k, each in enumerate(leave_one_out_priors(messages, priors)):
         mean, covariance = dense_others(prior, data, np.array([2.0, 90.0]), walk, k)
         np.testing.assert_allclose(each.shared.mean, mean, rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(each.shared.covariance, covariance, rtol=1e-7, atol=1e-9)
@@ -162,7 +170,7 @@ def test_axes_across_are_right_handed_with_down() -> None:
     for down in rng.normal(size=(20, 3)):
         axes, unit = axes_across(down), down / np.linalg.norm(down)
         np.testing.assert_allclose(np.vstack([axes, unit]) @ np.vstack([axes, unit]).T, np.eye(3), atol=1e-12)
-        layout = Layout((), False, axes)
+        layout = SharedLayout((), False, axes)
         tilted = unit + 0.1 * axes[0] - 0.05 * axes[1]
         tilted /= np.linalg.norm(tilted)
         vector = np.concatenate([np.zeros(6), axes @ tilted])

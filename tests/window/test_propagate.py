@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import arm, last_pass, plain, recovered
 
-import smoother.measurements.timestamps
-from smoother.graph.build import gathered
+import smoother.window.nodes
+from smoother.graph.build import stacked_measurements
 from smoother.graph.solve import solve
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import FloatArray
-from smoother.window.nodes import CARRIED_S, FINE_S, gather
-from smoother.window.problem import Sight, States, Window
-from smoother.window.propagate import carry
+from smoother.window.nodes import FINE_S, GROUPED_S, group_frames
+from smoother.window.problem import JointMeasurements, States, Window
+from smoother.window.propagate import propagate
 
 LEVER = np.array([0.03, -0.2, 0.01])
 
@@ -37,10 +37,12 @@ def test_frames_before_and_after_a_node_are_where_the_curve_is(seed: int) -> Non
     curve = Curve(seed)
     imu = curve.imu(100.0, 3.0)
     node_t = np.array([0.5, 1.5, 2.5])
-    frame_t = np.concatenate([node_t - CARRIED_S, node_t, node_t + CARRIED_S])
+    frame_t = np.concatenate([node_t - GROUPED_S, node_t, node_t + GROUPED_S])
     node = np.tile(np.arange(3), 3)
     gravity = G * curve.down
-    way = carry(InertialSignal(imu), node_t, states_of(curve, node_t), frame_t, node, gravity, np.zeros(6))
+    way = propagate(
+        InertialSignal(imu), node_t, states_of(curve, node_t), frame_t, node, gravity, np.zeros(6)
+    )
     true = joint(curve, frame_t) - joint(curve, node_t[node])
     np.testing.assert_allclose(way.shift(LEVER), true, atol=2e-5)  # 100 Hz samples of 8 m/s^2
     assert angle_rad(way.R_frame, curve.rotation(frame_t).as_matrix()).max() < 1e-4
@@ -55,14 +57,14 @@ def test_a_wrong_velocity_cancels_over_a_group() -> None:
     curve = Curve(1)
     signal, gravity = InertialSignal(curve.imu(100.0, 3.0)), G * curve.down
     node_t = np.array([1.5])
-    frame_t = 1.5 + np.array([-CARRIED_S, -0.5 * CARRIED_S, 0.0, 0.5 * CARRIED_S, CARRIED_S])
+    frame_t = 1.5 + np.array([-GROUPED_S, -0.5 * GROUPED_S, 0.0, 0.5 * GROUPED_S, GROUPED_S])
     states = states_of(curve, node_t)
     wrong = replace(states, v=states.v + np.array([0.5, 0.0, 0.0]))
     right, off = (
-        carry(signal, node_t, each, frame_t, np.zeros(5, dtype=int), gravity, np.zeros(6)).shift(LEVER)
+        propagate(signal, node_t, each, frame_t, np.zeros(5, dtype=int), gravity, np.zeros(6)).shift(LEVER)
         for each in (states, wrong)
     )
-    assert np.abs(off - right).max() == pytest.approx(0.5 * CARRIED_S, rel=1e-6)
+    assert np.abs(off - right).max() == pytest.approx(0.5 * GROUPED_S, rel=1e-6)
     np.testing.assert_allclose((off - right).mean(axis=0), 0.0, atol=1e-12)
 
 
@@ -77,12 +79,12 @@ def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: floa
     t = t[rng.uniform(size=len(t)) >= drop]
     visible = np.ones(len(t), dtype=bool)
     visible[(t > 1.3) & (t < 1.6)] = False
-    owner = gather(t, visible)
+    owner = group_frames(t, visible)
     if not len(t):
         return
     assert (owner[owner] == owner).all()  # a node is told to itself
     assert (np.diff(owner) >= 0).all()
-    assert np.abs(t - t[owner]).max() <= 1.5 * CARRIED_S
+    assert np.abs(t - t[owner]).max() <= 1.5 * GROUPED_S
     moved = owner != np.arange(len(t))
     assert visible[moved].all()
     near_gap = (t > 1.3 - 0.8 * FINE_S) & (t < 1.6 + 0.8 * FINE_S)
@@ -91,7 +93,7 @@ def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: floa
 
 def test_frames_at_thirty_hertz_share_a_node_by_fives() -> None:
     t = np.arange(60) / 30.0
-    owner = gather(t, np.ones(60, dtype=bool))
+    owner = group_frames(t, np.ones(60, dtype=bool))
     _, count = np.unique(owner, return_counts=True)
     assert np.bincount(count).tolist() == [0, 10, 0, 0, 0, 10]  # five fine ones at both ends
 
@@ -100,8 +102,10 @@ def test_one_wrong_sample_of_a_group_costs_itself_only() -> None:
     place = np.zeros((5, 3))
     place[2] = [0.5, 0.0, 0.0]
     nothing = np.zeros((5, 3))
-    sight = Sight("wrist", np.arange(5) / 30, np.zeros(5, int), place, np.full(5, 0.01), nothing, nothing)
-    node, at, sigma = gathered(sight, cauchy=2.0)
+    measured = JointMeasurements(
+        "wrist", np.arange(5) / 30, np.zeros(5, int), place, np.full(5, 0.01), nothing, nothing
+    )
+    node, at, sigma = stacked_measurements(measured, cauchy=2.0)
     assert node.tolist() == [0]
     assert np.abs(at).max() < 5e-4
     assert sigma[0] == pytest.approx(0.01 / 2.0, rel=0.01)  # four of five count
@@ -111,7 +115,7 @@ def test_shared_nodes_cost_no_accuracy() -> None:
     """Against a node for every frame: the same answer within a fraction of its own sigma."""
     made = arm(5, protocol="random", duration_s=24.0)
     shared = recovered(made)
-    with patch.object(smoother.timing, "CARRIED_S", 0.0):
+    with patch.object(smoother.window.nodes, "GROUPED_S", 0.0):
         every = recovered(made)
     a, b = shared.recovery, every.recovery
     apart = np.linalg.norm(a.position - b.position, axis=1) / np.linalg.norm(b.sigma_m, axis=1)
@@ -127,9 +131,9 @@ def pull(window: Window) -> tuple[float, float]:
     """Fall of the loss for a later offset (1/s) at the window's optimum, and the information stated."""
     solution = solve(window, with_covariance=False, with_offset=True)
     total = 0.0
-    for sight in window.sights:
-        velocity = solution.states.v[sight.node] + sight.velocity
-        residual = solution.residuals[sight.joint] / sight.sigma_m[:, None] ** 2
+    for measured in window.joint_measurements:
+        velocity = solution.states.v[measured.node] + measured.velocity
+        residual = solution.residuals[measured.joint] / measured.sigma_m[:, None] ** 2
         total += float(np.sum(residual * velocity))
     return total, solution.offset_information
 
@@ -146,12 +150,12 @@ def test_the_offsets_information_is_the_pulls_slope() -> None:
     solution = solve(window, with_covariance=False)
     moved = replace(
         window,
-        sights=tuple(
+        joint_measurements=tuple(
             replace(
-                sight,
-                position=sight.position + step_s * (solution.states.v[sight.node] + sight.velocity),
+                measured,
+                position=measured.position + step_s * (solution.states.v[measured.node] + measured.velocity),
             )
-            for sight in window.sights
+            for measured in window.joint_measurements
         ),
     )
     before, information = pull(window)
@@ -159,6 +163,6 @@ def test_the_offsets_information_is_the_pulls_slope() -> None:
     assert (after - before) / step_s == pytest.approx(information, rel=0.05)
     bound = sum(
         float(np.sum((solution.states.v[s.node] + s.velocity) ** 2 / s.sigma_m[:, None] ** 2))
-        for s in window.sights
+        for s in window.joint_measurements
     )
     assert 0.02 * bound < information < 0.98 * bound

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import FloatArray
 from smoother.window.problem import Solution, States, Window
-from smoother.window.trajectory import BLEND_HALF_S, Motion, at_times, join
+from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, merge_windows
 
 
 class Joined:
@@ -25,7 +25,7 @@ class Joined:
         self.windows: list[Window] = [job.window for job in jobs]
         self.solutions: list[Solution] = [job.solution for job in jobs]
         self.t = np.unique(np.concatenate([window.t for window in self.windows]))
-        self.motion = join(self.t, self.windows, self.solutions)
+        self.motion = merge_windows(self.t, self.windows, self.solutions)
         self.signal = InertialSignal(self.made.recording.imu)
         self.borders = [window.core_start_s for window in self.windows[1:]]
 
@@ -35,14 +35,14 @@ def joined() -> Joined:
     return Joined()
 
 
-def analytic(spacing_s: float) -> tuple[Motion, InertialSignal, Curve]:
+def analytic(spacing_s: float) -> tuple[Trajectory, InertialSignal, Curve]:
     """Nodes exactly on an analytic motion, its exact IMU."""
     curve = Curve(8)
     t = np.arange(0.5, 5.5, spacing_s)
     n = len(t)
     states = States(curve.rotation(t).as_matrix(), curve.position(t), curve.velocity(t))
     zero, gravity = np.zeros((n, 6)), np.tile(G * curve.down, (n, 1))
-    motion = Motion(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity, None, None, {})
+    motion = Trajectory(t, states, np.zeros((n, 6, 6)), np.zeros((n, 3, 3)), zero, gravity, None, None, {})
     return motion, InertialSignal(curve.imu(100.0, 6.0)), curve
 
 
@@ -57,7 +57,7 @@ def test_there_is_something_to_join(joined: Joined) -> None:
 
 def test_one_window_is_taken_as_it_is(joined: Joined) -> None:
     window, solution = joined.windows[0], joined.solutions[0]
-    alone = join(window.t, [window], [solution])
+    alone = merge_windows(window.t, [window], [solution])
     np.testing.assert_array_equal(alone.states.p, solution.states.p)
     np.testing.assert_allclose(alone.states.R, solution.states.R, atol=1e-12)
     np.testing.assert_array_equal(alone.pose_covariance, solution.pose_covariance)
@@ -209,7 +209,7 @@ def test_the_bias_of_each_interval_is_taken_off() -> None:
     np.testing.assert_allclose(a.R, b.R, atol=1e-9)
 
 
-def carried(motion: Motion, signal: InertialSignal, k: int, t: float) -> FloatArray:
+def carried(motion: Trajectory, signal: InertialSignal, k: int, t: float) -> FloatArray:
     """A node's state carried to a time by one integration, written out."""
     step = integrate(signal, np.array([motion.t[k], t]), motion.bias[k])
     h = t - motion.t[k]

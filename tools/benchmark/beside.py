@@ -1,7 +1,8 @@
 """Other ways to the same answer, timed on the same recording: the plain graphs, `rts`, `linear-drift`.
 
-Each runs in a process of its own on what `smooth` found, as every peer does (`smoother.baselines`): calibration,
-clock, gravity, which samples to believe, and the gaps. Finding that is in `smooth`'s time and not in theirs.
+Each runs in a process of its own on what `smooth` found, as every baseline does (`smoother.baselines`):
+calibration, clock, gravity, which samples to believe, and the gaps. Finding that is in `smooth`'s time and
+not in theirs.
 Two times of each: its own (from scene to path), and with what it needs beside (orientation filter and
 alignment before, putting the answer together after). Neither reads nor writes a file.
 """
@@ -19,7 +20,7 @@ import numpy as np
 
 from smoother.baselines.answer import answer
 from smoother.baselines.inputs import scenes_of
-from smoother.baselines.registry import PEERS
+from smoother.baselines.registry import BASELINES
 from smoother.baselines.scene import Path as Answer
 from smoother.baselines.scene import Scene
 from smoother.config import Config
@@ -102,8 +103,8 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
 
 
 def _path(scene: Scene, name: str, timed: Timed) -> Answer:
-    if name in PEERS:
-        return PEERS[name].peer({})(scene)
+    if name in BASELINES:
+        return BASELINES[name].peer({})(scene)
     return solve_plainly(scene, name.removeprefix("plain graph, "), timed)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother import smooth
 from smoother.config import Config
-from smoother.measurements.clock import constant
+from smoother.measurements.clock import constant_clock
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.selfcal.clock_fit import ClockFit
@@ -44,8 +44,8 @@ def without_clock(recording: Recording, config: Config) -> Recovery:
     class Believed(ClockFit):
         """Clocks that no residual moves."""
 
-        def __init__(self, clocks: list, made_up: list) -> None:
-            super().__init__([constant(0.0, 1e-4) for _ in clocks], made_up)
+        def __init__(self, clocks: list, synthetic_stamps: list) -> None:
+            super().__init__([constant_clock(0.0, 1e-4) for _ in clocks], synthetic_stamps)
 
         def step(self, *_: object) -> None:
             """Nothing."""

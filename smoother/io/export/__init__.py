@@ -1,1 +1,1 @@
-"""."""
+"""A recovery in the formats of other programs."""

@@ -1,1 +1,1 @@
-"""."""
+"""Markers of motion capture, from TRC, C3D and tables."""

@@ -1,1 +1,1 @@
-"""."""
+"""The MCAP container, read and written in flat memory."""

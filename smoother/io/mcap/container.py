@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import IntArray
-from .messages import Message, Rows, Run, Topic
+from .messages import McapMessage, Rows, Run, Topic
 from .records import HEAD, MESSAGE, find
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -72,22 +72,22 @@ class Container:
             if found:
                 yield found
 
-    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[Message]]]:
+    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[McapMessage]]]:
         """The same with an object for each message: for topics whose messages are few, or large."""
         for found in self.rows(wanted):
             yield {position: self._one_by_one(position, rows) for position, rows in found.items()}
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[McapMessage]:
         """Yield all messages in the file's order."""
         for run in self.runs(lambda topic: True):
             for number, log_ns, data in zip(run.topic.tolist(), run.log_ns.tolist(), run.data, strict=True):
-                yield Message(run.topics[number], log_ns, memoryview(data))
+                yield McapMessage(run.topics[number], log_ns, memoryview(data))
 
-    def _one_by_one(self, position: int, rows: Rows) -> list[Message]:
+    def _one_by_one(self, position: int, rows: Rows) -> list[McapMessage]:
         topic, view = self.topics[position], memoryview(rows.block)
         columns = (rows.log_ns.view(np.uint64).tolist(), rows.start.tolist(), rows.stop.tolist())
         return [
-            Message(topic, log_ns, view[start:stop]) for log_ns, start, stop in zip(*columns, strict=True)
+            McapMessage(topic, log_ns, view[start:stop]) for log_ns, start, stop in zip(*columns, strict=True)
         ]
 
     def runs(self, wanted: Callable[[Topic], bool]) -> Iterator[Run]:

@@ -43,7 +43,7 @@ class Topic:
         self.count += len(log_ns)
 
 
-class Message(NamedTuple):
+class McapMessage(NamedTuple):
     """A message as it lies in the file."""
 
     topic: Topic

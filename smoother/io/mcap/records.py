@@ -42,7 +42,7 @@ class Definition(NamedTuple):
     stop: int
 
 
-class Found(NamedTuple):
+class RecordPlaces(NamedTuple):
     """What a chunk holds.
 
     Attributes
@@ -59,7 +59,7 @@ class Found(NamedTuple):
     is_cut: bool
 
 
-def find(block: bytes, index: Sequence[bytes]) -> Found:
+def find(block: bytes, index: Sequence[bytes]) -> RecordPlaces:
     """All messages, schemas and channels of a chunk.
 
     Parameters
@@ -70,7 +70,7 @@ def find(block: bytes, index: Sequence[bytes]) -> Found:
     return _indexed(block, index) or _walked(block, 0, len(block))
 
 
-def _indexed(block: bytes, index: Sequence[bytes]) -> Found | None:
+def _indexed(block: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
     """The same by the index; None unless each record begins where the one before ends."""
     try:
         entries = [np.frombuffer(content, "<u8", offset=_INDEX_HEAD) for content in index]
@@ -95,10 +95,10 @@ def _indexed(block: bytes, index: Sequence[bytes]) -> Found | None:
         if between.is_cut or len(between.place):
             return None
         definitions += between.definitions
-    return Found(place, heads, definitions, False)
+    return RecordPlaces(place, heads, definitions, False)
 
 
-def _walked(block: bytes, start: int, stop: int) -> Found:
+def _walked(block: bytes, start: int, stop: int) -> RecordPlaces:
     places: list[int] = []
     definitions: list[Definition] = []
     is_cut, position = False, start
@@ -115,7 +115,7 @@ def _walked(block: bytes, start: int, stop: int) -> Found:
             definitions.append(Definition(opcode, position + HEAD.size, end))
         position = end
     place = np.array(places, np.int64)
-    return Found(place, _heads(block, place), definitions, is_cut)
+    return RecordPlaces(place, _heads(block, place), definitions, is_cut)
 
 
 def _heads(block: bytes, place: IntArray) -> NDArray:

@@ -1,1 +1,1 @@
-"""."""
+"""Images, sound and sessions with the panel."""

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import FloatArray
 from ..mcap.container import Container
-from ..mcap.messages import Message, Topic
+from ..mcap.messages import McapMessage, Topic
 from ..wire.schemas import message_class
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
@@ -116,7 +116,7 @@ def _is_audio(topic: Topic) -> bool:
     return topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") in _ROS
 
 
-def _block(message: Message, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
+def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
     """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
     if message.topic.encoding == "protobuf":
         audio = message_class("foxglove.RawAudio")()

@@ -1,1 +1,1 @@
-"""."""
+"""Recordings from plain files, and tables of sensors."""

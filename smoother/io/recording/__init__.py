@@ -1,1 +1,1 @@
-"""."""
+"""Recordings from and to MCAP files."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
-from ...runtime.column import passes
-from ...runtime.store import Room
+from ...runtime.column import batches
+from ...runtime.store import Store
 from .streams import ArmFrames
 
 #: A body that comes back within this time and distance is taken for the same one.
@@ -18,13 +18,13 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-def join_bodies(arms: list[ArmFrames], room: Room | None = None) -> tuple[list[ArmFrames], list[str]]:
+def join_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost.
 
     Parameters
     ----------
     arms : as the file has them; they stay as they are.
-    room : where the positions of joined arms are to lie; None = in memory.
+    store : where the positions of joined arms are to lie; None = in memory.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def join_bodies(arms: list[ArmFrames], room: Room | None = None) -> tuple[list[A
     for arm in sorted(arms, key=lambda arm: _span(arm)[0]):
         for i, earlier in enumerate(joined):
             if _follows(earlier, arm):
-                joined[i] = _joined(earlier, arm, room or Room())
+                joined[i] = _joined(earlier, arm, store or Store())
                 notes.append(
                     f"{earlier.label} and body {arm.body} were joined: the camera lost the body and numbered "
                     "it anew where it was; --body takes one alone."
@@ -46,9 +46,9 @@ def join_bodies(arms: list[ArmFrames], room: Room | None = None) -> tuple[list[A
     return joined, notes
 
 
-def _joined(earlier: ArmFrames, later: ArmFrames, room: Room) -> ArmFrames:
-    position = room.array(earlier.position.shape, 0.0)
-    for part in passes(len(position), room):
+def _joined(earlier: ArmFrames, later: ArmFrames, store: Store) -> ArmFrames:
+    position = store.array(earlier.position.shape, 0.0)
+    for part in batches(len(position)):
         mine = (later.state[part] != JointState.NOT_TRACKED)[:, :, None]
         position[part] = np.where(mine, later.position[part], earlier.position[part])
     return replace(earlier, state=np.maximum(earlier.state, later.state), position=position)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import JOINTS, FloatArray, IntArray, JointState
-from ...runtime.column import passes
-from ...runtime.store import Room
+from ...runtime.column import batches
+from ...runtime.store import Store
 from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -27,7 +27,7 @@ _POINTS = ("wrist", "strap", "hand", "elbow")
 
 
 @dataclass
-class Choice:
+class StreamChoice:
     """What is to be used of a file."""
 
     imu: ImuSamples
@@ -68,8 +68,8 @@ def choose(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
-    room: Room | None = None,
-) -> Choice:
+    store: Store | None = None,
+) -> StreamChoice:
     """Settle which IMU and arm are meant: by option, else by name, else by motion.
 
     Raises
@@ -79,7 +79,7 @@ def choose(
     """
     notes: list[str] = []
     if body is None:
-        arms, notes = join_bodies(file.arms, room)
+        arms, notes = join_bodies(file.arms, store)
         file = replace(file, arms=arms)
     arms = _arms(file, skeleton, side, body)
     imus = _imus(file, imu)
@@ -93,7 +93,7 @@ def choose(
         preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
         pairs = preferred or pairs
     if len(pairs) > 1:
-        pair, why = _by_motion(file, pairs, room or Room())
+        pair, why = _by_motion(file, pairs)
         notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")
     else:
         pair = pairs[0]
@@ -102,7 +102,7 @@ def choose(
     chosen_side = _side(*pair) or side or ""
     base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
     truth, truth_notes = choose_truth(file, chosen_side)
-    return Choice(pair[0], pair[1], chosen_side, base, truth, notes + truth_notes)
+    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + truth_notes)
 
 
 def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int | None) -> list[ArmFrames]:
@@ -187,9 +187,9 @@ def _side(imu: ImuSamples, arm: ArmFrames) -> str:
 
 
 def _by_motion(
-    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], room: Room
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]]
 ) -> tuple[tuple[ImuSamples, ArmFrames], str]:
-    scores = np.array([motion_agreement(imu, arm, room) for imu, arm in pairs])
+    scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1]], 0.0)
     if best < _ENOUGH or best - second < _LEAD:
@@ -205,7 +205,7 @@ def _by_motion(
     return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
 
 
-def motion_agreement(imu: ImuSamples, arm: ArmFrames, room: Room | None = None) -> float:
+def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
     """How well an IMU's turning agrees with what the camera sees of an arm.
 
     The rotation over 0.3 s by the gyroscope is correlated with the turn of the elbow-to-wrist
@@ -215,13 +215,12 @@ def motion_agreement(imu: ImuSamples, arm: ArmFrames, room: Room | None = None) 
     Parameters
     ----------
     imu, arm : as recorded.
-    room : where they lie; None = in memory.
 
     Returns
     -------
     Correlation, -1 to 1; 0 where there is too little to compare.
     """
-    at, moved = _arm_motion(arm, room or Room())
+    at, moved = _arm_motion(arm)
     if len(at) < 20:
         return 0.0
     stamp, gyro = _gyro_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
@@ -259,10 +258,10 @@ def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
     return stamp[finite], gyro[finite]
 
 
-def _arm_motion(arm: ArmFrames, room: Room) -> tuple[FloatArray, FloatArray]:
+def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
     """Start times (ns) of spans of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
     tracked = arm.state == JointState.TRACKED
-    for part in passes(len(tracked), room):
+    for part in batches(len(tracked)):
         tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     both = tracked[:, elbow] & tracked[:, wrist]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
-from ...runtime.column import passes, sampled
-from ...runtime.store import Room
+from ...runtime.column import batches, sampled
+from ...runtime.store import Store
 from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: A stream that loses more of its samples than this is refused.
@@ -37,7 +37,7 @@ def increasing(stamp_ns: IntArray) -> BoolArray:
     return after_all if after_all.sum() >= before_all.sum() else before_all
 
 
-def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tuple[ImuSamples, list[str]]:
+def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tuple[ImuSamples, list[str]]:
     """Drop what cannot be used of an IMU, and check its units.
 
     Nothing is copied where nothing is dropped.
@@ -46,7 +46,7 @@ def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tupl
     ----------
     stream : samples as recorded.
     source : the file, for messages.
-    room : where what is kept is to lie; None = in memory.
+    store : where what is kept is to lie; None = in memory.
 
     Returns
     -------
@@ -57,35 +57,35 @@ def clean_imu(stream: ImuSamples, source: str, room: Room | None = None) -> tupl
     RecordingError
         More than 5 % of the samples would be dropped, or a unit cannot be.
     """
-    room = room or Room()
-    finite = _finite(stream.acc, room) & _finite(stream.gyro, room)
+    store = store or Store()
+    finite = _finite(stream.acc) & _finite(stream.gyro)
     keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
     kept = replace(
         stream,
-        stamp_ns=_kept(stream.stamp_ns, keep, room),
-        acc=_kept(stream.acc, keep, room),
-        gyro=_kept(stream.gyro, keep, room),
-        mag=None if stream.mag is None else _kept(stream.mag, keep, room),
+        stamp_ns=_kept(stream.stamp_ns, keep, store),
+        acc=_kept(stream.acc, keep, store),
+        gyro=_kept(stream.gyro, keep, store),
+        mag=None if stream.mag is None else _kept(stream.mag, keep, store),
     )
     if len(kept.stamp_ns) < 2:
         raise RecordingError(
             f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
         )
-    _check_units(kept, source, room)
+    _check_units(kept, source)
     return kept, notes
 
 
-def clean_arm(arm: ArmFrames, source: str, room: Room | None = None) -> tuple[ArmFrames, list[str]]:
+def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:
     """Drop frames with repeated or backward stamps, and tracked joints without a position.
 
     Parameters, returns, raises : as `clean_imu`.
     """
-    room = room or Room()
+    store = store or Store()
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), arm.label, source, "frames")
-    position, state = _kept(arm.position, keep, room), arm.state[keep]
+    position, state = _kept(arm.position, keep, store), arm.state[keep]
     claimed = state != JointState.NOT_TRACKED
     there = np.empty(claimed.shape, bool)
-    for part in passes(len(position), room):
+    for part in batches(len(position)):
         there[part] = np.isfinite(position[part]).all(axis=2)
     broken = claimed & ~there
     if broken.any():
@@ -96,74 +96,74 @@ def clean_arm(arm: ArmFrames, source: str, room: Room | None = None) -> tuple[Ar
             )
         notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
         state[broken] = JointState.NOT_TRACKED
-    position = _without(position, state == JointState.NOT_TRACKED, room)
-    _check_metres(position, state, arm.label, source, room)
-    return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, room), position=position, state=state), notes
+    position = _without(position, state == JointState.NOT_TRACKED, store)
+    _check_metres(position, state, arm.label, source)
+    return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, store), position=position, state=state), notes
 
 
-def clean_poses(poses: PoseSamples, room: Room | None = None) -> tuple[PoseSamples, list[str]]:
+def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:
     """Drop poses with repeated or backward stamps; those that are not finite stay as nan."""
-    room = room or Room()
+    store = store or Store()
     keep = increasing(poses.stamp_ns)
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
     score = None if poses.score is None else poses.score[keep]
-    position, quaternion = _kept(poses.position, keep, room), _kept(poses.quaternion, keep, room)
+    position, quaternion = _kept(poses.position, keep, store), _kept(poses.quaternion, keep, store)
     turned = np.empty(len(quaternion), bool)
-    for part in passes(len(quaternion), room):
+    for part in batches(len(quaternion)):
         length = np.linalg.norm(quaternion[part], axis=1)
         turned[part] = np.isfinite(length) & (length > 0.5)
     return (
         replace(
             poses,
-            stamp_ns=_kept(poses.stamp_ns, keep, room),
-            position=_without(position, ~_finite(position, room), room),
-            quaternion=_without(quaternion, ~turned, room),
+            stamp_ns=_kept(poses.stamp_ns, keep, store),
+            position=_without(position, ~_finite(position), store),
+            quaternion=_without(quaternion, ~turned, store),
             score=score,
-            joints={name: _kept(values, keep, room) for name, values in poses.joints.items()},
+            joints={name: _kept(values, keep, store) for name, values in poses.joints.items()},
         ),
         notes,
     )
 
 
-def _finite(values: FloatArray, room: Room) -> BoolArray:
+def _finite(values: FloatArray) -> BoolArray:
     """Rows (N,) of finite numbers."""
     finite = np.empty(len(values), bool)
-    for part in passes(len(values), room):
+    for part in batches(len(values)):
         finite[part] = np.isfinite(values[part]).all(axis=1)
     return finite
 
 
-def _kept(values: NDArray, keep: BoolArray, room: Room) -> NDArray:
+def _kept(values: NDArray, keep: BoolArray, store: Store) -> NDArray:
     """The rows to keep; the same array where that is all."""
     count = int(keep.sum())
     if count == len(values):
         return values
-    kept, filled = room.array((count, *values.shape[1:]), 0, values.dtype), 0
-    for part in passes(len(values), room):
+    kept, filled = store.array((count, *values.shape[1:]), 0, values.dtype), 0
+    for part in batches(len(values)):
         rows = values[part][keep[part]]
         kept[filled : filled + len(rows)] = rows
         filled += len(rows)
     return kept
 
 
-def _without(values: FloatArray, gone: BoolArray, room: Room) -> FloatArray:
+def _without(values: FloatArray, gone: BoolArray, store: Store) -> FloatArray:
     """A copy with nan where values are to go; the same array where they are nan already."""
-    if all(np.isnan(values[part][gone[part]]).all() for part in passes(len(values), room)):
+    if all(np.isnan(values[part][gone[part]]).all() for part in batches(len(values))):
         return values
-    out = room.array(values.shape, 0.0)
-    for part in passes(len(values), room):
+    out = store.array(values.shape, 0.0)
+    for part in batches(len(values)):
         out[part] = values[part]
         out[part][gone[part]] = np.nan
     return out
 
 
-def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str, room: Room) -> None:
+def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> None:
     """Judged by an even sub-sample of a long recording's frames."""
-    tracked = sampled(state, room) == JointState.TRACKED
+    tracked = sampled(state) == JointState.TRACKED
     if not tracked.any():
         return
-    far = float(np.median(np.linalg.norm(sampled(position, room)[tracked], axis=1)))
+    far = float(np.median(np.linalg.norm(sampled(position)[tracked], axis=1)))
     if far > 100:
         raise RecordingError(
             f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
@@ -196,9 +196,9 @@ def _keep(
     return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
 
 
-def _check_units(stream: ImuSamples, source: str, room: Room) -> None:
+def _check_units(stream: ImuSamples, source: str) -> None:
     # A long recording is judged by an even sub-sample.
-    rate = np.linalg.norm(sampled(stream.gyro, room), axis=1)
+    rate = np.linalg.norm(sampled(stream.gyro), axis=1)
     fast = float(np.percentile(rate, 99))
     if fast > _GYRO_LIMIT:
         raise RecordingError(
@@ -207,7 +207,7 @@ def _check_units(stream: ImuSamples, source: str, room: Room) -> None:
         )
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
-    rest = float(np.median(np.linalg.norm(sampled(stream.acc, room)[quiet], axis=1)))
+    rest = float(np.median(np.linalg.norm(sampled(stream.acc)[quiet], axis=1)))
     if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:

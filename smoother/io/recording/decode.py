@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...recording import FloatArray, IntArray
-from ...runtime.column import Column, passes, sampled
-from ...runtime.store import Room
+from ...runtime.column import Column, batches, sampled
+from ...runtime.store import Store
 from ..mcap.messages import Rows, Topic
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, Layout
+from ..wire.layout import Block, Grouper, MessageLayout
 from ..wire.schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
 
@@ -36,7 +36,7 @@ class Decoder:
     topic: Topic
     grouper: Grouper
     is_cdr: bool = True
-    room: Room = field(default_factory=Room)
+    store: Store = field(default_factory=Store)
     frame_id: str = ""
     gathered: list[Column] = field(default_factory=list)
     #: Columns that may hold nothing.
@@ -53,10 +53,10 @@ class Decoder:
         for column, values in enumerate(in_order(parts)):
             if column == len(self.gathered):
                 optional = column in self.optional
-                self.gathered.append(Column(self.room, values.shape[1:], values.dtype, optional))
+                self.gathered.append(Column(self.store, values.shape[1:], values.dtype, optional))
             self.gathered[column].append(values)
 
-    def stamps(self, block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
+    def stamps(self, block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
         """Stamps (rows,), ns; log times where they are zero."""
         if not self.is_cdr:
             return proto.stamps(block, layout, log_ns)
@@ -64,7 +64,7 @@ class Decoder:
         stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
         return np.where(stamp == 0, log_ns, stamp)
 
-    def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
+    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
         """What the messages carry, an array (rows, ...) each."""
         raise NotImplementedError
 
@@ -78,7 +78,7 @@ class ImuDecoder(Decoder):
 
     optional = (4,)
 
-    def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
+    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
         """Specific force, angular velocity, magnetic field (nan where there is none)."""
         nothing = np.full((len(block), 3), np.nan)
         if self.is_cdr:
@@ -94,15 +94,15 @@ class ImuDecoder(Decoder):
         if not self.gathered:
             return None
         stamp, delay, acc, gyro, mag = self.joined()
-        has_mag = any(np.isfinite(mag[part]).any() for part in passes(len(mag), self.room))
-        shift = int(np.median(sampled(delay, self.room)))
+        has_mag = any(np.isfinite(mag[part]).any() for part in batches(len(mag)))
+        shift = int(np.median(sampled(delay)))
         return ImuSamples(self.topic.name, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
 
 
 class FieldDecoder(Decoder):
     """sensor_msgs/msg/MagneticField."""
 
-    def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
+    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
         """Magnetic field."""
         return (layout.get(block, "mag").astype(float),)
 
@@ -117,7 +117,7 @@ class FieldDecoder(Decoder):
 class PoseDecoder(Decoder):
     """geometry_msgs/msg/PoseStamped and foxglove.PoseInFrame."""
 
-    def columns(self, block: Block, layout: Layout) -> tuple[FloatArray, ...]:
+    def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
         """Position, quaternion (qw, qx, qy, qz); an orientation of zeros is none."""
         if self.is_cdr:
             position = layout.get(block, "position").astype(float)
@@ -136,22 +136,22 @@ class PoseDecoder(Decoder):
         return PoseSamples(self.topic.name, self.frame_id, stamp, position, quaternion)
 
 
-def plain_decoder(topic: Topic, room: Room | None = None) -> ImuDecoder | FieldDecoder | PoseDecoder | None:
+def plain_decoder(topic: Topic, store: Store | None = None) -> ImuDecoder | FieldDecoder | PoseDecoder | None:
     """The decoder of a topic of IMU samples, magnetic fields or poses; None for other topics."""
-    room = room or Room()
+    store = store or Store()
     if topic.encoding == "cdr":
         kind = topic.schema.replace("/msg/", "/")
         if kind == "sensor_msgs/Imu":
-            return ImuDecoder(topic, Grouper(cdr.imu), room=room)
+            return ImuDecoder(topic, Grouper(cdr.imu), store=store)
         if kind == "sensor_msgs/MagneticField":
-            return FieldDecoder(topic, Grouper(cdr.magnetic_field), room=room)
+            return FieldDecoder(topic, Grouper(cdr.magnetic_field), store=store)
         if kind == "geometry_msgs/PoseStamped":
-            return PoseDecoder(topic, Grouper(cdr.pose_stamped), room=room)
+            return PoseDecoder(topic, Grouper(cdr.pose_stamped), store=store)
     elif topic.encoding == "protobuf":
         if topic.schema == "unocclude.Imu":
-            return ImuDecoder(topic, proto_grouper(topic.schema), is_cdr=False, room=room)
+            return ImuDecoder(topic, proto_grouper(topic.schema), is_cdr=False, store=store)
         if topic.schema == "foxglove.PoseInFrame":
-            return PoseDecoder(topic, proto_grouper(topic.schema), is_cdr=False, room=room)
+            return PoseDecoder(topic, proto_grouper(topic.schema), is_cdr=False, store=store)
     return None
 
 

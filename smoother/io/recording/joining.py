@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ...recording import JOINTS, FloatArray, IntArray
-from ...runtime.column import passes
-from ...runtime.store import Room
+from ...runtime.column import batches
+from ...runtime.store import Store
 from .streams import FieldSamples, ImuSamples, RecordingFile
 
 TRUTH_PREFIX = "/truth"
 
 
-def join_truth_joints(file: RecordingFile, room: Room) -> None:
+def join_truth_joints(file: RecordingFile, store: Store) -> None:
     """Skeletons on truth topics are reference joints of the truth beside them."""
     for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
         file.arms.remove(arm)
@@ -21,8 +21,8 @@ def join_truth_joints(file: RecordingFile, room: Room) -> None:
                 continue
             for i, joint in enumerate(JOINTS):
                 if arm.state[:, i].any():
-                    poses.joints[joint] = room.array((len(poses.stamp_ns), 3), 0.0)
-            for part in passes(len(poses.stamp_ns), room):
+                    poses.joints[joint] = store.array((len(poses.stamp_ns), 3), 0.0)
+            for part in batches(len(poses.stamp_ns)):
                 row = np.searchsorted(arm.stamp_ns, poses.stamp_ns[part])
                 row = np.minimum(row, len(arm.stamp_ns) - 1)
                 same = arm.stamp_ns[row] == poses.stamp_ns[part]
@@ -31,7 +31,7 @@ def join_truth_joints(file: RecordingFile, room: Room) -> None:
                     values[part] = np.where(same[:, None], there, np.nan)
 
 
-def join_field(file: RecordingFile, field: FieldSamples, room: Room) -> None:
+def join_field(file: RecordingFile, field: FieldSamples, store: Store) -> None:
     """Give a magnetometer to the IMU of its frame, or under the same name."""
 
     def beside(imu: ImuSamples) -> bool:
@@ -47,8 +47,8 @@ def join_field(file: RecordingFile, field: FieldSamples, room: Room) -> None:
     if not len(stamp):
         return
     zero = int(stamp[0])
-    mag = room.array((len(mine[0].stamp_ns), 3), 0.0)
-    for part in passes(len(mag), room):
+    mag = store.array((len(mine[0].stamp_ns), 3), 0.0)
+    for part in batches(len(mag)):
         at = mine[0].stamp_ns[part]
         first, last = np.searchsorted(stamp, [at.min(), at.max()], "right")
         near = slice(max(int(first) - 2, 0), int(last) + 2)

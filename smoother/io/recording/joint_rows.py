@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
-from ...runtime.column import Column, passes
-from ...runtime.store import Room
+from ...runtime.column import Column, batches
+from ...runtime.store import Store
 from .streams import ArmFrames
 
 SIDES = ("", "left", "right")
@@ -20,16 +20,16 @@ class JointRows:
 
     Parameters
     ----------
-    room : where the rows lie; None = in memory.
+    store : where the rows lie; None = in memory.
     """
 
-    def __init__(self, room: Room | None = None):
-        self._room = room or Room()
-        self._message = Column(self._room, (), np.int64)
-        self._arm = Column(self._room, (), np.int64)
+    def __init__(self, store: Store | None = None):
+        self._store = store or Store()
+        self._message = Column(self._store, (), np.int64)
+        self._arm = Column(self._store, (), np.int64)
         self._arms: set[int] = set()
-        self._position = Column(self._room, (len(JOINTS), 3))
-        self._state = Column(self._room, (len(JOINTS),), np.int8)
+        self._position = Column(self._store, (len(JOINTS), 3))
+        self._state = Column(self._store, (len(JOINTS),), np.int8)
 
     def add(
         self, message: IntArray, body: IntArray, side: IntArray, state: NDArray[np.int8], position: FloatArray
@@ -86,7 +86,6 @@ class JointRows:
         message, arm = self._message.done(), self._arm.done()
         position, state = self._position.done(), self._state.done()
         frame = message if number is None else number[message]
-        self._room.tidy()
         alone = len(self._arms) == 1 and len(frame) == len(frames) and self._is_count(frame)
         found = []
         for which in sorted(self._arms):
@@ -109,9 +108,9 @@ class JointRows:
         count: int,
     ) -> tuple[FloatArray, NDArray[np.int8]]:
         """Rows to the frames that they are of."""
-        positions = self._room.array((count, len(JOINTS), 3))
+        positions = self._store.array((count, len(JOINTS), 3))
         states = np.zeros((count, len(JOINTS)), np.int8)
-        for part in passes(len(frame), self._room):
+        for part in batches(len(frame)):
             at, said, there = frame[part][mine[part]], state[part][mine[part]], position[part][mine[part]]
             row, joint = np.nonzero(said != UNSAID)
             states[at[row], joint] = said[row, joint]
@@ -120,7 +119,7 @@ class JointRows:
 
     def _is_count(self, number: IntArray) -> bool:
         """Whether numbers (n,) are 0, 1, 2, .."""
-        parts = passes(len(number), self._room)
+        parts = batches(len(number))
         return all((number[part] == np.arange(part.start, part.stop)).all() for part in parts)
 
 

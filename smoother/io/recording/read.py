@@ -10,8 +10,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
-from ...runtime.column import passes
-from ...runtime.store import Room
+from ...runtime.column import batches
+from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
 from .choose import choose
@@ -38,7 +38,7 @@ def open_recording(
     path: str | os.PathLike[str],
     *,
     only: Collection[str] = (),
-    room: Room | None = None,
+    store: Store | None = None,
     truth: bool = True,
 ) -> RecordingFile:
     """Read all streams of an MCAP file that a recording can be made of.
@@ -49,7 +49,7 @@ def open_recording(
     ----------
     path : the file.
     only : topics: read on only until they and an IMU were met, for what holds from the first message on.
-    room : where the samples are to lie; None = in memory.
+    store : where the samples are to lie; None = in memory.
     truth : False passes over poses and joints of a reference.
 
     Returns
@@ -61,14 +61,14 @@ def open_recording(
     RecordingError
         The file is missing, empty or not MCAP.
     """
-    room = room or Room()
+    store = store or Store()
     container = Container(path)
     decoders: dict[int, AnyDecoder | None] = {}
     by_topic: dict[int, AnyDecoder | None] = {}
 
     def wanted(topic: Topic) -> bool:
         if id(topic) not in by_topic:
-            by_topic[id(topic)] = _decoder(topic, room, truth)
+            by_topic[id(topic)] = _decoder(topic, store, truth)
         return by_topic[id(topic)] is not None
 
     held = 0
@@ -81,7 +81,6 @@ def open_recording(
                 decoder.feed(rows)
                 held += int((rows.stop - rows.start).sum())
         if held > _HELD_BYTES:
-            room.tidy()
             held = 0
         if only and _met(only, [container.topics[position] for position in decoders], by_topic):
             break
@@ -90,16 +89,16 @@ def open_recording(
     file.topics = [
         TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
     ]
-    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], room)
+    _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
     _take_metadata(file)
     return file
 
 
-def _decoder(topic: Topic, room: Room, truth: bool) -> AnyDecoder | None:
+def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = plain_decoder(topic, room) or skeleton_decoder(topic, room)
+    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store)
     is_reference = isinstance(decoder, PoseDecoder) or (
         topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SkeletonDecoder | MarkerDecoder)
     )
@@ -120,7 +119,7 @@ def read_recording(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
-    room: Room | None = None,
+    store: Store | None = None,
     truth: bool = True,
 ) -> Recording:
     """Read one arm and the IMU on it from an MCAP file.
@@ -132,7 +131,7 @@ def read_recording(
     side : "left" or "right".
     body : the camera's number of the body.
     prefer_side : side to take where the file leaves it open (a calibration's).
-    room : where samples and frames are to lie: memory stays flat with an `io.disk_room.DiskRoom`. None = in
+    store : where samples and frames are to lie: memory stays flat with an `DiskStore`. None = in
         memory.
     truth : False passes over the reference motion; the recording has none.
 
@@ -145,9 +144,9 @@ def read_recording(
     RecordingError
         The file cannot be read or used as it is, or leaves open what is meant.
     """
-    file = open_recording(path, room=room, truth=truth)
+    file = open_recording(path, store=store, truth=truth)
     return select_recording(
-        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, store=store
     )
 
 
@@ -159,42 +158,41 @@ def select_recording(
     side: str | None = None,
     body: int | None = None,
     prefer_side: str | None = None,
-    room: Room | None = None,
+    store: Store | None = None,
 ) -> Recording:
     """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
-    room = room or Room()
+    store = store or Store()
     choice = choose(
-        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, room=room
+        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, store=store
     )
     source = str(file.path)
     notes = [*file.notes, *choice.notes]
-    forearm, dropped = clean_imu(choice.imu, source, room)
-    arm, arm_dropped = clean_arm(choice.arm, source, room)
+    forearm, dropped = clean_imu(choice.imu, source, store)
+    arm, arm_dropped = clean_arm(choice.arm, source, store)
     notes += dropped + arm_dropped
     _check_overlap(forearm, arm, source)
     base, truth = None, None
     if choice.base is not None:
-        base, dropped = clean_imu(choice.base, source, room)
+        base, dropped = clean_imu(choice.base, source, store)
         notes += dropped
     if choice.truth is not None:
-        truth, dropped = clean_poses(choice.truth, room)
+        truth, dropped = clean_poses(choice.truth, store)
         notes += dropped
     first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
     origin = min(first) // _SECOND * _SECOND
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
     recording = Recording(
-        imu=_imu_stream(forearm, origin, room),
-        arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, room), arm.position, arm.state),
+        imu=_imu_stream(forearm, origin, store),
+        arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
         side=choice.side,
         camera_frame=file.camera_frame or arm.camera_frame,
         gravity_hint=file.gravity_hint,
-        base_imu=None if base is None else _imu_stream(base, origin, room),
-        truth=None if truth is None else _truth(truth, origin, room),
+        base_imu=None if base is None else _imu_stream(base, origin, store),
+        truth=None if truth is None else _truth(truth, origin, store),
         origin_ns=origin,
         name=file.name,
         notes=tuple(notes),
     )
-    room.tidy()
     return recording
 
 
@@ -208,14 +206,14 @@ def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
     return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
 
 
-def _seconds(stamp_ns: IntArray, origin_ns: int, room: Room) -> FloatArray:
-    t_s = room.array((len(stamp_ns),), 0.0)
-    for part in passes(len(stamp_ns), room):
+def _seconds(stamp_ns: IntArray, origin_ns: int, store: Store) -> FloatArray:
+    t_s = store.array((len(stamp_ns),), 0.0)
+    for part in batches(len(stamp_ns)):
         t_s[part] = seconds(stamp_ns[part], origin_ns)
     return t_s
 
 
-def _gather(file: RecordingFile, decoders: list[AnyDecoder], room: Room) -> None:
+def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
     fields: list[FieldSamples] = []
     for decoder in decoders:
         if decoder.grouper.broken:
@@ -235,9 +233,9 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], room: Room) -> None
             file.poses.append(stream)
         elif isinstance(stream, FieldSamples):
             fields.append(stream)
-    join_truth_joints(file, room)
+    join_truth_joints(file, store)
     for field in fields:
-        join_field(file, field, room)
+        join_field(file, field, store)
 
 
 def _take_metadata(file: RecordingFile) -> None:
@@ -278,12 +276,12 @@ def _span(stamp_ns: IntArray) -> str:
     return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
 
 
-def _imu_stream(stream: ImuSamples, origin: int, room: Room) -> ImuStream:
-    t_s = _seconds(stream.stamp_ns, origin, room)
+def _imu_stream(stream: ImuSamples, origin: int, store: Store) -> ImuStream:
+    t_s = _seconds(stream.stamp_ns, origin, store)
     return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
 
 
-def _truth(poses: PoseSamples, origin: int, room: Room) -> Truth:
+def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
-    t_s = _seconds(poses.stamp_ns, origin, room)
+    t_s = _seconds(poses.stamp_ns, origin, store)
     return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

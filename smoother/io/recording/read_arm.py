@@ -10,7 +10,7 @@ from .read import read_recording
 if TYPE_CHECKING:
     from ...calibration import ArmCalibration
     from ...recording import Recording
-    from ...runtime.store import Room
+    from ...runtime.store import Store
 
 #: Tables of a calibration file that concern sensors, not an arm.
 _OF_SENSORS = {"imu", "camera_from_base"}
@@ -24,7 +24,7 @@ def read_arm(
     skeleton: str | None = None,
     side: str | None = None,
     body: int | None = None,
-    room: Room | None = None,
+    store: Store | None = None,
     truth: bool = True,
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by what a calibration file knows of its sensors.
@@ -36,7 +36,7 @@ def read_arm(
     path : the recording, MCAP.
     calibration_file : TOML; None where everything is to be found.
     imu, skeleton, side, body : what to take where the recording has several, see `read_recording`.
-    room, truth : where samples lie, and whether the reference motion is read: see there as well.
+    store, truth : where samples lie, and whether the reference motion is read: see there as well.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def read_arm(
     """
     if calibration_file is None:
         return (
-            read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, room=room, truth=truth),
+            read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, store=store, truth=truth),
             None,
         )
     from calib.file import read_calibration
@@ -66,10 +66,10 @@ def read_arm(
         side=side,
         body=body,
         prefer_side=prefer,
-        room=room,
+        store=store,
         truth=truth,
     )
-    recording = with_gravity(corrected(recording, calibration, room), calibration, room)
+    recording = with_gravity(corrected(recording, calibration, store), calibration)
     if not calibration.arms and _OF_SENSORS & set(calibration.tables):
         return recording, None
     return recording, calibration.arm(recording.side)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ...recording import JOINTS, CameraFrame, IntArray, JointState
 from ...runtime.column import Column
-from ...runtime.store import Room
+from ...runtime.store import Store
 from ..mcap.messages import Rows, Topic
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, Layout
+from ..wire.layout import Block, Grouper, MessageLayout
 from .decode import in_order, proto_grouper
 from .joint_rows import SIDES, UNSAID, JointRows
 from .streams import ArmFrames
@@ -38,13 +38,13 @@ class SkeletonDecoder:
 
     topic: Topic
     grouper: Grouper
-    room: Room = field(default_factory=Room)
+    store: Store = field(default_factory=Store)
     frame_id: str = ""
     camera_frame: CameraFrame | None = None
 
     def __post_init__(self) -> None:
-        self._rows = JointRows(self.room)
-        self._stamps = Column(self.room, (), np.int64)
+        self._rows = JointRows(self.store)
+        self._stamps = Column(self.store, (), np.int64)
 
     def feed(self, rows: Rows) -> None:
         """Take a batch of messages."""
@@ -61,7 +61,7 @@ class SkeletonDecoder:
             self._rows.add(np.searchsorted(read, message) + len(self._stamps), *columns)
         self._stamps.append(stamp)
 
-    def _arms(self, index: IntArray, block: Block, layout: Layout) -> list[tuple[NDArray, ...]]:
+    def _arms(self, index: IntArray, block: Block, layout: MessageLayout) -> list[tuple[NDArray, ...]]:
         """What messages of one layout say of each side."""
         body, count = layout.integer(block, "body"), len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
@@ -98,13 +98,13 @@ class MarkerDecoder:
 
     topic: Topic
     grouper: Grouper
-    room: Room = field(default_factory=Room)
+    store: Store = field(default_factory=Store)
     frame_id: str = ""
     foreign: int = 0
     seen: int = 0
 
     def __post_init__(self) -> None:
-        self._rows = JointRows(self.room)
+        self._rows = JointRows(self.store)
         self._log: list[IntArray] = []
         self._stamp: list[IntArray] = []
         self._fed = 0
@@ -131,7 +131,7 @@ class MarkerDecoder:
         self._fed += len(stamps)
 
     def _joints(
-        self, index: IntArray, added: NDArray[np.bool_], block: Block, layout: Layout
+        self, index: IntArray, added: NDArray[np.bool_], block: Block, layout: MessageLayout
     ) -> list[tuple[NDArray, ...]]:
         ids = layout.many(block, "id")[:, :, 0].astype(np.int64)
         azure = ids % 100
@@ -159,12 +159,12 @@ class MarkerDecoder:
         return self._rows.arms(stamp, self.topic.name, self.frame_id, CameraFrame.OPTICAL)
 
 
-def skeleton_decoder(topic: Topic, room: Room | None = None) -> SkeletonDecoder | MarkerDecoder | None:
+def skeleton_decoder(topic: Topic, store: Store | None = None) -> SkeletonDecoder | MarkerDecoder | None:
     """The decoder of a skeleton topic; None for other topics."""
-    room = room or Room()
+    store = store or Store()
     if topic.encoding == "protobuf" and topic.schema == "unocclude.Skeleton":
-        return SkeletonDecoder(topic, proto_grouper(topic.schema), room)
+        return SkeletonDecoder(topic, proto_grouper(topic.schema), store)
     if topic.encoding == "cdr" and topic.schema.replace("/msg/", "/") == "visualization_msgs/MarkerArray":
         textured = b"texture_resource" in topic.schema_data or not topic.schema_data
-        return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)), room)
+        return MarkerDecoder(topic, Grouper(partial(cdr.marker_array, textured=textured)), store)
     return None

@@ -1,1 +1,1 @@
-"""."""
+"""Recoveries to and from MCAP files."""

@@ -19,7 +19,7 @@ from ..recording.decode import proto_grouper
 from ..recording.read import RESULT_PREFIX, seconds
 from ..recording.skeletons import SkeletonDecoder, joint_code
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, Layout
+from ..wire.layout import Block, Grouper, MessageLayout
 from .metadata import calibration_of, gaps_of
 from .write import RESULT
 
@@ -192,7 +192,7 @@ class _Table:
             self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
         self.fed += len(rows.start)
 
-    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         raise NotImplementedError
 
     def done(self) -> dict[str, NDArray]:
@@ -203,7 +203,7 @@ class _Table:
 
 
 class _OdometryTable(_Table):
-    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         rows = len(block)
         turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
         velocity = np.full((rows, 3), np.nan)
@@ -220,7 +220,7 @@ class _OdometryTable(_Table):
 
 
 class _SkeletonTable(_Table):
-    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         columns: dict[str, NDArray] = {"occluded": layout.integer(block, "occluded")}
         for i in range(layout.counts.get("joints", 0)):
             code = joint_code(layout.texts[f"joints.{i}.name"])
@@ -237,7 +237,7 @@ class _ResidualTable(_Table):
         super().__init__(topic)
         self.reasons = [""]
 
-    def columns(self, block: Block, layout: Layout) -> dict[str, NDArray]:
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         rows = len(block)
         residual = np.full((rows, len(JOINTS), 3), np.nan)
         used = np.zeros((rows, len(JOINTS)), np.int64)

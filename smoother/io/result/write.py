@@ -10,7 +10,6 @@ from itertools import chain
 
 from ...result import Recovery
 from ...runtime.atomic import check_output, writing
-from ...runtime.store import Room
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.messages import Run, Topic
@@ -32,7 +31,6 @@ def write_recovery(
     source: str | os.PathLike[str] | None = None,
     force: bool = False,
     passthrough_images: bool = False,
-    room: Room | None = None,
 ) -> None:
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
@@ -53,7 +51,6 @@ def write_recovery(
     source : the recording; its topics are carried over as they are.
     force : overwrite a file that exists.
     passthrough_images : carry images, depth and point clouds over as well (they show patients).
-    room : where the recoveries' columns are kept, if not in memory: what was written leaves the memory.
 
     Raises
     ------
@@ -84,8 +81,6 @@ def write_recovery(
             rows = [part.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
             outgoing = [each.part(*mine) for each, mine in zip(streams, rows, strict=True)]
             output.write(list(chain.from_iterable(outgoing)), part.until_ns)
-            if room is not None:
-                room.tidy()
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from .layout import Layout
+from .layout import MessageLayout
 
 
 class Cursor:
@@ -19,7 +19,7 @@ class Cursor:
         self.data = data
         self.position = 4
         self.order = "<" if data[1] else ">"
-        self.layout = Layout.of(data)
+        self.layout = MessageLayout.of(data)
         self.layout.fix(0, 2)
 
     def align(self, size: int) -> None:
@@ -74,7 +74,7 @@ class Cursor:
             raise IndexError("message is cut off")
 
 
-def imu(data: bytes) -> Layout:
+def imu(data: bytes) -> MessageLayout:
     """Layout of sensor_msgs/msg/Imu: `sec`, `nsec`, `gyro`, `acc`."""
     cursor = Cursor(data)
     cursor.header()
@@ -85,7 +85,7 @@ def imu(data: bytes) -> Layout:
     return cursor.layout
 
 
-def magnetic_field(data: bytes) -> Layout:
+def magnetic_field(data: bytes) -> MessageLayout:
     """Layout of sensor_msgs/msg/MagneticField: `sec`, `nsec`, `mag`."""
     cursor = Cursor(data)
     cursor.header()
@@ -93,7 +93,7 @@ def magnetic_field(data: bytes) -> Layout:
     return cursor.layout
 
 
-def pose_stamped(data: bytes) -> Layout:
+def pose_stamped(data: bytes) -> MessageLayout:
     """Layout of geometry_msgs/msg/PoseStamped: `sec`, `nsec`, `position`, `quaternion` (x, y, z, w)."""
     cursor = Cursor(data)
     cursor.header()
@@ -102,7 +102,7 @@ def pose_stamped(data: bytes) -> Layout:
     return cursor.layout
 
 
-def marker_array(data: bytes, textured: bool = True) -> Layout:
+def marker_array(data: bytes, textured: bool = True) -> MessageLayout:
     """Layout of visualization_msgs/msg/MarkerArray: `sec`, `nsec`, `id`, `action`, `position` by marker.
 
     Parameters

@@ -22,7 +22,7 @@ BROKEN = (struct.error, IndexError, ValueError, OverflowError)
 
 
 @dataclass
-class Layout:
+class MessageLayout:
     """Where the fields of a message lie.
 
     Attributes
@@ -43,7 +43,7 @@ class Layout:
     counts: dict[str, int] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, data: bytes) -> Layout:
+    def of(cls, data: bytes) -> MessageLayout:
         """A layout for messages as long as `data`, with nothing fixed yet."""
         want = np.frombuffer(data, np.uint8)
         return cls(np.zeros(len(want), np.uint8), want)
@@ -103,11 +103,11 @@ class Grouper:
     broken : messages that could not be walked.
     """
 
-    walk: Callable[[bytes], Layout]
+    walk: Callable[[bytes], MessageLayout]
     broken: int = 0
-    _known: dict[int, list[Layout]] = field(default_factory=dict)
+    _known: dict[int, list[MessageLayout]] = field(default_factory=dict)
 
-    def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, Layout]]:
+    def groups(self, payloads: Sequence[bytes]) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
         """Yield the indices of payloads of one layout, their bytes (rows, size), the layout."""
         stop = np.cumsum(np.fromiter(map(len, payloads), np.int64, len(payloads)))
         start = np.concatenate([np.zeros(1, np.int64), stop])[: len(payloads)]
@@ -115,14 +115,14 @@ class Grouper:
 
     def groups_in(
         self, data: bytes, start: IntArray, stop: IntArray
-    ) -> Iterator[tuple[IntArray, Block, Layout]]:
+    ) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
         """The same for payloads that lie in `data` from `start` to `stop`, (n,) each."""
         sizes = stop - start
         for size in np.unique(sizes).tolist():
             index = np.flatnonzero(sizes == size)
             yield from self._split(index, cut_out(data, start[index], size))
 
-    def _split(self, index: IntArray, block: Block) -> Iterator[tuple[IntArray, Block, Layout]]:
+    def _split(self, index: IntArray, block: Block) -> Iterator[tuple[IntArray, Block, MessageLayout]]:
         known = self._known.setdefault(block.shape[1], [])
         for layout in tuple(known):
             if not len(index):

@@ -6,26 +6,26 @@ import struct
 from typing import Any
 
 from ...recording import IntArray
-from .layout import Block, Layout
+from .layout import Block, MessageLayout
 
 
-def walk(data: bytes, message: Any) -> Layout:
+def walk(data: bytes, message: Any) -> MessageLayout:
     """Layout of one message.
 
     Fields are named by their path; a repeated field's elements carry their index
-    (`joints.0.position.x`), and `Layout.counts` their number.
+    (`joints.0.position.x`), and `MessageLayout.counts` their number.
 
     Parameters
     ----------
     data : the message's wire form.
     message : its class.
     """
-    layout = Layout.of(data)
+    layout = MessageLayout.of(data)
     _walk(data, 0, len(data), message.DESCRIPTOR, "", layout)
     return layout
 
 
-def stamps(block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
+def stamps(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
     """Stamps (rows,) of the field `timestamp`, ns; log times where it is zero.
 
     A zero that is spelled out, as `write_recording` does, is meant; one left out is a stamp that
@@ -37,7 +37,7 @@ def stamps(block: Block, layout: Layout, log_ns: IntArray) -> IntArray:
     return seconds * 1_000_000_000 + layout.integer(block, "timestamp.nanos")
 
 
-def _walk(data: bytes, position: int, stop: int, descriptor: Any, path: str, layout: Layout) -> None:
+def _walk(data: bytes, position: int, stop: int, descriptor: Any, path: str, layout: MessageLayout) -> None:
     fields = descriptor.fields_by_number
     while position < stop:
         start = position
@@ -73,7 +73,7 @@ def _walk(data: bytes, position: int, stop: int, descriptor: Any, path: str, lay
         raise IndexError("message is cut off")
 
 
-def _bytes(data: bytes, start: int, end: int, field: Any, name: str, layout: Layout) -> None:
+def _bytes(data: bytes, start: int, end: int, field: Any, name: str, layout: MessageLayout) -> None:
     if field.message_type is not None:
         if field.is_repeated:
             index = layout.counts.get(name, 0)

@@ -12,7 +12,7 @@ from ...recording import FloatArray
 
 
 @dataclass(frozen=True)
-class Lens:
+class RenderLens:
     """Intrinsics of the depth and infrared camera; the centre of the first pixel is (0, 0).
 
     Attributes
@@ -63,7 +63,7 @@ class Lens:
 
 
 @lru_cache(maxsize=4)
-def _rays(lens: Lens) -> FloatArray:
+def _rays(lens: RenderLens) -> FloatArray:
     """By Newton's method on the distortion; good to 1e-10."""
     u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
     target = np.column_stack([u.ravel(), v.ravel()])

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ...recording import FloatArray
 from .config import PanelSimulation
-from .lens import Lens
+from .lens import RenderLens
 
 #: The whole panel lies at least this far inside the image, pixels.
 MARGIN_PX = 6.0
@@ -24,7 +24,7 @@ def panel_corners(config: PanelSimulation) -> FloatArray:
 
 
 def place_panel(
-    config: PanelSimulation, lens: Lens, R_W_K: FloatArray, rng: np.random.Generator
+    config: PanelSimulation, lens: RenderLens, R_W_K: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """A pose of the panel above the floor in which the camera sees all of it.
 

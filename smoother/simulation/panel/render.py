@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...recording import BoolArray, FloatArray
-from .lens import Lens
-from .scene import Hits, Scene
+from .lens import RenderLens
+from .scene import Hits, PanelScene
 
 #: Rays an axis in a pixel where surfaces meet.
 FINE = 10
@@ -42,7 +42,7 @@ class IdealImages:
     marker: FloatArray
 
 
-def render(scene: Scene, lens: Lens) -> IdealImages:
+def render(scene: PanelScene, lens: RenderLens) -> IdealImages:
     """Cast a ray through every pixel, and many through those where surfaces meet."""
     rays = lens.rays()
     hits = scene.cast(rays.reshape(-1, 2))
@@ -65,7 +65,7 @@ def render(scene: Scene, lens: Lens) -> IdealImages:
     return IdealImages(*(part.reshape(shape) for part in (z, spread, infrared, hits.cosine, marker)))
 
 
-def _shade(scene: Scene, rays: FloatArray, hits: Hits) -> FloatArray:
+def _shade(scene: PanelScene, rays: FloatArray, hits: Hits) -> FloatArray:
     """Infrared brightness (N,) in full scales; the lamp sits at the camera."""
     secant2 = 1 + (rays**2).sum(axis=1)
     fading = (_REFERENCE_M / np.where(np.isfinite(hits.z), hits.z, np.inf)) ** 2 / secant2
@@ -74,7 +74,7 @@ def _shade(scene: Scene, rays: FloatArray, hits: Hits) -> FloatArray:
     return fading * vignette * np.where(hits.marker, scene.config.marker_gain, diffuse)
 
 
-def _mixed(scene: Scene, lens: Lens, hits: Hits) -> BoolArray:
+def _mixed(scene: PanelScene, lens: RenderLens, hits: Hits) -> BoolArray:
     """Pixels (N,) that may hold more than one surface, or an edge of a marker."""
     import cv2
 

@@ -41,7 +41,7 @@ class Hits:
 
 
 @dataclass
-class Scene:
+class PanelScene:
     """A panel in a room, to cast rays at from the camera's centre."""
 
     config: PanelSimulation
@@ -98,9 +98,9 @@ def build_scene(
     p_K_P: FloatArray,
     R_K_W: FloatArray,
     rng: np.random.Generator,
-) -> Scene:
+) -> PanelScene:
     """The panel, who holds it, and the room; without distractors."""
-    scene = Scene(config, R_K_P, p_K_P)
+    scene = PanelScene(config, R_K_P, p_K_P)
     scene.add("board", _in_camera(scene, _board(config)))
     if config.marker_shape == "sphere":
         for index in _shown(config):
@@ -117,7 +117,7 @@ def build_scene(
     return scene
 
 
-def add_distractor(scene: Scene, ray: FloatArray, z: float) -> None:
+def add_distractor(scene: PanelScene, ray: FloatArray, z: float) -> None:
     """A small retroreflective ball on a ray (2,) at depth z, m; it looks as large and bright as a marker."""
     scene.add("marker", _sphere(0.006 * max(z, 1.2), np.append(ray, 1.0) * z, 12))
 
@@ -134,7 +134,7 @@ def _board(config: PanelSimulation) -> Any:
     return box.translate([x0, y0, -_BOARD_M])
 
 
-def _add_person(scene: Scene, R_K_W: FloatArray, rng: np.random.Generator) -> None:
+def _add_person(scene: PanelScene, R_K_W: FloatArray, rng: np.random.Generator) -> None:
     """A hand on the rim, away from the markers; its arm, and a body behind the panel."""
     rim, inward = _grip(scene.config, rng)
     side = np.cross([0, 0, 1.0], inward)
@@ -173,7 +173,7 @@ def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray
     return best
 
 
-def _in_camera(scene: Scene, mesh: Any) -> Any:
+def _in_camera(scene: PanelScene, mesh: Any) -> Any:
     """A mesh in {P} brought to {K}."""
     T_K_P = np.eye(4)
     T_K_P[:3, :3], T_K_P[:3, 3] = scene.R_K_P, scene.p_K_P

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...recording import FloatArray, ImuStream
 from .config import PanelSimulation
 from .inertial import Held, imu_stream
-from .lens import Lens
+from .lens import RenderLens
 from .placing import (
     panel_corners,
     place_base,
@@ -21,7 +21,7 @@ from .placing import (
     tilt_camera,
 )
 from .render import render
-from .scene import Scene, add_distractor, build_scene
+from .scene import PanelScene, add_distractor, build_scene
 from .sensor import depth_image, infrared_image
 
 #: A distractor stays at least this far from the panel's outline, pixels.
@@ -74,7 +74,7 @@ class SimulatedPanel:
 
     config: PanelSimulation
     seed: int
-    lens: Lens
+    lens: RenderLens
     poses: tuple[PanelPose, ...]
     imu_panel: ImuStream
     imu_base: ImuStream
@@ -113,9 +113,9 @@ def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
     return SimulatedPanel(config, seed, lens, tuple(poses), imu_panel, imu_base, R_K_E, t_K_E, R_K_B, R_P_I)
 
 
-def make_lens(config: PanelSimulation) -> Lens:
+def make_lens(config: PanelSimulation) -> RenderLens:
     """The camera's intrinsics: the principal point lies some pixels off the middle."""
-    return Lens(
+    return RenderLens(
         config.width,
         config.height,
         fx=config.focal_px,
@@ -134,7 +134,7 @@ def marker_points(config: PanelSimulation) -> FloatArray:
 
 def _pose(
     config: PanelSimulation,
-    lens: Lens,
+    lens: RenderLens,
     number: int,
     R_W_K: FloatArray,
     mocap_W: tuple[FloatArray, FloatArray],
@@ -169,7 +169,7 @@ def _bodies(config: PanelSimulation, poses: list[PanelPose], seed: int) -> tuple
     return panel, Held(R_W_K, np.zeros((len(poses), 3)), *times)
 
 
-def _distract(scene: Scene, lens: Lens, count: int, rng: np.random.Generator) -> None:
+def _distract(scene: PanelScene, lens: RenderLens, count: int, rng: np.random.Generator) -> None:
     """Put bright balls beside the panel, wherever there is room in the image."""
     import cv2
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.measurements.attitude import InertialAttitude
 from smoother.measurements.inertial import InertialSignal
-from smoother.measurements.segment import Piece
+from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, FloatArray, ImuStream
 
 ELBOW, WRIST, HAND, STRAP = (JOINTS.index(joint) for joint in ("elbow", "wrist", "hand", "strap"))
@@ -29,7 +29,7 @@ def forearm(
     along: tuple[float, float, float] = (1.0, 0.0, 0.0),
     middle: tuple[float, float, float] = (0.0, 0.0, 2.0),
     rate: FloatArray | None = None,
-) -> Piece:
+) -> Segment:
     """Elbow, wrist, hand and strap on a line at rest in {K}, 30 Hz, a tenth of a millimetre of noise.
 
     The sensor's attitude is the identity throughout, also where it is said to turn.
@@ -42,7 +42,7 @@ def forearm(
     position += 1e-4 * np.random.default_rng(0).normal(size=position.shape)
     duration = float(t[-1]) + 0.5
     identity = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
-    return Piece(
+    return Segment(
         signal=InertialSignal(still_imu(duration, rate)),
         attitude=InertialAttitude(np.array([0.0, duration]), identity, np.zeros(3)),
         frame_t=t,
@@ -57,8 +57,8 @@ def forearm(
     )
 
 
-def with_position(piece: Piece, rows: slice | list[int], column: int, value: FloatArray) -> Piece:
+def with_position(segment: Segment, rows: slice | list[int], column: int, value: FloatArray) -> Segment:
     """The piece with other positions of a joint in some frames."""
-    position = piece.position.copy()
+    position = segment.position.copy()
     position[rows, column] = value
-    return replace(piece, position=position)
+    return replace(segment, position=position)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_recordings import make, swing
 from mcap.writer import CompressionType, Writer
+from private_memory import program_output
 
 from calib.world import gravity_from_base as apply
 from smoother.io import open_recording, read_recording, write_recording
@@ -25,11 +26,10 @@ from smoother.io.recording.read_arm import read_arm
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.runtime import column
-from smoother.runtime import disk_store as disk_room
-from smoother.runtime.column import Column, passes, sampled
-from smoother.runtime.disk_store import DiskRoom
-from smoother.runtime.store import Room
+from smoother.runtime import column, disk_store
+from smoother.runtime.column import Column, batches, sampled
+from smoother.runtime.disk_store import DiskStore
+from smoother.runtime.store import Store
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -37,8 +37,8 @@ ZERO = 1_700_000_000 * 10**9
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every array on disk, every pass in many parts."""
-    monkeypatch.setattr(disk_room, "_SMALL_BYTES", 1)
-    monkeypatch.setattr(column, "PASS_ROWS", 13)
+    monkeypatch.setattr(disk_store, "_SMALL_BYTES", 1)
+    monkeypatch.setattr(column, "BATCH_ROWS", 13)
 
 
 def assert_equal(found: object, expected: object) -> None:
@@ -106,13 +106,13 @@ def several_imus(_: Path) -> RecordingFile:
 
 @pytest.mark.parametrize("made", [plain, two_arms, dropped_samples, renumbered_body, several_imus])
 @pytest.mark.usefixtures("small_parts")
-def test_a_room_on_disk_holds_the_same(made: object, tmp_path: Path):
+def test_a_store_on_disk_holds_the_same(made: object, tmp_path: Path):
     path = tmp_path / "a.mcap"
     write_recording(made(tmp_path), path)  # type: ignore[operator]
     side = "right" if made is two_arms else None
-    with DiskRoom() as room:
-        assert_equal(open_recording(path, room=room), open_recording(path))
-        assert_equal(read_recording(path, side=side, room=room), read_recording(path, side=side))
+    with DiskStore() as store:
+        assert_equal(open_recording(path, store=store), open_recording(path))
+        assert_equal(read_recording(path, side=side, store=store), read_recording(path, side=side))
 
 
 @pytest.mark.usefixtures("small_parts")
@@ -132,8 +132,8 @@ def test_field_of_a_topic_of_its_own_and_markers(tmp_path: Path):
             markers = {"markers": [ros.marker(ns, number, place) for number, place in places.items()]}
             kind = "visualization_msgs/msg/MarkerArray"
             bag.write("/body_tracking_data", kind, ros.marker_array(), markers, ns)
-    with DiskRoom() as room:
-        found = read_recording(path, side="right", room=room)
+    with DiskStore() as store:
+        found = read_recording(path, side="right", store=store)
     stamps = np.rint(t * 1e9)
     have, values = stamps[::3] - 7_000_000, np.sin(np.arange(3.0) + 3 * np.arange(len(t[::3]))[:, None])
     expected = np.stack([np.interp(stamps, have, values[:, k]) for k in range(3)], axis=1)
@@ -150,27 +150,26 @@ def test_without_truth_all_else_is_the_same(tmp_path: Path):
     assert found.truth is None and whole.truth is not None
     assert_equal(replace(found, truth=whole.truth), whole)
     assert open_recording(path, truth=False).poses == []
-    with DiskRoom() as room:
-        assert_equal(read_arm(path, room=room, truth=False)[0], found)
+    with DiskStore() as store:
+        assert_equal(read_arm(path, store=store, truth=False)[0], found)
 
 
 LONG = """
-import re, sys
+import sys
 from pathlib import Path
 import numpy as np
 from smoother.io import read_recording
-from smoother.runtime.disk_store import DiskRoom
+from private_memory import PrivatePeak
+from smoother.runtime.disk_store import DiskStore
 
-def peak():
-    return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024
-
+peak = PrivatePeak()
 short, long, truth = sys.argv[1:]
-with DiskRoom() as room:
-    read_recording(short, room=room)  # all that is imported on the way
-    begin = peak()
-    recording = read_recording(long, room=room, truth=truth == "True")
+with DiskStore() as store:
+    read_recording(short, store=store)  # all that is imported on the way
+    begin = peak.mb()
+    recording = read_recording(long, store=store, truth=truth == "True")
     rows = len(recording.imu), len(recording.arm)
-print(peak() - begin, *rows)
+print(peak.mb() - begin, *rows)
 """
 
 
@@ -204,10 +203,8 @@ def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("truth", [True, False])
 def test_memory_is_flat(long_recording: Path, truth: bool):
     paths = [str(long_recording / name) for name in ("short.mcap", "long.mcap")]
-    done = subprocess.run(
-        [sys.executable, "-c", LONG, *paths, str(truth)], check=True, capture_output=True, text=True
-    )
-    grown, samples, frames = done.stdout.split()
+    done = program_output(LONG, *paths, str(truth))
+    grown, samples, frames = done.split()
     assert (int(samples), int(frames)) == (80 * 7200, 30 * 7200)
     assert float(grown) < 45  # MB; measured 17, in memory 275 and 106
 
@@ -235,7 +232,7 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
         writer.finish()
     command = [sys.executable, "-c", LONG, str(tmp_path / "short.mcap"), str(path), "False"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    grown, samples, _ = done.stdout.split()
+    grown, samples, _ = done.split()
     assert int(samples) == 600
     assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 13 to 24
 
@@ -248,7 +245,7 @@ def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
     acc = rng.normal(size=(len(t), 3))
     seconds = np.floor(t - t[0])
     expected = [acc[seconds == second].mean(axis=0) for second in np.unique(seconds)]
-    found = apply._means(ImuStream("base", t, acc, acc), Room())
+    found = apply._means(ImuStream("base", t, acc, acc), Store())
     np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
 
 
@@ -265,7 +262,7 @@ def test_columns_are_their_parts_put_together(sizes: list[int], on_disk: bool, b
         part[:] = np.nan
     expected = np.concatenate([np.empty((0, 2)), *parts])
     for optional in (False, True):
-        gathered = Column(DiskRoom() if on_disk else Room(), (2,), optional=optional)
+        gathered = Column(DiskStore() if on_disk else Store(), (2,), optional=optional)
         for part in parts:
             gathered.append(part)
         assert len(gathered) == len(expected)
@@ -279,10 +276,10 @@ def test_columns_are_their_parts_put_together(sizes: list[int], on_disk: bool, b
 def test_samples_are_even(count: int, enough: int):
     values = np.arange(count)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(column, "PASS_ROWS", 7)
+        patch.setattr(column, "BATCH_ROWS", 7)
         patch.setattr(column, "_ENOUGH", enough)
-        np.testing.assert_array_equal(sampled(values, Room()), values[:: max(count // enough, 1)])
-        assert [i for part in passes(count, Room()) for i in values[part]] == values.tolist()
+        np.testing.assert_array_equal(sampled(values, Store()), values[:: max(count // enough, 1)])
+        assert [i for part in batches(count, Store()) for i in values[part]] == values.tolist()
 
 
 def joint_events() -> st.SearchStrategy[list[tuple[int, int, int, int, int]]]:
@@ -300,7 +297,7 @@ def test_arms_are_what_a_loop_over_joints_makes(
     events: list[tuple[int, int, int, int, int]], stamps: np.ndarray, ordered: bool
 ):
     stamps = np.sort(stamps) if ordered else stamps
-    rows = JointRows(DiskRoom())
+    rows = JointRows(DiskStore())
     position = np.random.default_rng(0).normal(size=(len(events), 3))
     half = len(events) // 2
     half += sum(event[0] == events[half][0] for event in events[half:]) if events else 0  # whole messages
