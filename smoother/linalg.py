@@ -1,10 +1,10 @@
-"""Small operations on stacked arrays."""
+"""Small operations on arrays and stacks of them: one place for each."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .recording import FloatArray
+from .recording import BoolArray, FloatArray
 
 
 def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
@@ -33,3 +33,49 @@ def inverse(matrix: FloatArray) -> FloatArray:
     """Inverse of symmetric matrices (..., n, n), kept symmetric."""
     answer = np.linalg.inv(matrix)
     return np.asarray(0.5 * (answer + np.swapaxes(answer, -1, -2)), dtype=np.float64)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (..., k) of length one; nan where the length is zero."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def runs(mask: BoolArray) -> list[slice]:
+    """Runs of True in a mask (n,), in order."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).tolist()
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
+    """Standard deviation about zero that outliers hardly move: 1.4826 times the median size.
+
+    Parameters
+    ----------
+    residual : array_like, any shape
+        Residuals with their centre taken off already.
+    axis : int, optional
+        Along which the median is taken; over everything where None.
+    """
+    return np.asarray(1.4826 * np.median(np.abs(residual), axis=axis))
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Rotation matrices (..., 3, 3) nearest to M: maximise trace(R' M) (Wahba's problem, SIAM Review 1965).
+
+    With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least squares
+    (Kabsch, Acta Crystallographica A32, 1976).
+    """
+    U, _, Vt = np.linalg.svd(matrix)
+    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return np.asarray(U @ Vt)
+
+
+def parabola_vertex(x: FloatArray, y: FloatArray) -> float:
+    """Where the parabola through the lowest sample and its neighbours is lowest; x (n,) evenly spaced."""
+    k = int(np.argmin(y))
+    if k in (0, len(x) - 1):
+        return float(x[k])
+    before, here, after = y[k - 1], y[k], y[k + 1]
+    curvature = before - 2 * here + after
+    return float(x[k] + 0.5 * (x[1] - x[0]) * (before - after) / curvature) if curvature > 0 else float(x[k])

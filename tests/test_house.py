@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 #: The core from the bottom up; each floor may import those below it and itself.
 STACK = (
     ("errors",),
-    ("recording", "calibration", "config", "linalg"),
+    ("recording", "calibration", "config", "linalg", "units"),
     ("runtime",),
     ("measurements",),
     ("result", "joint_angles"),
