@@ -63,8 +63,8 @@ def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) nearest to M: maximise trace(R' M) (Wahba's problem, SIAM Review 1965).
 
-    With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least squares
-    (Kabsch, Acta Crystallographica A32, 1976).
+    With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least
+    squares (Kabsch, Acta Crystallographica A32, 1976).
     """
     U, _, Vt = np.linalg.svd(matrix)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
