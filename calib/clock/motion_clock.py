@@ -130,7 +130,7 @@ def _mounting(stretches: list[Segment], known: ArmCalibration, config: Config, p
     """How the IMU sits, from a few stretches that may each have a clock of their own."""
     chosen = [stretches[k] for k in np.unique(np.linspace(0, len(stretches) - 1, 4).astype(int))]
     numbered = [replace(segment, recording=k) for k, segment in enumerate(chosen)]
-    return self_calibrate(numbered, known, config, pool).calibration
+    return self_calibrate(numbered, known, config, pool).estimate
 
 
 def _one(

@@ -1,10 +1,4 @@
-"""The camera's clock against the IMU's: an offset that may drift, found from the residuals.
-
-A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
-Their projection, summed over a second or less, is a local estimate of the offset; how fast the offset may
-wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural
-time series models, 1989), and their smoothed mean is the clock.
-"""
+"""The camera's clock against the IMU's, as a value: an offset that may drift."""
 
 from __future__ import annotations
 
@@ -52,6 +46,10 @@ class Clock:
             outside = np.minimum(part - self.t[0], 0.0) + np.maximum(part - self.t[-1], 0.0)
             offset[start : start + BATCH_TIMES] = np.interp(part, self.t, self.offset) + self.skew * outside
         return offset
+
+    def to_imu(self, t_camera: FloatArray) -> FloatArray:
+        """Camera times on the IMU's clock, s."""
+        return t_camera + self.at(t_camera)
 
     def after(self, coarse: Clock | None) -> Clock:
         """The clock of the stamps themselves, where it was found after `coarse` had moved them."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, G, V, X
 
-import smoother.recovery.passes
+import smoother.recovery.second_pass
 from smoother.config import Config, Windows
 from smoother.graph.build import build
 from smoother.graph.marginals import _Dense, marginals_of
@@ -21,13 +21,13 @@ from smoother.window.problem import Window
 def test_dense_and_gtsam_agree(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Same linear system, two eliminations: to rounding of a condition number of about 1e10."""
     seen: list[Window] = []
-    real = smoother.recovery.passes.solve
+    real = smoother.recovery.second_pass.solve
 
     def listen(window: Window, **wanted: bool) -> object:
         seen.append(window)
         return real(window, **wanted)
 
-    monkeypatch.setattr(smoother.recovery.passes, "solve", listen)
+    monkeypatch.setattr(smoother.recovery.second_pass, "solve", listen)
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=6.0), seed=3)
     smooth(replace(made.recording, truth=None), made.calibration, Config(windows=Windows(processes=1)))
     graph, values = build(seen[-1])
