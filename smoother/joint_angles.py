@@ -20,7 +20,9 @@ shoulder angles are relative to gravity and the camera.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from .linalg import unit
 from .recording import BoolArray, FloatArray
 from .result import Recovery
 
@@ -57,15 +59,9 @@ def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
     quaternion : (N, 4) qw, qx, qy, qz of `R_K_A`; nan where there is none.
     R_F_A : (3, 3) IMU axes to forearm axes (y elbow to wrist, x to the back of the hand).
     """
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    R_K_A = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=1,
-    )
+    R_K_A = np.full((len(quaternion), 3, 3), np.nan)
+    known = np.linalg.norm(quaternion, axis=1) > 0.0  # neither nan nor zero
+    R_K_A[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
     return R_K_A @ np.asarray(R_F_A).T
 
 
@@ -103,21 +99,21 @@ def arm_angles(
         to_torso = torso_axes(down, forward).T
     if side == "left":
         to_torso = np.diag([1.0, 1.0, -1.0]) @ to_torso  # from here on it is a right arm
-    y_humerus = _unit((joints["shoulder"] - joints["elbow"]) @ to_torso.T)
+    y_humerus = unit((joints["shoulder"] - joints["elbow"]) @ to_torso.T)
     if upright:
         angles["shoulder_plane"] = _degrees(-y_humerus[:, 0], -y_humerus[:, 2])
         angles["shoulder_elevation"] = _degrees(np.hypot(y_humerus[:, 0], y_humerus[:, 2]), y_humerus[:, 1])
     if "wrist" not in joints:
         return angles
 
-    y_forearm = _unit((joints["elbow"] - joints["wrist"]) @ to_torso.T)
+    y_forearm = unit((joints["elbow"] - joints["wrist"]) @ to_torso.T)
     if flexion_axis is None:  # ISB's second definition of the humerus
-        z_humerus = _unit(np.cross(y_humerus, y_forearm))
+        z_humerus = unit(np.cross(y_humerus, y_forearm))
         x_humerus = np.cross(y_humerus, z_humerus)
         across = np.linalg.norm(np.cross(y_humerus, y_forearm), axis=1)
         angles["elbow_flexion"] = _degrees(across, _dot(y_forearm, y_humerus))
     else:
-        x_humerus = _unit(np.cross(y_humerus, flexion_axis @ to_torso.T))
+        x_humerus = unit(np.cross(y_humerus, flexion_axis @ to_torso.T))
         z_humerus = np.cross(x_humerus, y_humerus)
         angles["carrying"] = np.degrees(np.arcsin(np.clip(_dot(y_forearm, z_humerus), -1, 1)))
         angles["elbow_flexion"] = _degrees(-_dot(y_forearm, x_humerus), _dot(y_forearm, y_humerus))
@@ -125,7 +121,7 @@ def arm_angles(
         angles["shoulder_rotation"] = _degrees(-x_humerus[:, 1], z_humerus[:, 1])
     if R_K_F is not None:
         thumb = (R_K_F[:, :, 2] if side != "left" else -R_K_F[:, :, 2]) @ to_torso.T
-        x_forearm = _unit(np.cross(y_forearm, thumb))
+        x_forearm = unit(np.cross(y_forearm, thumb))
         z_forearm = np.cross(x_forearm, y_forearm)
         angles["pronation"] = _degrees(-_dot(x_forearm, z_humerus), _dot(z_forearm, z_humerus))
     return angles
@@ -181,8 +177,3 @@ def _degrees(sine: FloatArray, cosine: FloatArray) -> FloatArray:
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((a * b).sum(axis=1))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

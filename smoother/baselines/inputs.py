@@ -13,7 +13,7 @@ import numpy as np
 from ..calibration import ArmCalibration
 from ..config import CameraNoise
 from ..errors import SolveError
-from ..measurements.alignment import GRAVITY, Alignment, VectorPairs, align, lever_of, pairs
+from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
 from ..measurements.attitude import inertial_attitude
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
@@ -21,6 +21,7 @@ from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import Gap, enough_joints, joints_needed
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, Recording
 from ..result import Recovery
+from ..units import GRAVITY
 from .orientation import attitude_by
 from .scene import Scene
 

@@ -16,13 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..calibration import ArmCalibration
-from ..linalg import interpolate
+from ..linalg import interpolate, nearest_rotation
 from ..recording import JOINTS, BoolArray, FloatArray
+from ..units import GRAVITY
 from .attitude import InertialAttitude
 from .inertial import InertialSignal
 from .segment import Segment
-
-GRAVITY = 9.81
 
 #: How fast the inertial filter's heading may drift: alignments share data over this time, s.
 ALIGN_SPAN_S = 30.0
@@ -159,11 +158,7 @@ def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatA
     np.add.at(profile, cell, outer)
     profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_SPAN_S))
     profile += np.outer(down_K, [0.0, 0.0, -1.0]) / HINT_SIGMA_RAD**2
-    U, _, Vt = np.linalg.svd(profile)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    middle = np.tile(np.eye(3), (len(t), 1, 1))
-    middle[:, 2, 2] = sign
-    R = U @ middle @ Vt
+    R = nearest_rotation(profile)
     # information of Wahba's loss about the attitude, in {K}: tr(M) I - M with M = R B' symmetrised
     M = R @ np.swapaxes(profile, 1, 2)
     information = np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (M + np.swapaxes(M, 1, 2))

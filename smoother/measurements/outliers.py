@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import median_filter
 
+from ..linalg import runs, unit
 from ..recording import JOINTS, BoolArray, FloatArray
 from .alignment import Alignment
 from .joint_noise import JointNoise
@@ -77,8 +78,8 @@ def reject_by_attitude(
     if not both.any():
         return segment
     inertial = (alignment.at(frame_t) * segment.attitude.at(frame_t)).apply(along_A)
-    seen = _unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
-    ray = _unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
+    seen = unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
+    ray = unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
     off = both & (np.sum(seen * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
     segment = _reject(segment, _only(off, *_FOREARM), DIRECTION)
     # a forearm that points at the camera is no reason by itself: it must also look wrong
@@ -126,21 +127,16 @@ def _only(frames: BoolArray, *columns: int) -> BoolArray:
     return wrong
 
 
-def _unit(v: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return v / np.linalg.norm(v, axis=1)[:, None]
-
-
 def _frozen(segment: Segment, column: int) -> BoolArray:
     """Frames that repeat the one before, in runs of repeats during which the sensor moved."""
     x, accepted = segment.position[:, column], segment.accepted[:, column]
     same = np.zeros(len(x), dtype=bool)
     same[1:] = accepted[1:] & accepted[:-1] & (x[1:] == x[:-1]).all(axis=1)
     frozen = np.zeros(len(x), dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.view(np.int8), [0]))))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        if b - a >= FROZEN_REPEATS and _moved(segment, segment.frame_t[a - 1], segment.frame_t[b - 1]):
-            frozen[a:b] = True
+    for rows in runs(same):
+        start_s, end_s = segment.frame_t[rows.start - 1], segment.frame_t[rows.stop - 1]
+        if rows.stop - rows.start >= FROZEN_REPEATS and _moved(segment, start_s, end_s):
+            frozen[rows] = True
     return frozen
 
 
@@ -172,7 +168,7 @@ def _jumps(segment: Segment, column: int) -> BoolArray:
 def _strap_off(segment: Segment) -> BoolArray:
     """Strap more than 5 cm off the elbow-wrist line, or nearer the elbow."""
     elbow, wrist, strap = (segment.position[:, column] for column in (ELBOW, WRIST, STRAP_COLUMN))
-    along = _unit(wrist - elbow)
+    along = unit(wrist - elbow)
     at = np.sum((strap - elbow) * along, axis=1)
     distance = np.linalg.norm(strap - elbow - at[:, None] * along, axis=1)
     nearer_elbow = at < 0.5 * np.linalg.norm(wrist - elbow, axis=1)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointTracks, Recording
+from ..recording import BoolArray, FloatArray, ImuStream, JointTracks, Recording
 from .attitude import InertialAttitude, inertial_attitude
 from .clock import LARGEST_OFFSET_S
 from .inertial import InertialSignal
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
-from .visibility import accepted_samples, joints_needed
+from .visibility import accepted_samples, enough_joints, joints_needed
 
 #: The inertial filter runs no faster than this, Hz.
 FILTER_RATE_HZ = 120.0
@@ -131,8 +131,7 @@ def make_segment(
     arm : its frames, which are the rows `frames` of the recording's.
     """
     accepted = accepted_samples(arm)
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    if accepted[:, forearm].any(axis=1).sum() < 2:
+    if enough_joints(accepted, 1).sum() < 2:
         return None
     signal = InertialSignal(replace(imu, t_s=steady_t))
     return Segment(

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..linalg import robust_sigma
 from ..recording import FloatArray, ImuStream
 
 #: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
@@ -48,8 +49,7 @@ def dejitter(t: FloatArray) -> FloatArray:
         return t
     dt = np.diff(t)
     tick = float(t[-1] - t[0]) / (len(t) - 1)
-    scatter = 1.4826 * float(np.median(np.abs(dt - tick)))
-    if scatter < JITTER_SCATTER * tick:
+    if robust_sigma(dt - tick) < JITTER_SCATTER * tick:
         return t
     count = np.arange(len(t), dtype=float)
     slope, start = np.polyfit(count, t, 1)

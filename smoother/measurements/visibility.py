@@ -33,7 +33,7 @@ def joints_needed(arm: JointTracks) -> int:
 
 
 def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
-    """Frames (F,) with so many accepted forearm joints."""
+    """Frames (F,) with so many accepted forearm joints; with one, the camera saw something of the forearm."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     return accepted[:, forearm].sum(axis=1) >= needed
 

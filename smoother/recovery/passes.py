@@ -13,13 +13,14 @@ import numpy as np
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..graph.solve import solve
-from ..measurements.alignment import GRAVITY, Alignment
+from ..measurements.alignment import Alignment
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_camera, reject_by_residual
 from ..measurements.segment import Segment
 from ..recording import FloatArray
 from ..selfcal.clock_fit import ClockScore, clock_score
 from ..selfcal.rounds import SelfCalibration, reject_by_direction, with_initial_values
+from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut, cut_times, window_nodes
 from ..window.prepare import prepare
 from ..window.problem import FieldMeasurements, Message, NoiseModel, Priors, Window

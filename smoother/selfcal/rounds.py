@@ -17,13 +17,14 @@ from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
-from ..measurements.alignment import GRAVITY, Alignment, align, pairs
+from ..measurements.alignment import Alignment, align, pairs
 from ..measurements.clock import Clock, constant_clock
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray
 from ..runtime.pool import Pool
+from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut, cut_times
 from ..window.pooling import pooled
 from ..window.prepare import prepare

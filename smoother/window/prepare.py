@@ -47,11 +47,10 @@ def prepare(
     The stretch and the alignment of its inertial frame to the camera; None where the camera saw
     nothing of the forearm near enough.
     """
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     frame_t = segment.frame_t + clock.at(segment.frame_t)
     inside = (frame_t >= segment.start_s) & (frame_t <= segment.end_s)
     accepted = segment.accepted & inside[:, None]
-    measured = accepted[:, forearm].any(axis=1)
+    measured = enough_joints(accepted, 1)
     if measured.sum() < 2:
         return None
     seen = frame_t[measured]

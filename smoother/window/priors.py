@@ -8,6 +8,7 @@ import numpy as np
 
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Config
+from ..linalg import robust_sigma
 from ..measurements.alignment import Alignment
 from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray, ImuStream
@@ -111,7 +112,7 @@ def upper_arm_length_sigma(segments: list[Segment], config: Config, sample_m: fl
     ]
     if not lengths:
         return config.arm.upper_arm_flex_m
-    spread = 1.4826 * np.median(np.abs(np.concatenate([each - np.median(each) for each in lengths])))
+    spread = float(robust_sigma(np.concatenate([length - np.median(length) for length in lengths])))
     extra = float(np.sqrt(max(spread**2 - 2.0 * sample_m**2, 0.0)))
     return float(np.clip(extra, config.arm.upper_arm_flex_m, LARGEST_UPPER_ARM_SIGMA_M))
 

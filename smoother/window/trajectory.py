@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..linalg import interpolate
+from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FloatArray
 from .problem import Solution, States, Window
@@ -135,6 +135,46 @@ def _shoulder_at_nodes(window: Window, solution: Solution) -> tuple[FloatArray, 
         interpolate(knots, solution.shoulder, window.t),
         None if covariance is None else interpolate(knots, covariance, window.t),
     )
+
+
+def joint_from_pose(
+    R: FloatArray,
+    p: FloatArray,
+    pose_covariance: FloatArray,
+    lever: FloatArray,
+    lever_covariance: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's position and covariance from the IMU's pose and the joint's lever arm.
+
+    First-order propagation of `p + R l` with a rotation error in {K}: J = [I, -[R l]x] (Barfoot, State
+    Estimation for Robotics, 2017, section 7.2); the lever arm's error counts as independent of the pose's.
+
+    Parameters
+    ----------
+    R : ndarray, shape (n, 3, 3)
+        Orientations `R_K_A`.
+    p : ndarray, shape (n, 3), m
+        The IMU's positions in {K}.
+    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
+        Of (position, rotation vector) in {K}; nan where the pose's covariance is not known.
+    lever : ndarray, shape (3,) or (n, 3), m
+        The joint in {A}.
+    lever_covariance : ndarray, shape (3, 3), m^2, optional
+        Of the lever arm in {A}; none where the joint is the IMU itself.
+
+    Returns
+    -------
+    position : ndarray, shape (n, 3), m
+        The joint in {K}.
+    covariance : ndarray, shape (n, 3, 3), m^2
+        Of the position, in {K}.
+    """
+    arm = np.einsum("nij,nj->ni", R, np.broadcast_to(lever, p.shape))
+    jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
+    covariance = rotate_covariance(jacobian, pose_covariance)
+    if lever_covariance is not None:
+        covariance = covariance + rotate_covariance(R, lever_covariance)
+    return p + arm, covariance
 
 
 def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> States:
