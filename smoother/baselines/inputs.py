@@ -133,7 +133,7 @@ def _piece(
     return Segment(
         signal=signal,
         attitude=attitude_by(orientation, signal, imu, rate_hz, bias),
-        frame_t=frame_t,
+        frame_t_camera=frame_t,
         position=joints,
         accepted=used,
         reason=np.zeros(used.shape, np.uint8),
@@ -147,8 +147,8 @@ def _piece(
 
 def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
     """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the gravity told."""
-    seen = pairs(segment, segment.frame_t, segment.accepted, calibration)
-    t = segment.frame_t
+    seen = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
+    t = segment.frame_t_camera
     vertical = VectorPairs(
         t,
         np.tile(-down, (len(t), 1)),

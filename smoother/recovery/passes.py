@@ -194,9 +194,7 @@ def reject_outliers(kept: SectionState, found: ArmCalibration, task: Task) -> Se
         return kept
     segment, prepared, motion, known = kept.segment, kept.prepared, kept.motion, task.known
     clock = known.clocks[0]
-    residual = frame_residuals(
-        segment.position, segment.frame_t + clock.at(segment.frame_t), prepared, motion, found
-    )
+    residual = frame_residuals(segment.position, segment.frame_t_imu(clock), prepared, motion, found)
     believed = reject_by_residual(segment, residual, known.noise)
     margin_s = task.config.windows.margin_s
     again = None
@@ -204,12 +202,11 @@ def reject_outliers(kept: SectionState, found: ArmCalibration, task: Task) -> Se
         again = prepare(believed, known.start, clock, known.sigma_m, margin_s, kept.alignment)
     if again is None:
         # frames may lie elsewhere, on a clock that was found anew; they are carried to the same nodes
-        before = segment.frame_t + kept.clock.at(segment.frame_t)
+        before = segment.frame_t_imu(kept.clock)
         inside = (before >= segment.start_s) & (before <= segment.end_s)
-        frame_t = np.clip(
-            segment.frame_t + clock.at(segment.frame_t), prepared.signal.start_s, prepared.signal.end_s
-        )[inside]
-        return replace(kept, prepared=replace(prepared, start=motion.states, frame_t=frame_t), believed=True)
+        frame_t = np.clip(segment.frame_t_imu(clock), prepared.signal.start_s, prepared.signal.end_s)[inside]
+        prepared = replace(prepared, start=motion.states, frame_t_imu=frame_t)
+        return replace(kept, prepared=prepared, believed=True)
     return replace(kept, segment=believed, prepared=with_initial_values(again[0], motion), believed=True)
 
 

@@ -107,10 +107,10 @@ def _best(blocks: Sequence[Block], worth: Callable[[Block], float], wanted: int)
 
 
 def _worth_of(segment: Segment) -> float:
-    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    inside = (segment.frame_t_camera >= segment.start_s) & (segment.frame_t_camera <= segment.end_s)
     edges = np.arange(segment.start_s, segment.end_s, TURN_S)
     turning = np.linalg.norm(segment.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return _worth(segment.frame_t[enough_joints(segment.accepted, segment.needed) & inside], turning)
+    return _worth(segment.frame_t_camera[enough_joints(segment.accepted, segment.needed) & inside], turning)
 
 
 def _worth(seen_t: FloatArray, turning: FloatArray) -> float:

@@ -29,11 +29,11 @@ from ..window.cut import PreparedSegment, cut, cut_times
 from ..window.pooling import pooled
 from ..window.prepare import prepare
 from ..window.priors import (
-    Start,
+    InitialValues,
     calibration_from,
     first_priors,
+    initial_values,
     noise_of,
-    start_of,
     upper_arm_length_sigma,
     upper_arm_seen,
 )
@@ -82,7 +82,7 @@ class SelfCalibration:
     sigma_m: FloatArray
     upper_arm_sigma_m: float
     bias: JointBias
-    begin: Start
+    begin: InitialValues
     direction_spread_rad: float = float("nan")
 
     @property
@@ -140,7 +140,9 @@ def self_calibrate(
         prepared_segments = [
             with_initial_values(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)
         ]
-        begin = start_of(prepared_segments, [each[1] for _, each in ready], [segment for segment, _ in ready])
+        begin = initial_values(
+            prepared_segments, [each[1] for _, each in ready], [segment for segment, _ in ready]
+        )
         prior = first_priors(begin, calibration, config)
         windows: list[Window] = []
         owner: list[int] = []
@@ -198,7 +200,7 @@ def reject_by_direction(
     along_A = calibration.forearm_direction
     if along_A is None:
         return segment, None
-    frame_t = segment.frame_t + clock.at(segment.frame_t)
+    frame_t = segment.frame_t_imu(clock)
     alignment = align(
         pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
     )

@@ -45,7 +45,7 @@ def forearm(
     return Segment(
         signal=InertialSignal(still_imu(duration, rate)),
         attitude=InertialAttitude(np.array([0.0, duration]), identity, np.zeros(3)),
-        frame_t=t,
+        frame_t_camera=t,
         position=position,
         accepted=np.isfinite(position).all(axis=2),
         reason=np.zeros(position.shape[:2], np.uint8),

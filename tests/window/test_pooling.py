@@ -12,7 +12,7 @@ from smoother.window.pooling import (
     SLOW_WALK,
     _between_window_variance,
     _Information,
-    _others,
+    _leave_one_out,
     leave_one_out_priors,
 )
 from smoother.window.problem import Message, Priors
@@ -67,7 +67,7 @@ def test_each_is_told_the_prior_and_the_others(count: int, walk: float) -> None:
     prior = Gaussian(rng.normal(size=4), spd(rng, 4, 3.0))
     data = [Gaussian(rng.normal(size=4), spd(rng, 4)) for _ in range(count)]
     t, speed = np.array([1.0, 7.0])[:count], np.full(4, walk)
-    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, speed))
+    told = list(_leave_one_out([posterior(prior, d.mean, d.covariance) for d in data], prior, t, speed))
     for k in range(count):
         mean, covariance = dense_others(prior, data, t, speed, k)
         np.testing.assert_allclose(told[k].mean, mean, rtol=1e-8, atol=1e-10)
@@ -82,7 +82,7 @@ def test_many_windows_that_agree(seed: int) -> None:
     truth = rng.normal(size=3)
     data = [Gaussian(truth + 0.02 * rng.normal(size=3), spd(rng, 3) + 0.3 * np.eye(3)) for _ in range(5)]
     t, walk = np.array([0.0, 3.0, 9.0, 12.0, 30.0]), np.array([0.0, 0.1, 0.4])
-    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, walk))
+    told = list(_leave_one_out([posterior(prior, d.mean, d.covariance) for d in data], prior, t, walk))
     for k in range(5):
         mean, covariance = dense_others(prior, data, t, walk, k)
         np.testing.assert_allclose(told[k].mean, mean, rtol=1e-7, atol=1e-9)
@@ -96,9 +96,9 @@ def test_a_window_never_hears_itself() -> None:
     data = [Gaussian(np.full(2, 0.01 * k), spd(rng, 2) + np.eye(2)) for k in range(2)]
     t, walk = np.array([0.0, 5.0]), np.full(2, 0.1)
     answers = [posterior(prior, d.mean, d.covariance) for d in data]
-    before = list(_others(answers, prior, t, walk))[1]
+    before = list(_leave_one_out(answers, prior, t, walk))[1]
     answers[1] = posterior(prior, np.array([50.0, -20.0]), 1e-4 * np.eye(2))
-    after = list(_others(answers, prior, t, walk))[1]
+    after = list(_leave_one_out(answers, prior, t, walk))[1]
     np.testing.assert_allclose(after.mean, before.mean, atol=1e-10)
     np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-10)
 
@@ -107,7 +107,7 @@ def test_a_direction_that_no_window_saw_keeps_its_prior() -> None:
     prior = Gaussian(np.array([1.0, 2.0]), np.diag([0.5, 3.0]))
     data = np.diag([0.1, 1e12])
     answers = [posterior(prior, np.array([0.3, -9.0]), data) for _ in range(4)]
-    for each in _others(answers, prior, np.arange(4.0), np.zeros(2)):
+    for each in _leave_one_out(answers, prior, np.arange(4.0), np.zeros(2)):
         assert each.mean[1] == pytest.approx(2.0, abs=1e-6)
         assert each.covariance[1, 1] == pytest.approx(3.0, rel=1e-6)
         assert each.covariance[0, 0] < 0.04
@@ -140,7 +140,7 @@ def test_excess_widens_what_everybody_is_told() -> None:
     answers = [posterior(prior, x[k : k + 1], variance[k : k + 1, None]) for k in range(5)]
     tau2 = der_simonian_laird(x, variance)
     assert tau2 > 3.0
-    for k, each in enumerate(_others(answers, prior, np.arange(5.0), np.zeros(1))):
+    for k, each in enumerate(_leave_one_out(answers, prior, np.arange(5.0), np.zeros(1))):
         rest = np.delete(x, k)
         assert each.mean[0] == pytest.approx(rest.mean(), abs=1e-4)
         # the mean of four, each its own variance and the spread, and the window's own deviation
