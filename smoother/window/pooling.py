@@ -66,7 +66,7 @@ def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator
     t = np.array([message.t_s for message in messages])
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
-    others = _leave_one_out([message.shared for message in messages], prior.shared, t, walk)
+    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk)
     return (replace(prior, shared=shared) for shared in others)
 
 
@@ -109,13 +109,28 @@ def _accumulated(
     return start, _widen(own, np.diag(spread)), spread
 
 
-def _leave_one_out(
+def leave_one_out(
     answers: Sequence[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
 ) -> Iterator[Gaussian]:
     """For each window, what the prior and all other windows say.
 
-    Forward and backward filter in information form over the windows, each component wandering by
-    `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
+    Forward and backward filter in information form over the windows, each window's own deviation added.
+
+    Parameters
+    ----------
+    answers : sequence of Gaussian
+        The windows' posteriors of a vector (s,), the prior still inside.
+    prior : Gaussian
+        The same for all of them.
+    t : ndarray, shape (k,), s
+        Increasing times of the windows.
+    walk : ndarray, shape (s,), unit/sqrt(s)
+        How each component wanders; zero for a constant.
+
+    Yields
+    ------
+    others : Gaussian
+        For each window, in the order of time.
     """
     start, widened, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
