@@ -8,7 +8,21 @@ from .recording import BoolArray, FloatArray
 
 
 def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation of stacked values (n, ...) at times, held beyond the ends."""
+    """Linear interpolation of stacked values, held beyond the ends.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        Increasing.
+    values : ndarray, shape (n, ...)
+        Anything at these times.
+    at : ndarray, shape (k,), s
+        Where to interpolate.
+
+    Returns
+    -------
+    interpolated : ndarray, shape (k, ...)
+    """
     if len(t) == 1:
         return np.repeat(values, len(at), axis=0)
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
@@ -56,6 +70,12 @@ def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
         Residuals with their centre taken off already.
     axis : int, optional
         Along which the median is taken; over everything where None.
+
+    Returns
+    -------
+    sigma : ndarray
+        In the residual's unit, without the axis. The factor makes it the standard deviation of a normal
+        distribution (Rousseeuw and Croux, J. Am. Stat. Assoc. 1993).
     """
     return np.asarray(1.4826 * np.median(np.abs(residual), axis=axis))
 
@@ -65,6 +85,16 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
     With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least
     squares (Kabsch, Acta Crystallographica A32, 1976).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., 3, 3)
+        M.
+
+    Returns
+    -------
+    R : ndarray, shape (..., 3, 3)
+        Proper rotations.
     """
     U, _, Vt = np.linalg.svd(matrix)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
@@ -72,7 +102,20 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 
 def parabola_vertex(x: FloatArray, y: FloatArray) -> float:
-    """Where the parabola through the lowest sample and its neighbours is lowest; x (n,) evenly spaced."""
+    """Where the parabola through the lowest sample and its neighbours is lowest.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Evenly spaced.
+    y : ndarray, shape (n,)
+        Values at x.
+
+    Returns
+    -------
+    vertex : float
+        The lowest sample's x itself where that is an end, or where the parabola is not curved upwards.
+    """
     k = int(np.argmin(y))
     if k in (0, len(x) - 1):
         return float(x[k])

@@ -100,7 +100,7 @@ def calibrate_motion(
     ]
     if not segments:
         raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
-    with Pool(config.windows.processes, sum(len(segment.frame_t) for segment in segments)) as pool:
+    with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
         knowledge = self_calibrate(segments, known, config, pool)
     calibration = knowledge.estimate
     frame = forearm_frame(calibration)

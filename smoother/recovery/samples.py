@@ -101,7 +101,7 @@ def sample_section(
     joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}
     if model.mounting_unknown:  # joints that are seen are known all the same
         pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
-    frame_t = clock.to_imu(segment.frame_t)
+    frame_t = segment.frame_t_imu(clock)
     own = slice(*np.searchsorted(frame_t, [segment.core_start_s, segment.core_end_s]).tolist())
     position = segment.position[own] + model.joint_bias.error_m  # as the camera said it
     return SectionAnswer(

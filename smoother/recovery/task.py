@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..config import Config
-from ..measurements.alignment import GRAVITY, Alignment
+from ..measurements.alignment import Alignment
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_residual
 from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray, Recording
 from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from ..selfcal.rounds import SelfCalibration, with_initial_values
+from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
 from ..window.pooling import pooled
 from ..window.prepare import prepare
@@ -148,7 +149,7 @@ class SectionState:
         if self.outliers_rejected:
             return self
         segment, prepared, clock = self.segment, self.prepared, task.model.clock
-        frame_t_imu = clock.to_imu(segment.frame_t)
+        frame_t_imu = segment.frame_t_imu(clock)
         residual = frame_residuals(
             segment.position, frame_t_imu, prepared, self.trajectory, task.model.estimate
         )
@@ -167,8 +168,8 @@ class SectionState:
             prepared = with_initial_values(again[0], self.trajectory)
             return replace(self, segment=inliers, prepared=prepared, outliers_rejected=True)
         # frames may lie elsewhere, on a clock that was found anew; they are propagated to the same nodes
-        before = self.clock.to_imu(segment.frame_t)
+        before = segment.frame_t_imu(self.clock)
         inside = (before >= segment.start_s) & (before <= segment.end_s)
         frame_t = np.clip(frame_t_imu, prepared.signal.start_s, prepared.signal.end_s)[inside]
-        prepared = replace(prepared, start=self.trajectory.states, frame_t=frame_t)
+        prepared = replace(prepared, start=self.trajectory.states, frame_t_imu=frame_t)
         return replace(self, prepared=prepared, outliers_rejected=True)

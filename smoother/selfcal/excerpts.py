@@ -135,10 +135,13 @@ def _best(
 
 
 def _information_of(segment: Segment) -> float:
-    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    t = segment.frame_t_camera
+    inside = (t >= segment.start_s) & (t <= segment.end_s)
     edges = np.arange(segment.start_s, segment.end_s, TURN_S)
     turning = np.linalg.norm(segment.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return _information(segment.frame_t[enough_joints(segment.accepted, segment.needed) & inside], turning)
+    return _information(
+        segment.frame_t_camera[enough_joints(segment.accepted, segment.needed) & inside], turning
+    )
 
 
 def _information(visible_t: FloatArray, turning: FloatArray) -> float:

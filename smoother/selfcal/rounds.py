@@ -18,22 +18,23 @@ from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
-from ..measurements.alignment import GRAVITY, Alignment, align, pairs
+from ..measurements.alignment import Alignment, align, pairs
 from ..measurements.clock import Clock, constant_clock
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray, IntArray
 from ..runtime.pool import Pool
+from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut, cut_times
 from ..window.pooling import pooled
 from ..window.prepare import prepare
 from ..window.priors import (
-    Start,
+    InitialValues,
     calibration_from,
     first_priors,
+    initial_values,
     noise_of,
-    start_of,
     upper_arm_length_sigma,
     upper_arm_seen,
 )
@@ -67,7 +68,7 @@ class SelfCalibration:
         Lever arms and upper arm with their sigmas.
     prior : ArmCalibration
         The same values as a prior for solving them again: as uncertain as before.
-    initial : Start
+    initial : InitialValues
         Start values of the shared quantities.
     clocks : tuple of Clock
         Of each recording, t_imu = t_camera + offset.
@@ -85,7 +86,7 @@ class SelfCalibration:
 
     estimate: ArmCalibration
     prior: ArmCalibration
-    initial: Start
+    initial: InitialValues
     clocks: tuple[Clock, ...]
     joint_noise: dict[str, JointNoise]
     joint_sigma_m: FloatArray
@@ -211,7 +212,7 @@ class _Cut:
     borders: list[list[float]]
     windows: list[Window]
     recording_of_window: IntArray
-    initial: Start
+    initial: InitialValues
     prior: Priors
 
     def trajectories(self, solutions: Sequence[Solution]) -> dict[int, Trajectory]:
@@ -246,7 +247,7 @@ def _cut(
         number: with_initial_values(each, (trajectories or {}).get(number))
         for number, (_, each, _) in enumerate(ready)
     }
-    initial = start_of(
+    initial = initial_values(
         list(prepared.values()), [alignment for *_, alignment in ready], [each for each, *_ in ready]
     )
     prior = first_priors(initial, calibration, config)
@@ -322,7 +323,7 @@ def reject_by_direction(
     along_A = calibration.forearm_direction
     if along_A is None:
         return segment, None
-    frame_t = clock.to_imu(segment.frame_t)
+    frame_t = segment.frame_t_imu(clock)
     alignment = align(
         pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
     )
