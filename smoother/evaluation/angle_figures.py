@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
+from ..linalg import unit
 from ..recording import BoolArray, FloatArray, Truth
 from ..result import Recovery
 from .agreement import Agreement, agreement
@@ -114,9 +115,9 @@ def _true_forearm(
         " not compared.",
     ]
     if {"radial_styloid", "ulnar_styloid", "elbow", "wrist"} <= at.keys() | joints.keys():
-        y = _unit(joints["wrist"] - joints["elbow"])
+        y = unit(joints["wrist"] - joints["elbow"])
         thumb = (at["radial_styloid"] - at["ulnar_styloid"]) * (-1.0 if recovery.side == "left" else 1.0)
-        x = _unit(np.cross(y, thumb))
+        x = unit(np.cross(y, thumb))
         notes.append("The truth's pronation is that of the styloids' markers.")
         return np.stack([x, y, np.cross(x, y)], axis=2), notes
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
@@ -127,8 +128,3 @@ def _true_forearm(
         "Pronation of truth and answer share the forearm's axes in the IMU: its error is not in the figure."
     )
     return forearm_axes(reference.quaternion, mounting), notes
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -13,7 +13,7 @@ from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording, Truth
 from ..result import Recovery
 from .align import truth_at
-from .lag_left import lag_left_s
+from .lag import lag_s
 from .metrics import Figures
 from .reference import ReferenceAlignment
 from .validate import Validation, validate
@@ -226,8 +226,8 @@ def _result(
     return MethodResult(
         name,
         found,
-        lag_s=lag_left_s(recovery.t_s, path, truth.t_s, reference),
-        lag_occluded_s=lag_left_s(recovery.t_s, hidden, truth.t_s, reference),
+        lag_s=lag_s(recovery.t_s, path, reference, truth.t_s),
+        lag_occluded_s=lag_s(recovery.t_s, hidden, reference, truth.t_s),
         path=path,
     )
 
@@ -251,7 +251,7 @@ def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
         if joint not in references or joint == "shoulder":
             continue
         tracked = np.where(recording.arm.tracked(joint)[:, None], recording.arm.joint(joint), np.nan)
-        lag = lag_left_s(recording.arm.t_s, tracked, truth.t_s, references[joint])
+        lag = lag_s(recording.arm.t_s, tracked, references[joint], truth.t_s)
         if lag is not None:
             found[joint] = lag
     return found

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..linalg import robust_sigma
 from ..recording import JOINTS, BoolArray, FloatArray, Recording
 from ..result import Recovery
 from .align import linear_at, position_at, truth_at
@@ -133,8 +134,7 @@ def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
     residual = residual[np.isfinite(residual).all(axis=1)]
     if len(residual) < 10:
         return np.zeros((3, 3))
-    spread = 1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0)
-    return np.diag(spread**2)
+    return np.diag(robust_sigma(residual - np.median(residual, axis=0), axis=0) ** 2)
 
 
 def _hidden(

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..linalg import unit
 from ..recording import FloatArray
 
 #: 95 % quantile of chi-square with three degrees of freedom: the 95 % region of a position.
@@ -33,7 +34,7 @@ def orientation_error_deg(answer: FloatArray, reference: FloatArray) -> FloatArr
     ----------
     answer, reference : (N, 4) unit quaternions qw, qx, qy, qz of the same frames.
     """
-    a, b = _unit(answer), _unit(reference)
+    a, b = unit(answer), unit(reference)
     real = np.abs(np.einsum("ni,ni->n", a, b))  # the sign of a quaternion means nothing: eq 15
     # imaginary part of conj(a) * b
     imaginary = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
@@ -48,7 +49,7 @@ def rotation_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
     answer, reference : (N, 4) quaternions qw, qx, qy, qz of `R_K_A`.
     """
     result = np.full((len(answer), 3), np.nan)
-    a, b = _unit(answer), _unit(reference)
+    a, b = unit(answer), unit(reference)
     good = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     turned, true = (Rotation.from_quat(q[good], scalar_first=True) for q in (a, b))
     result[good] = (turned * true.inv()).as_rotvec()
@@ -59,12 +60,6 @@ def mean_vector(vectors: FloatArray) -> list[float] | None:
     """Mean (3,) of the finite rows, or None without any."""
     finite = vectors[np.isfinite(vectors).all(axis=1)]
     return [float(x) for x in finite.mean(axis=0)] if len(finite) else None
-
-
-def _unit(quaternion: FloatArray) -> FloatArray:
-    norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(norm > 0, quaternion / norm, np.nan)
 
 
 def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:

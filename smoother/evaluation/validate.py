@@ -212,7 +212,7 @@ def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | N
         gaps=tuple(_gaps(recovery, errors)),
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
-        lag_s=_lag(recovery, errors),
+        lag_s=_lag(recovery, truth, errors),
         table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
     )
@@ -242,15 +242,15 @@ def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]
     return found
 
 
-def _lag(recovery: Recovery, errors: SampleErrors) -> float | None:
+def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None:
     """Lag of the IMU's position, or of the wrist where the truth has no IMU."""
-    if errors.scored.any():
-        true = np.where(errors.scored[:, None], errors.reference.position, np.nan)
-        return lag_s(recovery.t_s, recovery.position, true)
-    for joint in ("wrist", "hand", "elbow"):
-        if joint in errors.joint_distance_m:
-            return lag_s(recovery.t_s, recovery.joints[joint], errors.reference.joints[joint])
-    return None
+    answer, position = recovery.position, truth.position
+    if not errors.scored.any():
+        shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_distance_m]
+        if not shared:
+            return None
+        answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
+    return lag_s(recovery.t_s, answer, np.where(truth.score[:, None], position, np.nan), truth.t_s)
 
 
 def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:

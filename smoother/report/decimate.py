@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from ..linalg import runs
 from ..recording import BoolArray, FloatArray, IntArray
 
 #: Most points of one drawn line.
@@ -57,9 +58,7 @@ def band(t_s: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray
     finite = np.isfinite(low) & np.isfinite(high) & np.isfinite(t_s)
     x: list[FloatArray] = []
     y: list[FloatArray] = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(int)))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        part = slice(start, stop)
+    for part in runs(finite):
         x += [t_s[part], t_s[part][::-1], np.array([np.nan])]
         y += [high[part], low[part][::-1], np.array([np.nan])]
     if not x:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..linalg import robust_sigma
+
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
 
@@ -42,7 +44,7 @@ def verdict(found: StrapFound) -> list[str]:
     ]
     along = found.along[good]
     middle = float(np.median(along))
-    wander = 1.4826 * float(np.median(np.abs(along - middle)))
+    wander = float(robust_sigma(along - middle))
     said.append(
         f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
         " image to image"

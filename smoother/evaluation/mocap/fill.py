@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...linalg import runs
 from ...recording import FloatArray
 from ..align import STAMP_S
 
@@ -36,8 +37,8 @@ def fill_on_plate(
         np.asarray(np.isfinite(each).all(axis=1)) for each in (position, on_plate, p_E_P)
     )
     filled, count = position.copy(), 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], seen, [True]]).astype(int)))
-    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+    for missing in runs(~seen):
+        first, stop = missing.start, missing.stop
         if first == 0 or stop == len(t_s) or t_s[stop] - t_s[first - 1] > LONGEST_S:
             continue
         begin, end = t_s[first - 1], t_s[stop]
@@ -46,10 +47,10 @@ def fill_on_plate(
         if not all(side.any() and np.ptp(t_s[side]) >= LEAST_SIDE_S for side in (before, after)):
             continue
         middle = 0.5 * (begin + end)
-        rows = np.flatnonzero(before | after)
-        fit = np.polynomial.polynomial.polyfit(t_s[rows] - middle, on_plate[rows], 3)
-        hole = np.arange(first, stop)[has_plate[first:stop]]
-        there = np.polynomial.polynomial.polyval(t_s[hole] - middle, fit).T
-        filled[hole] = np.einsum("nij,nj->ni", R_E_P[hole], there) + p_E_P[hole]
-        count += len(hole)
+        beside = np.flatnonzero(before | after)
+        fit = np.polynomial.polynomial.polyfit(t_s[beside] - middle, on_plate[beside], 3)
+        rows = np.arange(first, stop)[has_plate[first:stop]]
+        there = np.polynomial.polynomial.polyval(t_s[rows] - middle, fit).T
+        filled[rows] = np.einsum("nij,nj->ni", R_E_P[rows], there) + p_E_P[rows]
+        count += len(rows)
     return filled, count

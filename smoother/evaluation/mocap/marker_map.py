@@ -179,7 +179,15 @@ def _names(value: Any, key: str, path: Path) -> tuple[str, ...]:
 
 
 def _vector(value: Any, size: int, key: str, path: Path) -> FloatArray:
+    values = numbers(value, size)
+    if values is None:
+        raise RecordingError(f"{path}: {key} must be {size} numbers")
+    return values
+
+
+def numbers(value: Any, size: int) -> FloatArray | None:
+    """A list of so many finite numbers as an array (size,); None where it is none."""
     good = isinstance(value, list) and len(value) == size
     if not good or not all(isinstance(x, int | float) and np.isfinite(x) for x in value):
-        raise RecordingError(f"{path}: {key} must be {size} numbers")
+        return None
     return np.array(value, dtype=np.float64)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...linalg import nearest_rotation
 from ...recording import BoolArray, FloatArray, IntArray
 
 #: A marker this far off its place on the body is mistaken (swapped, or a ghost), m.
@@ -53,9 +54,7 @@ def fit_poses(
     centre_shape = np.einsum("nm,nmi->ni", weight, shape) / total
     centre_seen = np.einsum("nm,nmi->ni", weight, seen) / total
     from_centre, to_centre = shape - centre_shape[:, None], seen - centre_seen[:, None]
-    U, _, Vt = np.linalg.svd(np.einsum("nm,nmi,nmj->nij", weight, to_centre, from_centre))
-    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]  # no mirror images
-    rotation = U @ Vt
+    rotation = nearest_rotation(np.einsum("nm,nmi,nmj->nij", weight, to_centre, from_centre))
     return rotation, centre_seen - np.einsum("nij,nj->ni", rotation, centre_shape)
 
 
