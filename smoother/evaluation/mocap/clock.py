@@ -201,7 +201,9 @@ def _coarse(
         signals.speed(read(grid)) for read, grid in zip((signals.answer, signals.truth), grids, strict=True)
     )
     r, count = masked_correlation(a, b, least_variance=1e-3)
-    score = np.where(count >= least_s * GRID_HZ, np.arctanh(np.clip(r, -0.9999, 0.9999)) * np.sqrt(count), -np.inf)
+    score = np.where(
+        count >= least_s * GRID_HZ, np.arctanh(np.clip(r, -0.9999, 0.9999)) * np.sqrt(count), -np.inf
+    )
     if not np.isfinite(score).any():
         return 0.0, float("nan"), []
     lags = (np.arange(len(r)) - (len(b) - 1)) / GRID_HZ + grids[0][0] - grids[1][0]
