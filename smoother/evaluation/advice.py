@@ -128,8 +128,8 @@ def _gaps(found: list[GapSummary]) -> list[str]:
             f"Keep the forearm in view for at least 1.5 s {' and '.join(when)}: the gap"
             f"{_times([*early, *late])} was seen from one side only."
         )
-    two_sided = [each for each in found if not (each.gap.open_start or each.gap.open_end)]
-    weak = [each for each in two_sided if each.sigma_max_m is not None and each.sigma_max_m > WEAK_M]
+    two_sided = [each for each in found if not each.one_sided]
+    weak = [each for each in two_sided if each.is_weaker_than(WEAK_M)]
     long = [each for each in weak if each.gap.length_s > LONG_GAP_S]
     if long:
         said.append(

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from ..evaluation.gap_spread import Spread, spread_by_length
 from ..evaluation.gaps import GapTable
 from .method_styles import PLAIN, STYLES, faint, line_of
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import figure, in_cm, listing, tabulated, write_sheet
 from .style import dress
 
 Spreads = dict[float, dict[str, Spread]]
@@ -146,7 +146,7 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
         (
             f"{length:g}",
             name,
-            *[_cm(value) for value in (each.median_m, each.low_m, each.high_m, each.rms_m, each.worst_m)],
+            *[in_cm(value) for value in (each.median_m, each.low_m, each.high_m, each.rms_m, each.worst_m)],
             each.gaps,
             each.failed or None,
         )
@@ -171,10 +171,6 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
 def _by_median(entry: tuple[str, Spread]) -> float:
     median = entry[1].median_m
     return float("inf") if median is None else median
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
 
 
 _CURVES = (

@@ -13,7 +13,7 @@ from ..evaluation.compare import Comparison, MethodResult
 from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording
 from .method_styles import line_of
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import figure, in_cm, listing, tabulated, write_sheet
 from .style import CAMERA, SHADE, TRUTH, axis_names, dress
 
 #: Gaps drawn at most: half of them the longest, half those in which the best method is worst.
@@ -112,9 +112,9 @@ def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
         return (row.method, *[None] * 8)
     return (
         row.method,
-        *[_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
+        *[in_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
         *[_two(each) for each in (hidden.orientation_rms_deg, hidden.nees, hidden.coverage_95)],
-        _cm(seen.position_rms_m),
+        in_cm(seen.position_rms_m),
         _two(seen.orientation_rms_deg),
     )
 
@@ -128,7 +128,7 @@ def _joints(found: Comparison) -> Iterator[str]:
     for row in found.rows:
         each = {} if row.validation is None else row.validation.points
         cells = [each.get(joint, {}).get(found.part) for joint in joints]
-        rows.append((row.method, *[None if cell is None else _cm(cell.position_rms_m) for cell in cells]))
+        rows.append((row.method, *[None if cell is None else in_cm(cell.position_rms_m) for cell in cells]))
     yield tabulated(found.title(f"Joints {found.where}, rms, cm"), _JOINTS, ("method", *joints), rows)
 
 
@@ -202,10 +202,6 @@ def _camera(drawn: go.Figure, found: Comparison, recording: Recording, t: FloatA
 
 def _point(found: Comparison) -> str:
     return "forearm sensor" if found.point == "sensor" else found.point
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
 
 
 def _two(value: float | None) -> str | None:

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..recording import FloatArray
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import Html, figure, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -164,24 +164,20 @@ def _worst(done: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
         *("recording", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
         *("occluded, s", "length, s", "notes"),
     )
-    cells = []
-    for row in done.take(order).to_pylist():
-        figures = [
+    rows = [
+        (
+            Html(f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'),
             _scaled(row["sigma_max_m"], 100),
             *(_scaled(row[name]) for name in ("sigma_max_deg", "gap_longest_s")),
             row["gaps"],
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
             row["notes"],
-        ]
-        link = f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'
-        cells.append(f"<td>{link}</td>" + "".join(f"<td>{escape(str(each))}</td>" for each in figures))
-    more = f" The other {len(done) - len(cells)} are among the results." if len(done) > len(cells) else ""
-    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
-    body = "".join(f"<tr>{each}</tr>" for each in cells)
-    return (
-        '<h2>Worst recordings first</h2><p class="caption">By the largest sigma of their gaps; names lead to'
-        f" the outputs.{more}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
+        )
+        for row in done.take(order).to_pylist()
+    ]
+    more = f" The other {len(done) - len(rows)} are among the results." if len(done) > len(rows) else ""
+    caption = f"By the largest sigma of their gaps; names lead to the outputs.{more}"
+    return tabulated("Worst recordings first", caption, heads, rows)
 
 
 def _link(output: str, path: Path, folder: Path) -> str:
@@ -192,8 +188,8 @@ def _link(output: str, path: Path, folder: Path) -> str:
         return Path(target).as_uri()
 
 
-def _scaled(value: float | None, factor: float = 1.0) -> str:
-    return "–" if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
+def _scaled(value: float | None, factor: float = 1.0) -> str | None:
+    return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
 
 
 def _failures(failed: pa.Table) -> str:

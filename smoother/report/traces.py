@@ -7,6 +7,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.validate import sample_errors
+from ..joint_angles import arm_angles
+from ..linalg import unit
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
 from .decimate import band, decimate, split_line
@@ -81,7 +83,7 @@ def _coordinate(
 
 def angles(recovery: Recovery) -> go.Figure | None:
     """Elbow flexion and the forearm's elevation over time, or None without elbow and wrist."""
-    rows = [(name, value) for name, value in arm_angles(recovery).items() if np.isfinite(value).any()]
+    rows = [(name, value) for name, value in _angles(recovery).items() if np.isfinite(value).any()]
     if not rows:
         return None
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
@@ -99,25 +101,16 @@ def angles(recovery: Recovery) -> go.Figure | None:
     return dress(figure, 180 + 190 * len(rows))
 
 
-def arm_angles(recovery: Recovery) -> dict[str, FloatArray]:
+def _angles(recovery: Recovery) -> dict[str, FloatArray]:
     """Angles (N,) by name, degrees: elbow flexion (0 = straight), forearm above the horizontal."""
-    joints = recovery.joints
+    joints, down = recovery.joints, recovery.gravity_direction
     if "elbow" not in joints or "wrist" not in joints:
         return {}
-    forearm = _unit(joints["wrist"] - joints["elbow"])
-    found: dict[str, FloatArray] = {}
-    if "shoulder" in joints:
-        upper = _unit(joints["elbow"] - joints["shoulder"])
-        found["elbow flexion"] = np.degrees(np.arccos(np.clip((upper * forearm).sum(axis=1), -1, 1)))
-    if np.isfinite(recovery.gravity_direction).all():
-        rise = np.clip(-forearm @ recovery.gravity_direction, -1, 1)
-        found["forearm elevation"] = np.degrees(np.arcsin(rise))
-    return found
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return vector / np.linalg.norm(vector, axis=1, keepdims=True)
+    rise = np.clip(-unit(joints["wrist"] - joints["elbow"]) @ down, -1, 1)
+    return {
+        "elbow flexion": arm_angles(joints, len(recovery))["elbow_flexion"],
+        "forearm elevation": np.degrees(np.arcsin(rise)),
+    }
 
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
@@ -165,7 +158,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
             figure.add_trace(trace, row=row, col=1)
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
-    figure.add_trace(_cross("set aside", np.array([None]), np.array([None])), row=1, col=1)
+    figure.add_trace(_cross("rejected", np.array([None]), np.array([None])), row=1, col=1)
     shade(figure, recovery.gaps)
     return dress(figure, 160 + 120 * len(drawn))
 
@@ -184,7 +177,7 @@ def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.
     index = np.flatnonzero(aside)
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
-        cross = _cross("set aside", kept.t_s[index], distance_cm(index))
+        cross = _cross("rejected", kept.t_s[index], distance_cm(index))
         cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)
         traces.append(cross)
     return traces

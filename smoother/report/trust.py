@@ -1,4 +1,4 @@
-"""Whether the stated uncertainty can be believed, and which camera samples were not."""
+"""Whether the stated uncertainty is consistent with the errors, and which camera samples were rejected."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..result import Recovery
 from .decimate import decimate
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
 
-#: Colours of the reasons for which samples are set aside, in the order of their frequency.
+#: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
 
 
@@ -32,7 +32,9 @@ def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAn
     return {name: each for name, each in found.items() if len(each.squared)}
 
 
-def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> go.Figure | None:
+def calibration_curves(
+    camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]
+) -> go.Figure | None:
     """Coverage curve, and actual error against stated sigma: a row for the camera, one for a reference."""
     colours = {**JOINT_COLOURS, "in gaps": OCCLUDED, "while seen": VISIBLE}
     rows = [(name, part) for name, part in (("camera", camera), ("reference", truth)) if part]
@@ -49,7 +51,9 @@ def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual
     ideal = {"color": CAMERA, "width": 1.2, "dash": "dash"}
     for row, (_, parts) in enumerate(rows, start=1):
         figure.add_trace(
-            go.Scatter(x=[0, 100], y=[0, 100], mode="lines", line=ideal, name="honest", showlegend=row == 1),
+            go.Scatter(
+                x=[0, 100], y=[0, 100], mode="lines", line=ideal, name="consistent", showlegend=row == 1
+            ),
             row=row,
             col=1,
         )
@@ -76,7 +80,7 @@ def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual
     return dress(figure, 90 + 350 * len(rows), head=60)
 
 
-def honesty_words(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
+def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
     """The shares inside the 95 % region, in a sentence."""
     parts = []
     if camera:
@@ -88,7 +92,7 @@ def honesty_words(camera: dict[str, StatedAndActual], truth: dict[str, StatedAnd
 
 
 def timeline(recovery: Recovery) -> go.Figure | None:
-    """When samples were set aside, a line a joint, a colour a reason; None where none were."""
+    """When samples were rejected, a line a joint, a colour a reason; None where none were."""
     kept = recovery.residuals
     rows = rejected(recovery)
     if kept is None or not rows:

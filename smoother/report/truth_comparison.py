@@ -14,8 +14,8 @@ from ..evaluation.validate import Validation, sample_errors
 from ..recording import FloatArray, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
+from .sheet import in_cm, table
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress, shade
-from .tables import table
 
 #: A heading, its caption and what to draw below it (None: nothing to draw), then HTML that follows.
 Section = tuple[str, str, go.Figure | None, str]
@@ -178,9 +178,9 @@ def _gaps(found: Validation) -> str:
         (
             f"{gap.start_s:.2f}",
             f"{gap.length_s:.2f}",
-            _cm(figures.position_rms_m),
-            _cm(figures.position_p95_m),
-            _cm(figures.position_max_m),
+            in_cm(figures.position_rms_m),
+            in_cm(figures.position_p95_m),
+            in_cm(figures.position_max_m),
             figures.orientation_rms_deg,
             figures.orientation_max_deg,
             figures.nees,
@@ -222,7 +222,3 @@ def _table_one(found: Validation) -> str:
 
 def _number(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
