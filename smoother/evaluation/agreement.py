@@ -120,8 +120,8 @@ def icc_a1(
     rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
     between_rows = k * ((rows - grand) ** 2).sum() / (n - 1)
     column_variance = ((columns - grand) ** 2).sum() / (k - 1)
-    left = ratings - rows[:, None] - columns + grand
-    error = (left**2).sum() / ((n - 1) * (k - 1))
+    residual = ratings - rows[:, None] - columns + grand
+    error = (residual**2).sum() / ((n - 1) * (k - 1))
     icc = _icc(between_rows, n * column_variance, error, n, k)
     if icc is None:
         return None, None, None

@@ -130,17 +130,17 @@ class Comparison:
         }
 
     def _method(self, row: MethodResult) -> dict[str, Any]:
-        found: dict[str, Any] = {"failure": row.failure}
+        plain: dict[str, Any] = {"failure": row.failure}
         if row.validation is not None:
             whole = row.validation.to_dict()
-            found |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
-            found |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
-        return found
+            plain |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
+            plain |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
+        return plain
 
 
 def compare(
     recording: Recording,
-    told: Recovery,
+    graph: Recovery,
     truth: Truth,
     methods: Mapping[str, Method],
     alignment: ReferenceAlignment | None = None,
@@ -163,7 +163,7 @@ def compare(
         Truth and recording do not overlap.
     """
     alignment = alignment or ReferenceAlignment()
-    point = compared_point(validate(told, truth, alignment), told)
+    point = compared_point(validate(graph, truth, alignment), graph)
     rows = []
     for place, (name, method) in enumerate(methods.items()):
         if progress is not None:
@@ -174,18 +174,18 @@ def compare(
     return Comparison(
         rows=tuple(sorted(rows, key=lambda row: _rank(row, point))),
         point=point,
-        clock_offset_s=told.clock_offset_s,
-        clock_offset_sigma_s=told.clock_offset_sigma_s,
+        clock_offset_s=graph.clock_offset_s,
+        clock_offset_sigma_s=graph.clock_offset_sigma_s,
         camera_lag_s=_camera_lag(recording, truth),
-        t_s=told.t_s,
-        gaps=told.gaps,
+        t_s=graph.t_s,
+        gaps=graph.gaps,
         truth=truth,
         alignment=alignment,
-        notes=tuple(_notes(rows, alignment, told)),
+        notes=tuple(_notes(rows, alignment, graph)),
     )
 
 
-def compared_point(found: Validation, recovery: Recovery) -> str:
+def compared_point(validation: Validation, recovery: Recovery) -> str:
     """The first of `POINTS` that truth and answer share.
 
     Raises
@@ -194,7 +194,7 @@ def compared_point(found: Validation, recovery: Recovery) -> str:
         They share none.
     """
     for point in POINTS:
-        figures = figures_of(found, point, "all")
+        figures = figures_of(validation, point, "all")
         if figures is not None and figures.samples:
             return point
     raise RecordingError(
@@ -203,12 +203,12 @@ def compared_point(found: Validation, recovery: Recovery) -> str:
     )
 
 
-def figures_of(found: Validation, point: str, part: str) -> Figures | None:
+def figures_of(validation: Validation, point: str, part: str) -> Figures | None:
     """Figures of a point over a part, the IMU's orientation with the IMU; None where there are none."""
     if point == SENSOR:
-        figures: Figures = getattr(found, part)
+        figures: Figures = getattr(validation, part)
         return figures
-    return found.points.get(point, {}).get(part)
+    return validation.points.get(point, {}).get(part)
 
 
 def _result(
@@ -216,7 +216,7 @@ def _result(
 ) -> MethodResult:
     try:
         recovery = method(recording)
-        found = validate(recovery, truth, alignment)
+        validation = validate(recovery, truth, alignment)
     except UnoccludeError as error:
         return MethodResult(name, None, failure=str(error))
     path = recovery.position if point == SENSOR else recovery.joints[point]
@@ -225,7 +225,7 @@ def _result(
     hidden = np.where(recovery.occluded[:, None], path, np.nan)
     return MethodResult(
         name,
-        found,
+        validation,
         lag_s=lag_s(recovery.t_s, path, reference, truth.t_s),
         lag_occluded_s=lag_s(recovery.t_s, hidden, reference, truth.t_s),
         path=path,
@@ -245,7 +245,7 @@ def _rank(row: MethodResult, point: str) -> tuple[bool, float]:
 
 def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
     """Lag of what the camera tracked, before anything was done about it."""
-    found = {}
+    lags = {}
     references = {**truth.joints, "strap": truth.position}
     for joint in recording.arm.present:
         if joint not in references or joint == "shoulder":
@@ -253,11 +253,11 @@ def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
         tracked = np.where(recording.arm.tracked(joint)[:, None], recording.arm.joint(joint), np.nan)
         lag = lag_s(recording.arm.t_s, tracked, references[joint], truth.t_s)
         if lag is not None:
-            found[joint] = lag
-    return found
+            lags[joint] = lag
+    return lags
 
 
-def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, told: Recovery) -> list[str]:
+def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, graph: Recovery) -> list[str]:
     notes = [*alignment.notes]
     if alignment.kind != "none":
         notes.append("The truth was aligned by the graph's answer, once for all methods.")
@@ -268,6 +268,6 @@ def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, told: Recove
         elif row.validation.all.unanswered:
             count = row.validation.all.unanswered
             notes.append(f"{row.method} left {count} samples with truth unanswered; they are in no figure.")
-    if not told.occluded.any():
+    if not graph.occluded.any():
         notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
     return list(dict.fromkeys(notes))

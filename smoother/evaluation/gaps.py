@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
-from .gap_score import Hidden, score_gap
+from .gap_score import GapErrors, score_gap
 from .metrics import Figures, summarise
 from .placement import HiddenGap, place_gaps
 
@@ -133,7 +133,7 @@ class _Collected:
     """Rows and their samples while the runs go on."""
 
     rows: list[GapRow] = field(default_factory=list)
-    hidden: list[Hidden] = field(default_factory=list)
+    hidden: list[GapErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
@@ -173,13 +173,13 @@ def evaluate_gaps(
         No stretch of the recording can be hidden at any of the lengths.
     """
     collected = _Collected()
-    placed = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
-    for number, (length, run, gaps) in enumerate(placed):
+    trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
+    for number, (length, run, gaps) in enumerate(trials):
         copy = hide(recording, gaps)
         for place, (name, method) in enumerate(methods.items()):
             if progress is not None:
-                done = (number + place / len(methods)) / len(placed)
-                progress(done, f"gaps of {length:g} s, {name}")
+                share = (number + place / len(methods)) / len(trials)
+                progress(share, f"gaps of {length:g} s, {name}")
             _run(recording, copy, length, run, gaps, name, method, collected)
     if progress is not None:
         progress(1.0, "done")
@@ -204,23 +204,23 @@ def _place_all(
     collected: _Collected,
 ) -> list[tuple[float, int, list[HiddenGap]]]:
     """The gaps of every run, as (length, run, gaps)."""
-    placed = []
+    trials = []
     for length in lengths_s:
         for run in range(repetitions):
             # a generator a length and run: adding a length to the list moves no other gap
             rng = np.random.default_rng([seed, round(1000 * length), run])
             gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
             if gaps:
-                placed.append((length, run, gaps))
-        if not any(entry[0] == length for entry in placed):
+                trials.append((length, run, gaps))
+        if not any(entry[0] == length for entry in trials):
             collected.notes.append(f"No visible stretch has room for a gap of {length:g} s.")
-    if not placed:
+    if not trials:
         shortest = min(lengths_s, default=0.0)
         raise RecordingError(
             f"{recording.name}: no stretch in which the camera sees the forearm has room for a gap of"
             f" {shortest:g} s with 0.4 s visible on both sides"
         )
-    return placed
+    return trials
 
 
 def _run(
@@ -241,7 +241,7 @@ def _run(
         for gap in gaps:
             nothing = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
             collected.rows.append(GapRow(length_s, name, run, gap, "", nothing, failure=str(error)))
-            collected.hidden.append(Hidden.empty())
+            collected.hidden.append(GapErrors.empty())
         return
     for gap in gaps:
         hidden = score_gap(recording, recovery, gap)
@@ -272,7 +272,7 @@ def _table(lengths_s: Sequence[float], methods: Mapping[str, Method], collected:
                 if row.length_s == length and row.method == name
             ]
             if chosen:
-                pooled = Hidden.pooled([hidden for _, hidden in chosen])
+                pooled = GapErrors.pooled([hidden for _, hidden in chosen])
                 failed = sum(bool(row.failure) for row, _ in chosen)
                 figures = GapFigures(pooled.figures(), gaps=len(chosen), failed=failed)
                 lengths.setdefault(float(length), {})[name] = figures

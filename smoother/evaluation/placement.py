@@ -49,11 +49,11 @@ def visible_times(recording: Recording) -> FloatArray:
 
 def visible_runs(recording: Recording) -> list[tuple[float, float]]:
     """Runs (start, end) in which the forearm is seen and the IMU is not paused, camera's clock, s."""
-    seen, imu = visible_times(recording), recording.imu.t_s
-    if len(seen) < 2 or len(imu) < 2:
+    visible_s, imu = visible_times(recording), recording.imu.t_s
+    if len(visible_s) < 2 or len(imu) < 2:
         return []
-    cuts = np.flatnonzero(np.diff(seen) > FLICKER_S) + 1
-    runs = [(float(times[0]), float(times[-1])) for times in np.split(seen, cuts)]
+    cuts = np.flatnonzero(np.diff(visible_s) > FLICKER_S) + 1
+    runs = [(float(times[0]), float(times[-1])) for times in np.split(visible_s, cuts)]
     pauses = np.flatnonzero(np.diff(imu) > max(IMU_PAUSE_S, 5.0 / recording.imu.rate_hz))
     barred = [(float(imu[i]) - CLOCK_S, float(imu[i + 1]) + CLOCK_S) for i in pauses]
     barred += [(-np.inf, float(imu[0])), (float(imu[-1]), np.inf)]
@@ -100,12 +100,12 @@ def place_gaps(
     gaps : list of HiddenGap
         In order of time; fewer, or none, where there is not enough visible time.
     """
-    runs, seen = visible_runs(recording), visible_times(recording)
-    open_starts = _starts(seen, runs, length_s, margin_s)
+    runs, visible_s = visible_runs(recording), visible_times(recording)
+    open_starts = _starts(visible_s, runs, length_s, margin_s)
     chosen: list[HiddenGap] = []
     while len(open_starts) and len(chosen) < count:
         start = float(rng.choice(open_starts))
-        gap = _snapped(seen, start, length_s)
+        gap = _snapped(visible_s, start, length_s)
         reach = length_s + 2.0 * margin_s
         if gap is None or not _worth_scoring(recording, gap):
             open_starts = open_starts[open_starts != start]
@@ -113,27 +113,27 @@ def place_gaps(
         chosen.append(gap)
         open_starts = open_starts[np.abs(open_starts - gap.start_s) > reach]
     if not chosen and runs:
-        chosen = _middle(recording, seen, runs, length_s)
+        chosen = _middle(recording, visible_s, runs, length_s)
     return sorted(chosen, key=lambda gap: gap.start_s)
 
 
 def _starts(
-    seen: FloatArray, runs: list[tuple[float, float]], length_s: float, margin_s: float
+    visible_s: FloatArray, runs: list[tuple[float, float]], length_s: float, margin_s: float
 ) -> FloatArray:
     """Of the visible frames those at which a gap may start, s."""
-    fits = np.zeros(len(seen), dtype=bool)
+    fits = np.zeros(len(visible_s), dtype=bool)
     for start, end in runs:
-        fits |= (seen >= start + margin_s) & (seen + length_s + margin_s <= end)
-    return seen[fits]
+        fits |= (visible_s >= start + margin_s) & (visible_s + length_s + margin_s <= end)
+    return visible_s[fits]
 
 
-def _snapped(seen: FloatArray, start_s: float, length_s: float) -> HiddenGap | None:
+def _snapped(visible_s: FloatArray, start_s: float, length_s: float) -> HiddenGap | None:
     """The gap from one visible frame to the visible frame nearest to its length."""
-    later = seen[seen > start_s]
+    later = visible_s[visible_s > start_s]
     if not len(later):
         return None
     gap = HiddenGap(start_s, float(later[np.argmin(np.abs(later - start_s - length_s))]))
-    hides_something = gap.contains(seen).any()
+    hides_something = gap.contains(visible_s).any()
     return gap if hides_something and abs(gap.length_s - length_s) <= FLICKER_S else None
 
 
@@ -148,13 +148,13 @@ def _worth_scoring(recording: Recording, gap: HiddenGap) -> bool:
 
 
 def _middle(
-    recording: Recording, seen: FloatArray, runs: list[tuple[float, float]], length_s: float
+    recording: Recording, visible_s: FloatArray, runs: list[tuple[float, float]], length_s: float
 ) -> list[HiddenGap]:
     """One gap in the middle of the longest run, if enough stays visible beside it."""
     start, end = max(runs, key=lambda run: run[1] - run[0])
-    inside = seen[(seen >= start) & (seen <= end)]
+    inside = visible_s[(visible_s >= start) & (visible_s <= end)]
     if end - start < length_s + 2 * LEAST_SIDE_S or len(inside) < 3:
         return []
     at = float(inside[np.argmin(np.abs(inside - 0.5 * (start + end - length_s)))])
-    gap = _snapped(seen, at, length_s)
+    gap = _snapped(visible_s, at, length_s)
     return [gap] if gap is not None and _worth_scoring(recording, gap) else []

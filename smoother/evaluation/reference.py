@@ -67,7 +67,7 @@ class ReferenceAlignment:
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
         clock, frame = self.clock, self.frame
-        found: dict[str, Any] = {
+        plain: dict[str, Any] = {
             "alignment": self.kind,
             "clock": {
                 "offset_s": 0.0 if clock is None else clock.offset_s,
@@ -79,7 +79,7 @@ class ReferenceAlignment:
         }
         if frame is not None:
             quaternion = Rotation.from_matrix(frame.R_K_E).as_quat(canonical=True, scalar_first=True)
-            found["camera_from_mocap"] = {
+            plain["camera_from_mocap"] = {
                 "rotation": quaternion,
                 "translation": frame.t_K_E,
                 "rotation_sigma_deg": frame.rotation_sigma_deg,
@@ -87,7 +87,7 @@ class ReferenceAlignment:
                 "residual_rms_m": frame.residual_m,
                 "axes": "those of the recording's camera frame",
             }
-        return found
+        return plain
 
 
 def read_reference(
@@ -126,9 +126,9 @@ def read_reference(
             return truth, ReferenceAlignment()
         motion = motion_of_truth(truth, str(path))
     else:
-        found = read_markers(path)
-        chosen = map_by_names(found.names, str(path)) if markers is None else read_marker_map(markers)
-        motion = motion_of_markers(found, chosen)
+        trajectories = read_markers(path)
+        chosen = map_by_names(trajectories.names, str(path)) if markers is None else read_marker_map(markers)
+        motion = motion_of_markers(trajectories, chosen)
     frame = None
     if calibration is not None:
         from calib.file import read_calibration

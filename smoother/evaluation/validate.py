@@ -233,13 +233,13 @@ def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
 
 
 def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]:
-    found = []
+    rows = []
     for gap in recovery.gaps:
         inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & recovery.occluded
         figures = errors.figures(inside)
         if figures.samples or any(value is not None for value in figures.joint_rms_m.values()):
-            found.append((gap, figures))
-    return found
+            rows.append((gap, figures))
+    return rows
 
 
 def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None:

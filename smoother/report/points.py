@@ -38,10 +38,10 @@ class Point:
 
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
     """The points to show, the one that the camera sees best first."""
-    found = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
+    joints = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
     sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, None)
-    seen = [point for point in found if len(point.camera)]
-    return [*seen[:1], sensor, *seen[1:2]]
+    tracked = [point for point in joints if len(point.camera)]
+    return [*tracked[:1], sensor, *tracked[1:2]]
 
 
 def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:

@@ -46,11 +46,11 @@ def write_study(
     """
     import pyarrow.compute as pc
 
-    done = rows.filter(pc.equal(rows["status"], "done"))
+    recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
-    columns = {name: _numbers(done, name) for name in _PLOTTED}
+    columns = {name: _numbers(recovered, name) for name in _PLOTTED}
     sections = [_failures(failed)] if len(failed) else []
-    if len(done):
+    if len(recovered):
         order = worst_first(columns["sigma_max_m"])
         sections += [
             figure(
@@ -62,13 +62,18 @@ def write_study(
             figure(
                 "Gaps and what they cost",
                 "A point a recording; the worst ones if there are very many.",
-                _scatter(done, columns, order),
+                _scatter(recovered, columns, order),
             ),
-            _worst(done, order[:MOST_WORST], Path(path), Path(folder)),
-            _notes(done),
+            _worst(recovered, order[:MOST_WORST], Path(path), Path(folder)),
+            _notes(recovered),
         ]
     write_sheet(
-        path, "Study", f"{len(rows)} recordings", _verdict(rows, done, failed, columns), sections, force=force
+        path,
+        "Study",
+        f"{len(rows)} recordings",
+        _verdict(rows, recovered, failed, columns),
+        sections,
+        force=force,
     )
 
 
@@ -92,10 +97,10 @@ def _numbers(rows: pa.Table, name: str) -> FloatArray:
 
 
 def _verdict(
-    rows: pa.Table, done: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
+    rows: pa.Table, recovered: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
 ) -> Iterator[str]:
-    yield f"{len(done)} of {len(rows)} recordings were recovered, {len(failed)} failed"
-    if not len(done):
+    yield f"{len(recovered)} of {len(rows)} recordings were recovered, {len(failed)} failed"
+    if not len(recovered):
         return
     recorded, occluded, spent = (
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
@@ -124,7 +129,7 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
         ("clock offset, ms", 1000 * columns["clock_offset_s"]),
         ("times real time", speed),
     ]
-    drawn = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
+    plot = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
     for place, (title, values) in enumerate(panels):
         row, column = 1 + place // 3, 1 + place % 3
         kept = np.round(values[np.isfinite(values)], _DIGITS)
@@ -136,29 +141,29 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
             bars = go.Bar(
                 x=(edges[:-1] + edges[1:]) / 2, y=counts, width=np.diff(edges), marker={"color": VISIBLE}
             )
-            drawn.add_trace(bars, row=row, col=column)
-        drawn.update_xaxes(title=title, row=row, col=column)
-    drawn.update_yaxes(title="recordings", col=1)
-    return dress(drawn, 620, head=20, showlegend=False, bargap=0.05)
+            plot.add_trace(bars, row=row, col=column)
+        plot.update_xaxes(title=title, row=row, col=column)
+    plot.update_yaxes(title="recordings", col=1)
+    return dress(plot, 620, head=20, showlegend=False, bargap=0.05)
 
 
-def _scatter(done: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
+def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
     kept = order[:MOST_POINTS]
-    drawn = go.Figure(
+    plot = go.Figure(
         go.Scattergl(
             x=np.round(columns["gap_longest_s"][kept], _DIGITS),
             y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
-            text=done["recording"].take(kept).to_pylist(),
+            text=recovered["recording"].take(kept).to_pylist(),
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
         )
     )
-    drawn.update_xaxes(title="longest gap, s")
-    drawn.update_yaxes(title="largest sigma, cm")
-    return dress(drawn, 420, head=20, showlegend=False)
+    plot.update_xaxes(title="longest gap, s")
+    plot.update_yaxes(title="largest sigma, cm")
+    return dress(plot, 420, head=20, showlegend=False)
 
 
-def _worst(done: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
+def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
     """The worst recordings, each with a link to its output."""
     heads = (
         *("recording", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
@@ -173,9 +178,13 @@ def _worst(done: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
             row["notes"],
         )
-        for row in done.take(order).to_pylist()
+        for row in recovered.take(order).to_pylist()
     ]
-    more = f" The other {len(done) - len(rows)} are among the results." if len(done) > len(rows) else ""
+    more = (
+        f" The other {len(recovered) - len(rows)} are among the results."
+        if len(recovered) > len(rows)
+        else ""
+    )
     caption = f"By the largest sigma of their gaps; names lead to the outputs.{more}"
     return tabulated("Worst recordings first", caption, heads, rows)
 
@@ -202,11 +211,11 @@ def _failures(failed: pa.Table) -> str:
     )
 
 
-def _notes(done: pa.Table) -> str:
+def _notes(recovered: pa.Table) -> str:
     """What results say of themselves most often."""
     import pyarrow.compute as pc
 
-    texts = pc.list_flatten(done["note_texts"].combine_chunks())
-    counted = sorted(texts.value_counts().to_pylist(), key=lambda each: (-each["counts"], each["values"]))
-    said = [f"{each['counts']} x: {each['values']}" for each in counted[:20]]
-    return listing("What the results say of themselves", said, "Nothing.")
+    texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
+    counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
+    sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
+    return listing("What the results say of themselves", sentences, "Nothing.")

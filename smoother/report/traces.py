@@ -71,11 +71,15 @@ def _coordinate(
             go.Scatter(x=t, y=values, name=name, mode="lines", line={"color": colour, "width": 1.8})
         )
     if len(point.truth):
-        kept = decimate(np.zeros(len(point.truth), bool))
+        samples = decimate(np.zeros(len(point.truth), bool))
         dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
         traces.append(
             go.Scatter(
-                x=point.truth_t_s[kept], y=point.truth[kept, axis], name="reference", mode="lines", line=dash
+                x=point.truth_t_s[samples],
+                y=point.truth[samples, axis],
+                name="reference",
+                mode="lines",
+                line=dash,
             )
         )
     return traces
@@ -144,17 +148,17 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
 
 def residuals(recovery: Recovery) -> go.Figure | None:
     """Distance of each camera sample from the answer, by joint; None where the method keeps none."""
-    kept = recovery.residuals
-    if kept is None:
+    samples = recovery.residuals
+    if samples is None:
         return None
-    parts = [np.isfinite(block.residual).all(axis=2) for block in kept.blocks()]
+    parts = [np.isfinite(block.residual).all(axis=2) for block in samples.blocks()]
     answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
     drawn = np.flatnonzero(answered.any(axis=0)).tolist()
     if not drawn:
         return None
     figure = make_subplots(rows=len(drawn), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     for row, i in enumerate(drawn, start=1):
-        for trace in _residual(kept, answered[:, i], i):
+        for trace in _residual(samples, answered[:, i], i):
             figure.add_trace(trace, row=row, col=1)
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
@@ -163,22 +167,24 @@ def residuals(recovery: Recovery) -> go.Figure | None:
     return dress(figure, 160 + 120 * len(drawn))
 
 
-def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
+def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
     def distance_cm(index: IntArray) -> FloatArray:
-        return 100 * np.linalg.norm(kept.residual[:, joint][index], axis=1)
+        return 100 * np.linalg.norm(samples.residual[:, joint][index], axis=1)
 
-    aside = ~kept.used[:, joint] & answered & (kept.reason[:, joint] != 0)
-    index = np.flatnonzero(kept.used[:, joint] & answered)
+    aside = ~samples.used[:, joint] & answered & (samples.reason[:, joint] != 0)
+    index = np.flatnonzero(samples.used[:, joint] & answered)
     index = index[decimate(np.zeros(len(index), bool), 3000)]
     dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
     traces = [
-        go.Scatter(x=kept.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots)
+        go.Scatter(
+            x=samples.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots
+        )
     ]
     index = np.flatnonzero(aside)
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
-        cross = _cross("rejected", kept.t_s[index], distance_cm(index))
-        cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)
+        cross = _cross("rejected", samples.t_s[index], distance_cm(index))
+        cross.update(text=np.array(samples.reasons)[samples.reason[index, joint]], showlegend=False)
         traces.append(cross)
     return traces
 

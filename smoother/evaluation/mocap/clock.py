@@ -145,9 +145,9 @@ class _Ways:
                 f"{motion.source}: the answer has none of its joints"
                 f" ({', '.join(motion.joints) or 'none'}), so there is nothing to align its clock by"
             )
-        seen = ~recovery.occluded[:, None]
+        visible = ~recovery.occluded[:, None]
         self._pairs = [
-            ((recovery.t_s, np.where(seen, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
+            ((recovery.t_s, np.where(visible, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
         ]
 
     def answer(self, t: FloatArray) -> FloatArray:

@@ -138,7 +138,7 @@ def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, s
     RecordingError
         A marker is not there, or only with the prefixes of several subjects.
     """
-    found = []
+    columns = []
     for name in wanted:
         exact = [k for k, other in enumerate(names) if other == name]
         matches = exact or [k for k, other in enumerate(names) if _bare(other) == _bare(name)]
@@ -149,8 +149,8 @@ def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, s
         if len(matches) > 1:
             several = ", ".join(names[k] for k in matches)
             raise RecordingError(f"{map_source}: {name!r} may be any of {several}; name it with its subject")
-        found.append(matches[0])
-    return found
+        columns.append(matches[0])
+    return columns
 
 
 def _bare(name: str) -> str:

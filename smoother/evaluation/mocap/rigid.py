@@ -37,7 +37,7 @@ class ClusterMotion:
 
 
 def fit_poses(
-    shape: FloatArray, seen: FloatArray, weight: FloatArray | BoolArray
+    shape: FloatArray, observed: FloatArray, weight: FloatArray | BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Least-squares poses (N, 3, 3), (N, 3) that bring a shape to the markers seen (Kabsch 1976).
 
@@ -48,12 +48,12 @@ def fit_poses(
     weight : (N, M).
     """
     weight = np.asarray(weight, dtype=np.float64)
-    shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), seen.shape)
-    seen = np.where(weight[..., None] > 0, seen, 0.0)
+    shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), observed.shape)
+    observed = np.where(weight[..., None] > 0, observed, 0.0)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     centre_shape = np.einsum("nm,nmi->ni", weight, shape) / total
-    centre_seen = np.einsum("nm,nmi->ni", weight, seen) / total
-    from_centre, to_centre = shape - centre_shape[:, None], seen - centre_seen[:, None]
+    centre_seen = np.einsum("nm,nmi->ni", weight, observed) / total
+    from_centre, to_centre = shape - centre_shape[:, None], observed - centre_seen[:, None]
     rotation = nearest_rotation(np.einsum("nm,nmi,nmj->nij", weight, to_centre, from_centre))
     return rotation, centre_seen - np.einsum("nij,nj->ni", rotation, centre_shape)
 
@@ -119,12 +119,12 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
         open_rows = open_rows[wide & (weight[open_rows].sum(axis=1) >= 3)]
         if not len(open_rows):
             break
-        seen, used = position[open_rows], weight[open_rows]
-        R, p, off = _fit(shape, seen, used)
+        observed, used = position[open_rows], weight[open_rows]
+        R, p, off = _fit(shape, observed, used)
         fits = off.max(axis=1) <= MISTAKEN_M
-        done = open_rows[fits]
-        rotation[done], origin[done] = R[fits], p[fits]
-        residual[done] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
+        fitted = open_rows[fits]
+        rotation[fitted], origin[fitted] = R[fits], p[fits]
+        residual[fitted] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
         # with three markers there is nothing to tell which one is wrong
         open_rows = open_rows[~fits & (used.sum(axis=1) > 3)]
         weight[open_rows, _odd_one(shape, position[open_rows], weight[open_rows])] = False
@@ -133,22 +133,24 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
     return ClusterMotion(rotation, origin, residual, weight, mistaken)
 
 
-def _fit(shape: FloatArray, seen: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _fit(
+    shape: FloatArray, observed: FloatArray, used: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Poses, and how far each used marker (N, M) is off its place, m."""
-    R, p = fit_poses(shape, seen, used)
-    off = seen - np.einsum("nij,mj->nmi", R, shape) - p[:, None]
+    R, p = fit_poses(shape, observed, used)
+    off = observed - np.einsum("nij,mj->nmi", R, shape) - p[:, None]
     return R, p, np.linalg.norm(np.where(used[..., None], off, 0.0), axis=2)
 
 
-def _odd_one(shape: FloatArray, seen: FloatArray, used: BoolArray) -> IntArray:
+def _odd_one(shape: FloatArray, observed: FloatArray, used: BoolArray) -> IntArray:
     """The marker (N,) without which the others fit best."""
-    left = np.full(used.shape, np.inf)
+    error = np.full(used.shape, np.inf)
     for marker in range(used.shape[1]):
         without = used.copy()
         without[:, marker] = False
-        rest = (_fit(shape, seen, without)[2] ** 2).sum(axis=1)
-        left[:, marker] = np.where(used[:, marker], rest, np.inf)
-    return np.asarray(left.argmin(axis=1))
+        rest = (_fit(shape, observed, without)[2] ** 2).sum(axis=1)
+        error[:, marker] = np.where(used[:, marker], rest, np.inf)
+    return np.asarray(error.argmin(axis=1))
 
 
 def _width(shape: FloatArray, weight: BoolArray) -> FloatArray:
