@@ -47,8 +47,15 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
 
     Parameters
     ----------
-    recovery : the result, with its residuals.
-    found : what it found of arm, sensor and clock (`calib.motion.estimates.found_in`); None without.
+    recovery : Recovery
+        The result, with its residuals.
+    estimates : ArmEstimates or None
+        Its estimates of arm, sensor and clock (`calib.motion.estimates.found_in`).
+
+    Returns
+    -------
+    sentences : list of str
+        At least one.
     """
     sentences = [
         *_motion(estimates),

@@ -30,10 +30,14 @@ class AngleComparison:
 
     Attributes
     ----------
-    t_s : (N,) s.
-    answer, truth : (N,) by the names of `smoother.joint_angles.ANGLES`.
-    carrying_truth_deg : median of the truth's carrying angle, None without markers on the epicondyles.
-    notes : what to know of the comparison, one sentence each.
+    t_s : ndarray, shape (n,), s
+        Times.
+    answer, truth : dict[str, ndarray], shape (n,)
+        By the names of `smoother.joint_angles.ANGLES`.
+    carrying_truth_deg : float, degrees, or None
+        Median of the truth's carrying angle, None without markers on the epicondyles.
+    notes : tuple of str
+        What to know of the comparison, one sentence each.
     """
 
     t_s: FloatArray
@@ -70,9 +74,13 @@ def compare_angles(
 
     Parameters
     ----------
-    reference : the truth at the recovery's times, with joints.
-    landmarks, landmark_t_s : positions (M, 3) of markers on the bones, m in {K}, at these times. The
-        styloids give the truth's forearm its own axes, the epicondyles its carrying angle.
+    reference : Truth
+        The truth at the recovery's times, with joints.
+    landmarks : dict[str, ndarray], shape (m, 3), m, optional
+        Positions of markers on the bones, in {K}. The styloids give the truth's forearm its own axes, the
+        epicondyles its carrying angle.
+    landmark_t_s : ndarray, shape (m,), s, optional
+        Their times.
     """
     count = len(recovery)
     joints = {

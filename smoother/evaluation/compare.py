@@ -1,8 +1,8 @@
-"""Every method on one recording, held against one truth: errors, honesty, and the lag that is left."""
+"""Every method on one recording, held against one truth: errors, consistency, and the lag that is left."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,15 +13,12 @@ from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording, Truth
 from ..result import Recovery
 from .align import truth_at
+from .gaps import Method, Progress
 from .lag import lag_s
 from .metrics import Figures
 from .reference import ReferenceAlignment
 from .validate import Validation, validate
 
-#: A method: recording in, recovery out.
-Method = Callable[[Recording], Recovery]
-#: Called with the part done (0 to 1) and what is being done.
-Progress = Callable[[float, str], None]
 #: The point that is compared where the truth has it; joints where it has no IMU.
 SENSOR = "sensor"
 POINTS = (SENSOR, "wrist", "hand", "elbow")
@@ -34,12 +31,18 @@ class MethodResult:
 
     Attributes
     ----------
-    method : its name.
-    validation : its figures, or None where it failed.
-    lag_s : lag of its answer behind the truth over all samples, s; None where none can be told.
-    lag_occluded_s : the same over the samples in gaps.
-    path : (N, 3) the compared point at the IMU's times, m in {K}; nan where there is no answer.
-    failure : why there is no answer, "" where there is one.
+    method : str
+        Its name.
+    validation : Validation or None
+        Its figures, or None where it failed.
+    lag_s : float, s, or None
+        Lag of its answer behind the truth over all samples; None where there is none.
+    lag_occluded_s : float, s, or None
+        The same over the samples in gaps.
+    path : ndarray, shape (n, 3), m, or None
+        The compared point at the IMU's times, in {K}; nan where there is no answer.
+    failure : str
+        Why there is no answer, "" where there is one.
     """
 
     method: str
@@ -56,15 +59,25 @@ class Comparison:
 
     Attributes
     ----------
-    rows : the methods, the best first (by the rms of the compared point in gaps, else over all
-        samples); those without an answer last.
-    point : what is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
-    clock_offset_s, clock_offset_sigma_s : t_imu = t_camera + offset, found by the graph, told to all.
-    camera_lag_s : by joint, lag of the camera's own samples behind the truth, stamps as they came, s.
-    t_s : (N,) the IMU's times.
-    gaps : of the recording, on the IMU's clock.
-    truth, alignment : what all were held against, and how it was brought there.
-    notes : what a reader must know, one sentence each.
+    rows : tuple of MethodResult
+        The methods, the best first (by the rms of the compared point in gaps, else over all samples); those
+        without an answer last.
+    point : str
+        What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
+    clock_offset_s, clock_offset_sigma_s : float, s
+        `t_imu = t_camera + offset`, estimated by the graph, given to all.
+    camera_lag_s : dict[str, float], s
+        By joint, lag of the camera's own samples behind the truth, stamps as they came.
+    t_s : ndarray, shape (n,), s
+        The IMU's times.
+    gaps : tuple of Gap
+        Of the recording, on the IMU's clock.
+    truth : Truth
+        What all were held against.
+    alignment : ReferenceAlignment
+        How it was brought there.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     rows: tuple[MethodResult, ...]
@@ -150,12 +163,18 @@ def compare(
 
     Parameters
     ----------
-    recording : what the methods are given; it should hold no truth.
-    told : the graph's recovery of this very recording, which also gave the clock.
-    truth : in the camera frame and on the IMU's clock.
-    methods : by name, a function from a recording to its recovery.
-    alignment : how the truth was brought there; None where it came so.
-    progress : called with (part done, what is being done).
+    recording : Recording
+        What the methods are given; it should hold no truth.
+    graph : Recovery
+        The graph's recovery of this very recording, which also gave the clock.
+    truth : Truth
+        In the camera frame and on the IMU's clock.
+    methods : dict[str, Method]
+        By name, a function from a recording to its recovery.
+    alignment : ReferenceAlignment, optional
+        How the truth was brought there; None where it came so.
+    progress : Progress, optional
+        Called with (part done, what is being done).
 
     Raises
     ------

@@ -25,9 +25,12 @@ class StatedAndActual:
 
     Attributes
     ----------
-    squared : (n,) squared error in sigmas; chi-square with three degrees of freedom where honest.
-    sigma_m : (n,) stated standard deviation, m an axis (mean over the axes).
-    error_m : (n,) length of the error over the square root of 3, m an axis.
+    squared : ndarray, shape (n,)
+        Squared error in sigmas; chi-square with three degrees of freedom where the statement is consistent.
+    sigma_m : ndarray, shape (n,), m
+        Stated standard deviation, mean over the axes.
+    error_m : ndarray, shape (n,), m
+        Length of the error over the square root of 3: an axis's part of it.
     """
 
     squared: FloatArray
@@ -67,10 +70,10 @@ def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndA
 def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
     """The camera's samples that took part, by joint: residual against camera noise and joint covariance.
 
-    The part of a joint's covariance that is there all the time (lever arms, what the camera's joints have in
-    common) is one error for all samples, which shows in no residual, and is left out. Constant errors that
-    were found of the joints are taken off. Joints whose noise is not stated are left out; there is none for
-    methods that keep no residuals. Of long recordings `MOST` samples a joint are taken.
+    The part of a joint's covariance that is there all the time (lever arms, the common part of the camera's
+    constant errors) is one error for all samples, which shows in no residual, and is left out. Estimated
+    constant errors of the joints are subtracted. Joints whose noise is not stated are left out; there is none
+    for methods that keep no residuals. Of long recordings `MOST` samples a joint are used.
     """
     residuals = recovery.residuals
     noise = recovery.figures.get("camera_sigma_m")

@@ -25,11 +25,16 @@ class GapErrors:
 
     Attributes
     ----------
-    reference : what the answer was compared with: "truth" or a joint.
-    distance_m, angle_deg, squared_sigmas : (N,) as in `metrics`; nan where there is no answer.
-    unanswered : samples with a reference and without an answer.
-    sigma_max_m : largest stated standard deviation, m an axis, or None.
-    path_m : length of the hidden path, m, or None.
+    reference : str
+        What the answer was compared with: "truth" or a joint.
+    distance_m, angle_deg, squared_sigmas : ndarray, shape (n,)
+        As in `metrics`; nan where there is no answer.
+    unanswered : int
+        Samples with a reference and without an answer.
+    sigma_max_m : float, m, or None
+        Largest stated standard deviation, on one axis.
+    path_m : float, m, or None
+        Length of the hidden path.
     """
 
     reference: str
@@ -45,9 +50,9 @@ class GapErrors:
         return summarise(self.distance_m, self.angle_deg, self.squared_sigmas, self.unanswered)
 
     @staticmethod
-    def empty(reference: str = "", unanswered: int = 0) -> GapErrors:
+    def empty() -> GapErrors:
         """A gap in which nothing can be compared."""
-        return GapErrors(reference, np.zeros(0), np.zeros(0), np.zeros(0), unanswered)
+        return GapErrors("", np.zeros(0), np.zeros(0), np.zeros(0))
 
     @staticmethod
     def pooled(parts: Sequence[GapErrors]) -> GapErrors:

@@ -16,11 +16,16 @@ class GapSpread:
 
     Attributes
     ----------
-    low_m, median_m, high_m : quartiles (25, 50 and 75 %) of the gaps' rms, m; None without any.
-    rms_m : root mean square over gaps, each weighing the same, m.
-    worst_m : the worst gap's rms, m.
-    gaps : gaps that were tried.
-    failed : those of them without an answer; they are in no other figure.
+    low_m, median_m, high_m : float, m, or None
+        Quartiles (25, 50 and 75 %) of the gaps' rms; None without any.
+    rms_m : float, m, or None
+        Root mean square over gaps, each weighing the same.
+    worst_m : float, m, or None
+        The worst gap's rms.
+    gaps : int
+        Gaps that were tried.
+    failed : int
+        Those of them without an answer; they are in no other figure.
     """
 
     low_m: float | None

@@ -42,11 +42,17 @@ class ReferenceAlignment:
 
     Attributes
     ----------
-    kind : "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the
-        frame from a calibration file, the clock solved) or "solved" (both solved from the recording).
-    clock, frame : what was used; None where the kind is "none".
-    landmarks : positions (M, 3) m in {K} of single markers on the bones, by name, at the truth's times.
-    notes : what a reader must know, one sentence each.
+    kind : {"none", "calibration", "solved"}
+        "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the frame from a
+        calibration file, the clock solved) or "solved" (both solved from the recording).
+    clock : MocapClock or None
+        The truth's clock; None where the kind is "none".
+    frame : CameraFromMocap or None
+        The truth's frame; likewise.
+    landmarks : dict[str, ndarray], shape (m, 3), m, or None
+        Positions in {K} of single markers on the bones, by name, at the truth's times.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     kind: Literal["none", "calibration", "solved"] = "none"
@@ -103,12 +109,18 @@ def read_reference(
 
     Parameters
     ----------
-    path : `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
-    recovery : the result that it is for.
-    markers : map of the markers, see `marker_map`; markers called as joints need none.
-    calibration : file with `[camera_from_mocap]`; without it, the frame of markers is solved.
-    camera_frame : axes of the recording's camera, which a calibration is turned into.
-    align : align a truth of poses too, though it should need none.
+    path : path-like
+        `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
+    recovery : Recovery
+        The result that it is for.
+    markers : path-like, optional
+        Map of the markers, see `marker_map`; markers called as joints need none.
+    calibration : path-like, optional
+        A file with `[camera_from_mocap]`; without it, the frame of markers is solved.
+    camera_frame : CameraFrame, optional
+        Axes of the recording's camera, which a calibration is turned into.
+    align : bool
+        Align a truth of poses too, though it should need none.
 
     Raises
     ------
@@ -146,7 +158,8 @@ def bring(
 
     Parameters
     ----------
-    frame : the transform where it is known; else it is solved from what the camera saw.
+    frame : CameraFromMocap or None
+        The transform where it is known; else it is solved from what the camera saw.
     """
     clock = align_clock(recovery, motion)
     notes = [*motion.notes, _clock_words(clock), *clock.notes]

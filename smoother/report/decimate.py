@@ -10,7 +10,7 @@ from ..recording import BoolArray, FloatArray, IntArray
 
 #: Most points of one drawn line.
 MOST_POINTS = 6000
-#: Share of them that the occluded stretches may take.
+#: Share of them that the gaps may take.
 GAP_SHARE = 0.6
 
 
@@ -19,11 +19,16 @@ def decimate(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
 
     Parameters
     ----------
-    important : (N,) samples that matter most (the occluded ones).
+    important : ndarray of bool, shape (n,)
+        Samples that matter most (the occluded ones).
+
+    most : int
+        Samples to draw.
 
     Returns
     -------
-    (M,) indices in rising order; first and last sample are among them.
+    index : ndarray of int, shape (m,)
+        In rising order; first and last sample are among them.
     """
     count = len(important)
     if count <= most:

@@ -29,9 +29,16 @@ def write_gap_curves(
 
     Parameters
     ----------
-    table : what `evaluate_gaps` found.
-    name : of the recording.
-    notes : of the recording.
+    table : GapTable
+        As `evaluate_gaps` gives it.
+    name : str
+        Of the recording.
+    path : path-like
+        The page to write.
+    notes : tuple of str
+        Of the recording.
+    force : bool
+        Overwrite a page that exists.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def write_gap_curves(
     write_sheet(
         path,
         f"Error against gap length: {name}",
-        f"{gaps} stretches that the camera saw were hidden and recovered; compared with {reference}.",
+        f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         verdict(spreads),
         _sections(spreads, (*notes, *table.notes)),
         force=force,

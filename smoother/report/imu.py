@@ -35,11 +35,16 @@ def write_imu_report(
 
     Parameters
     ----------
-    path : the page to write.
-    source : the recording's name.
-    imu : the raw stream.
-    found : its calibration.
-    force : overwrite a page that exists.
+    path : path-like
+        The page to write.
+    source : str
+        The recording's name.
+    imu : ImuStream
+        The raw stream.
+    calibration : ImuCalibration
+        Its calibration.
+    force : bool
+        Overwrite a page that exists.
     """
     write_sheet(
         path,

@@ -41,10 +41,14 @@ def write_panel_report(
 
     Parameters
     ----------
-    path : the page to write.
-    found : the calibration.
-    views : the images that it was made of, in the same order.
-    force : overwrite a page that exists.
+    path : path-like
+        The page to write.
+    calibration : PanelCalibration
+        The calibration.
+    views : sequence of View
+        The images that it was made of, in the same order.
+    force : bool
+        Overwrite a page that exists.
     """
     judgement, poses = verdict(calibration), len(calibration.seen)
     write_sheet(

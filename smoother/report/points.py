@@ -21,10 +21,14 @@ class Point:
 
     Attributes
     ----------
-    name : "sensor" (the IMU on the forearm) or a joint.
-    position, sigma : (N, 3) m in {K} at the recovery's times.
-    camera_t_s, camera : (F,), (F, 3) what the camera tracked, on the IMU's clock; some thousand of it.
-    truth_t_s, truth : (M,), (M, 3) the reference, empty without one.
+    name : str
+        "sensor" (the IMU on the forearm) or a joint.
+    position, sigma : ndarray, shape (n, 3), m
+        In {K}, at the recovery's times.
+    camera_t_s, camera : ndarray, shape (f,) and (f, 3), s and m
+        What the camera tracked, on the IMU's clock; some thousand samples of it.
+    truth_t_s, truth : ndarray, shape (m,) and (m, 3), s and m
+        The reference, empty without one.
     """
 
     name: str

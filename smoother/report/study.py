@@ -34,10 +34,14 @@ def write_study(
 
     Parameters
     ----------
-    rows : one row a recording, columns as `study.columns` has them.
-    path : the page to write.
-    folder : the study's folder, which the outputs' names count from.
-    force : overwrite a page that exists.
+    rows : pyarrow.Table
+        One row a recording, columns as `study.columns` has them.
+    path : path-like
+        The page to write.
+    folder : path-like
+        The study's folder, which the outputs' names count from.
+    force : bool
+        Overwrite a page that exists.
 
     Raises
     ------

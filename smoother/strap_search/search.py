@@ -53,16 +53,33 @@ def import_strap(
     passthrough_images: bool = False,
     force: bool = False,
 ) -> StrapFound:
-    """Find the strap in every colour image and write the recording with the joint `strap`.
+    """Look for the strap in every colour image and write the recording with the joint `strap`.
 
     Images are decoded one at a time: memory does not grow with the recording.
 
     Parameters
     ----------
-    skeleton, side : topic and arm that the strap belongs to.
-    joint_sigma_m : noise of the camera's elbow and wrist, m an axis.
-    colour_topic, depth_topic : (parts of) names, where there are several.
-    passthrough_images : carry the images over as well (they show patients).
+    source : path-like
+        The recording, with images.
+    path : path-like
+        The recording to write.
+    mounted : Mounted
+        How the strap sits on the arm, and how the sensor turned.
+    skeleton, side : str
+        Topic and arm that the strap belongs to.
+    joint_sigma_m : float, m
+        Noise of the camera's elbow and wrist, an axis.
+    colour_topic, depth_topic : str, optional
+        Names, or parts of them, where there are several.
+    passthrough_images : bool
+        Copy the images as well (they show patients).
+    force : bool
+        Overwrite a recording that exists.
+
+    Returns
+    -------
+    results : StrapFound
+        What became of every image.
 
     Raises
     ------
@@ -166,7 +183,7 @@ def _locate(
     depth: ImageMessage,
     row: int | None,
 ) -> tuple[FloatArray, FloatArray, Sighting]:
-    """The sensor's place in one image with its covariance, and the sighting."""
+    """The sensor's position in one image with its covariance, and the sighting."""
     nothing = np.full(3, np.nan), np.full((3, 3), np.nan)
     if row is None or not (arm.state[row, [_ELBOW, _WRIST]] == JointState.TRACKED).all():
         return *nothing, Sighting("elbow or wrist is not tracked")
@@ -197,7 +214,7 @@ def _locate(
 def _keep_samples(
     results: StrapFound, t: float, colour: ImageMessage, sighting: Sighting, count: int
 ) -> None:
-    """Keep a few pictures, and profiles thinned out so that memory stays flat."""
+    """Keep a few pictures, and profiles decimated so that memory stays flat."""
     if len(sighting.profile) and count % (1 + count // PROFILES) == 0:
         results.profiles.append((t, sighting.profile[::4]))
         if len(results.profiles) > 2 * PROFILES:

@@ -38,16 +38,24 @@ INDEPENDENT_S = 1.0
 
 @dataclass(frozen=True)
 class MocapClock:
-    """The clock found.
+    """The mocap's clock against the IMU's.
 
     Attributes
     ----------
-    offset_s, sigma_s : t_imu = t_mocap (1 + skew) + offset; times count from the recording's origin.
-    skew, skew_sigma : parts (1e-6 = 1 ppm).
-    correlation : of the speeds at the offset found, -1 to 1.
-    by : what was compared.
-    R_A_P, mount_sigma_rad : the plate's rotation in the IMU where it was solved, else None and nan.
-    notes : what to know of it, one sentence each.
+    offset_s, sigma_s : float, s
+        `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin.
+    skew, skew_sigma : float
+        Parts (1e-6 = 1 ppm).
+    correlation : float
+        Of the speeds at that offset, -1 to 1.
+    by : str
+        What was compared.
+    R_A_P : ndarray, shape (3, 3), or None
+        The plate's rotation in the IMU where it was solved.
+    mount_sigma_rad : float, rad
+        Its sigma; nan where it was not.
+    notes : tuple of str
+        What to know of it, one sentence each.
     """
 
     offset_s: float

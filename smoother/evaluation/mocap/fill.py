@@ -1,4 +1,4 @@
-"""Short holes of markers on the forearm, filled in the axes of the IMU's plate."""
+"""Markers on the forearm that were hidden for a moment, filled in the axes of the IMU's plate."""
 
 from __future__ import annotations
 
@@ -8,29 +8,35 @@ from ...linalg import runs
 from ...recording import FloatArray
 from ..align import STAMP_S
 
-#: A longer hole stays one, s.
+#: What is hidden for longer stays unknown, s.
 LONGEST_S = 0.75
-#: Seen time on each side that a hole is filled from, s, and how much of it must be there.
+#: Visible time on each side that is fitted, s, and how much of it must be there.
 SIDE_S, LEAST_SIDE_S = 0.25, 0.1
 
 
 def fill_on_plate(
     t_s: FloatArray, position: FloatArray, R_E_P: FloatArray, p_E_P: FloatArray
 ) -> tuple[FloatArray, int]:
-    """A marker's path with short holes filled.
+    """A marker's path, filled where it was hidden for a moment.
 
     As seen from the plate, a marker on the same bone hardly moves and one beyond the elbow moves smoothly:
-    there a cubic is fitted to what was seen in the 0.25 s on both sides of a hole.
+    there a cubic is fitted to what was seen in the 0.25 s before and after.
 
     Parameters
     ----------
-    t_s : (N,) s.
-    position : (N, 3) m in {E}; nan where it was not seen.
-    R_E_P, p_E_P : (N, 3, 3) and (N, 3) m: the plate; nan where it has no pose.
+    t_s : ndarray, shape (n,), s
+        Times.
+    position : ndarray, shape (n, 3), m
+        In {E}; nan where it was not seen.
+    R_E_P, p_E_P : ndarray, shape (n, 3, 3) and (n, 3), m
+        Pose of the plate; nan where it has none.
 
     Returns
     -------
-    The path (N, 3) m, and the number of samples that were filled.
+    path : ndarray, shape (n, 3), m
+        The path with what was filled.
+    count : int
+        Samples that were filled.
     """
     on_plate = np.einsum("nji,nj->ni", R_E_P, position - p_E_P)
     seen, known, has_plate = (

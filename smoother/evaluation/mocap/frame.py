@@ -38,11 +38,16 @@ class CameraFromMocap:
 
     Attributes
     ----------
-    R_K_E, t_K_E : (3, 3) and (3,) m.
-    rotation_sigma_deg, translation_sigma_m : square root of the trace; nan where not solved here. The
-        translation's is that of the place where the arm was.
-    residual_m : rms distance of the joint centres that it was solved from; nan where not.
-    by : what it was taken from.
+    R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
+        Rotation and translation.
+    by : str
+        What it was taken from.
+    rotation_sigma_deg : float, degrees
+        Square root of the covariance's trace; nan where not solved here.
+    translation_sigma_m : float, m
+        Likewise, of the place where the arm was.
+    residual_m : float, m
+        Rms distance of the joint centres that it was solved from; nan where not.
     """
 
     R_K_E: FloatArray

@@ -51,12 +51,18 @@ class MarkerMap:
 
     Attributes
     ----------
-    joints : names of the markers whose mean is the joint's centre, by joint.
-    plate : names of the markers on the IMU's plate; empty without one.
-    landmarks : a marker's name by landmark.
-    plate_A : places (3,) of the plate's markers in the IMU's axes, m, by name; empty where unknown.
-    R_A_P, p_A_P : rotation (3, 3) and origin (3,) m of the plate's axes in the IMU's, or None.
-    source : what to call the map in messages.
+    joints : dict[str, tuple of str]
+        Names of the markers whose mean is the joint's centre, by joint.
+    plate : tuple of str
+        Names of the markers on the IMU's plate; empty without one.
+    landmarks : dict[str, str]
+        A marker's name by landmark.
+    plate_A : dict[str, ndarray], shape (3,), m
+        Places of the plate's markers in the IMU's axes, by name; empty where unknown.
+    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
+        Rotation and origin of the plate's axes in the IMU's.
+    source : str
+        What to call the map in messages.
     """
 
     joints: dict[str, tuple[str, ...]]

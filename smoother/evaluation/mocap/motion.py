@@ -34,12 +34,18 @@ class MocapMotion:
 
     Attributes
     ----------
-    t_s : (N,) on the mocap's clock, s.
-    joints, landmarks : positions (N, 3) by name, m in {E}; nan where a marker of theirs was not seen.
-    R_E_P, p_E_P : (N, 3, 3) and (N, 3) m: pose of the plate's axes {P}; None without a plate.
-    R_A_P, p_A_P : the plate's axes in the IMU's, (3, 3) and (3,) m; None where to be solved.
-    source : what to call it in messages.
-    notes : what was decided, one sentence each.
+    t_s : ndarray, shape (n,), s
+        On the mocap's clock.
+    joints, landmarks : dict[str, ndarray], shape (n, 3), m
+        Positions by name, in {E}; nan where a marker of theirs was not seen.
+    R_E_P, p_E_P : ndarray, shape (n, 3, 3) and (n, 3), m, or None
+        Pose of the plate's axes {P}; None without a plate.
+    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
+        The plate's axes in the IMU's; None where to be solved.
+    source : str
+        What to call it in messages.
+    notes : tuple of str
+        What was decided, one sentence each.
     """
 
     t_s: FloatArray
@@ -169,7 +175,7 @@ def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMa
         f" {1000 * np.sqrt(np.nanmean(poses.residual_m**2)):.2f} mm rms from a rigid body."
     ]
     if poses.mistaken:
-        notes.append(f"IMU plate: {poses.mistaken} marker samples lay off the body and were set aside.")
+        notes.append(f"IMU plate: {poses.mistaken} marker samples lay off the body and were rejected.")
     rotation, position = smoothed(motion.t_s, poses.rotation, poses.position)
     return MocapMotion(
         motion.t_s, motion.joints, motion.landmarks, rotation, position, R_A_P, p_A_P, motion.source,

@@ -23,10 +23,14 @@ class ClusterMotion:
 
     Attributes
     ----------
-    rotation, position : (N, 3, 3) and (N, 3): p_E = rotation p_P + position; nan where unknown.
-    residual_m : (N,) rms distance of the seen markers from the body, m.
-    used : (N, M) the marker took part.
-    mistaken : number of single samples that were set aside.
+    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
+        `p_E = rotation p_P + position`; nan where unknown.
+    residual_m : ndarray, shape (n,), m
+        Rms distance of the seen markers from the body.
+    used : ndarray of bool, shape (n, m)
+        The marker took part.
+    mistaken : int
+        Single samples that were rejected.
     """
 
     rotation: FloatArray
@@ -43,9 +47,17 @@ def fit_poses(
 
     Parameters
     ----------
-    shape : (M, 3) or (N, M, 3), m.
-    seen : (N, M, 3) m; places of weight zero may be nan.
-    weight : (N, M).
+    shape : ndarray, shape (m, 3) or (n, m, 3), m
+        The markers on the body.
+    observed : ndarray, shape (n, m, 3), m
+        The markers as seen; those of weight zero may be nan.
+    weight : ndarray, shape (n, m)
+        Zero where a marker takes no part.
+
+    Returns
+    -------
+    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
+        `p_E = rotation p_P + position`.
     """
     weight = np.asarray(weight, dtype=np.float64)
     shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), observed.shape)
@@ -66,7 +78,8 @@ def find_shape(position: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    position : (N, M, 3) m; nan where a marker was not seen.
+    position : ndarray, shape (n, m, 3), m
+        nan where a marker was not seen.
     """
     finite: BoolArray = np.asarray(np.isfinite(position).all(axis=2))
     rows = np.flatnonzero(finite.sum(axis=1) >= 3)
@@ -105,7 +118,7 @@ def _typical(position: FloatArray, finite: BoolArray) -> FloatArray:
 def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
     """Poses of a body of known shape (M, 3) in every frame with three markers that span a plane.
 
-    Where four or more do not fit, the one without which the others fit best is set aside, one after another,
+    Where four or more do not fit, the one without which the others fit best is rejected, one after another,
     until none is more than 5 mm off; where three are left that do not fit, there is no pose.
     """
     known = np.isfinite(shape).all(axis=1)
