@@ -1,4 +1,4 @@
-"""The paths of all scenes put together: a peer's `Recovery`."""
+"""The paths of all scenes put together: a baseline's `Recovery`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..recording import JOINTS, FloatArray, Recording
 from ..result import Recovery
 from .scene import Path, Scene
 
-#: What of the graph's figures a peer was told, and its result repeats.
+#: What of the graph's figures a baseline was told, and its result repeats.
 TOLD_FIGURES = ("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m")
 
 TOLD = (
@@ -32,7 +32,7 @@ def answer(
     method: str,
     settings: dict[str, object] | None = None,
 ) -> Recovery:
-    """A peer's answer at every IMU sample; nan where it has none, covariances nan where it states none.
+    """A baseline's answer at every IMU sample; nan where it has none, covariances nan where it states none.
 
     Joints are pose and lever arm unless the path gives them; the shoulder is the camera's, linear between
     its frames.

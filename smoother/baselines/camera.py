@@ -1,4 +1,4 @@
-"""What several peers do with the camera's samples: interpolate them, and find where the forearm lies."""
+"""What several baselines do with the camera's samples: interpolate them, and find where the forearm lies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Peer `gaussian-process`: Feng (Glasgow thesis, 2014), chapter 4, as a smoother over gaps and their margins.
+"""Baseline `gaussian-process`: Feng (Glasgow thesis, 2014), chapter 4, as a smoother over gaps and their margins.
 
 The published form answers live from the last frames (`kernel.predict`); here the same joint prior (4.24) is
 conditioned on everything in a window, before and after a gap: its best within what was published. Windows

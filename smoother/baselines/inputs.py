@@ -1,6 +1,6 @@
-"""The scenes of a recording: what the graph found, told to a peer.
+"""The scenes of a recording: what the graph found, told to a baseline.
 
-A peer gets the graph's calibration, its clock (wander included), the samples it believed, its gravity and
+A baseline gets the graph's calibration, its clock (wander included), the samples it believed, its gravity and
 its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
 """
 
@@ -29,13 +29,13 @@ VERTICAL_SIGMA_RAD = np.radians(0.5)
 
 
 def scenes_of(recording: Recording, told: Recovery, orientation: str = "vqf") -> list[Scene]:
-    """The stretches of a recording in which the graph answers, as a peer sees them.
+    """The stretches of a recording in which the graph answers, as a baseline sees them.
 
     Parameters
     ----------
     recording : one arm and its forearm IMU; its truth is not looked at.
     told : the graph's recovery of this very recording.
-    orientation : which filter, see `peers.registry.ORIENTATIONS`.
+    orientation : which filter, see `baselines.registry.ORIENTATIONS`.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def scenes_of(recording: Recording, told: Recovery, orientation: str = "vqf") ->
         The recovery is of another recording, or has no answer anywhere.
     """
     if len(told) != len(recording.imu) or len(told.arm) != len(recording.arm) or told.residuals is None:
-        raise SolveError(f"{recording.name}: what the peers are told is the result of another recording")
+        raise SolveError(f"{recording.name}: what the baselines are told is the result of another recording")
     answered: BoolArray = np.asarray(np.isfinite(told.position).all(axis=1))
     scenes = []
     for samples in split_at_pauses(recording.imu):

@@ -1,4 +1,4 @@
-"""Peer `kalman`: Le (Texas A&M thesis, 2017), a Kalman filter [p v a] an axis behind Butterworth low-passes.
+"""Baseline `kalman`: Le (Texas A&M thesis, 2017), a Kalman filter [p v a] an axis behind Butterworth low-passes.
 
 At its best within what was published: the work was done offline in MATLAB and says nothing of the direction
 of filtering, so the low-passes run forwards and backwards and delay nothing. The Kalman filter itself is a

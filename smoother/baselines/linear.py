@@ -1,4 +1,4 @@
-"""The linear Kalman filter and the Rauch-Tung-Striebel smoother, for the peers that stand on them.
+"""The linear Kalman filter and the Rauch-Tung-Striebel smoother, for the baselines that stand on them.
 
 Measurements come in their information form, so that a step takes any number of them at one price.
 """

@@ -1,4 +1,4 @@
-"""Peer `multirate-kalman`: Feng (Glasgow thesis, 2014), chapter 3, a Kalman filter fed at two rates.
+"""Baseline `multirate-kalman`: Feng (Glasgow thesis, 2014), chapter 3, a Kalman filter fed at two rates.
 
 A Wiener-process acceleration model an axis, fed with positions when there is a frame and with accelerations
 when there is an IMU sample. At its best within what was published: every measurement at its own time. It is

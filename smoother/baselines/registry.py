@@ -1,4 +1,4 @@
-"""The peers by name, and `recover`: one of them over a whole recording."""
+"""The baselines by name, and `recover`: one of them over a whole recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 #: Orientation filters; each is the function of that name in `baselines/orientation/`.
 ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
-#: The filter that peers get unless another is asked for.
+#: The filter that baselines get unless another is asked for.
 DEFAULT_ORIENTATION = "vqf"
 
 
@@ -36,14 +36,14 @@ class BaselineEntry:
     needs_orientation: bool = True
     options: frozenset[str] = frozenset()
 
-    def peer(self, options: Mapping[str, Any]) -> Baseline:
+    def function(self, options: Mapping[str, Any]) -> Baseline:
         """The function, its options set."""
         place = self.name.replace("-", "_")
         function: Baseline = getattr(import_module(f".{place}", __package__), place)
         return partial(function, **options) if options else function
 
 
-#: Every peer, the strongest first.
+#: Every baseline, the strongest first.
 BASELINES: dict[str, BaselineEntry] = {
     entry.name: entry
     for entry in (
@@ -67,7 +67,7 @@ def recover(
     orientation: str = DEFAULT_ORIENTATION,
     options: Mapping[str, Any] | None = None,
 ) -> Recovery:
-    """Recover a recording by a peer.
+    """Recover a recording by a baseline.
 
     Parameters
     ----------
@@ -87,13 +87,13 @@ def recover(
 
     options = dict(options or {})
     if method not in BASELINES:
-        raise UnoccludeError(f"there is no method '{method}'; peers: {', '.join(BASELINES)}")
+        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(BASELINES)}")
     if orientation not in ORIENTATIONS:
         raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
     entry = BASELINES[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
     scenes = scenes_of(recording, told, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
-    peer = entry.peer(options)
+    baseline = entry.function(options)
     settings = {"orientation": orientation} if entry.needs_orientation else {}
-    return answer(recording, told, scenes, [peer(scene) for scene in scenes], method, settings | options)
+    return answer(recording, told, scenes, [baseline(scene) for scene in scenes], method, settings | options)

@@ -1,4 +1,4 @@
-"""Peer `rts`: an error-state Kalman filter with Rauch-Tung-Striebel smoothing over the whole stretch.
+"""Baseline `rts`: an error-state Kalman filter with Rauch-Tung-Striebel smoothing over the whole stretch.
 
 The strongest thing short of the graph: the IMU integrated between camera frames, every accepted joint as a
 measurement of its own lever arm's end, the shoulder and the upper arm's length, biases, gravity and shoulder

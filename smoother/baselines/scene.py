@@ -1,7 +1,7 @@
-"""What every peer gets, and what it gives back.
+"""What every baseline gets, and what it gives back.
 
-A peer sees the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
-nothing else. `Scene` is one stretch of the recording without a pause of the IMU; a peer is a function from a
+A baseline sees the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
+nothing else. `Scene` is one stretch of the recording without a pause of the IMU; a baseline is a function from a
 scene to a `Path`.
 """
 
@@ -20,7 +20,7 @@ from ..recording import JOINTS, BoolArray, FloatArray, ImuStream
 
 @dataclass(frozen=True)
 class Scene:
-    """One stretch as a peer sees it; all times on the IMU's clock, all vectors in {K} unless said.
+    """One stretch as a baseline sees it; all times on the IMU's clock, all vectors in {K} unless said.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Path:
-    """A peer's answer at the scene's IMU times, in {K}; nan where it has none.
+    """A baseline's answer at the scene's IMU times, in {K}; nan where it has none.
 
     Attributes
     ----------

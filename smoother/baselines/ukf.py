@@ -1,4 +1,4 @@
-"""Peer `ukf`: after Tian et al. (Neurocomputing 2015), an unscented Kalman filter, here with one IMU.
+"""Baseline `ukf`: after Tian et al. (Neurocomputing 2015), an unscented Kalman filter, here with one IMU.
 
 State position, velocity and orientation; the IMU drives it, the camera's joints are measurements, each at
 the end of its own lever arm, which also keeps the heading. Sigma points live in the error of the state (the

@@ -1,4 +1,4 @@
-"""The peer `gaussian-process`: the textbook's conditional on a grid, Feng's reach, lag, gaps and ends."""
+"""The baseline `gaussian-process`: the textbook's conditional on a grid, Feng's reach, lag, gaps and ends."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_scenes import NO_GAPS, arm, errors, rms, scene_of
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 from scipy.stats import multivariate_normal
 
 from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements

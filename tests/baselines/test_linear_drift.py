@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from told_scenes import Told, told
+from solved_arms import Told, told
 
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.linear_drift import boundary, integrated, linear_drift

@@ -32,8 +32,8 @@ from .exactness import Exactness, apart_cm, exactness
 from .plain import WAYS, Timed, solve_plainly
 from .recordings import Made, read_truth
 
-PEERS_BESIDE = ("rts", "linear-drift")
-METHODS = (*(f"plain graph, {way}" for way in WAYS), *PEERS_BESIDE)
+BASELINES_BESIDE = ("rts", "linear-drift")
+METHODS = (*(f"plain graph, {way}" for way in WAYS), *BASELINES_BESIDE)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
 
 def _path(scene: Scene, name: str, timed: Timed) -> Answer:
     if name in BASELINES:
-        return BASELINES[name].peer({})(scene)
+        return BASELINES[name].function({})(scene)
     return solve_plainly(scene, name.removeprefix("plain graph, "), timed)
 
 

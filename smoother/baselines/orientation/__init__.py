@@ -1,4 +1,4 @@
-"""Orientation filters for the peers: the sensor in a frame {E} with z up, by name.
+"""Orientation filters for the baselines: the sensor in a frame {E} with z up, by name.
 
 Every filter gets the same even samples, its gyroscope's bias taken off, and answers with quaternions
 qw, qx, qy, qz of `R_E_A` (body to earth, z up: at rest the specific force is +9.81 m/s^2 along z of {E}) at
@@ -35,7 +35,7 @@ def attitude_by(
 
     Parameters
     ----------
-    name : one of `peers.registry.ORIENTATIONS`.
+    name : one of `baselines.registry.ORIENTATIONS`.
     signal, imu : a stretch without a pause, as a signal and as samples.
     rate_hz : the filter's rate.
     gyroscope_bias : (3,) rad/s, taken off before the filter.

@@ -1,4 +1,4 @@
-"""The simple peers on recordings of others: BROAD (optical truth) and UTD-MHAD (a Kinect, a wrist IMU)."""
+"""The simple baselines on recordings of others: BROAD (optical truth) and UTD-MHAD (a Kinect, a wrist IMU)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from told_scenes import ALONE
+from solved_arms import ALONE
 
 from smoother import Recovery
 from smoother.baselines.registry import ORIENTATIONS, recover
@@ -55,11 +55,11 @@ def test_a_strap_alone():
     """Slow translation, gaps of 1 s; measured 0.5, 7.5, 15, 24 and 11 cm over 80 s of the trial."""
     graph = SharedGraph(None, ALONE)
 
-    def peer(name: str, orientation: str = "vqf") -> Callable[[Recording], Recovery]:
+    def baseline(name: str, orientation: str = "vqf") -> Callable[[Recording], Recovery]:
         return lambda copy: recover(copy, graph(copy), name, orientation)
 
-    others = {name: peer(name) for name in ("camera-only", "hold", "pchip")}
-    drifts = {f"linear-drift, {name}": peer("linear-drift", name) for name in ORIENTATIONS}
+    others = {name: baseline(name) for name in ("camera-only", "hold", "pchip")}
+    drifts = {f"linear-drift, {name}": baseline("linear-drift", name) for name in ORIENTATIONS}
     recording = moving("11_undisturbed_slow_translation_B.mat")
     table = evaluate_gaps(recording, [1.0], {"graph": graph, **others, **drifts}, seed=1)
     rms = rms_of(table, 1.0)

@@ -1,4 +1,4 @@
-"""`camera-only`, `hold`, `pchip` and every other peer where nothing is hidden and nothing is wrong."""
+"""`camera-only`, `hold`, `pchip` and every other baseline where nothing is hidden and nothing is wrong."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
-from told_scenes import Told, no_gaps, told
+from solved_arms import Told, no_gaps, told
 
 from smoother.baselines.camera import between
 from smoother.baselines.camera_only import camera_only
@@ -150,12 +150,12 @@ def test_pchip_is_the_librarys_on_every_track(behind: Scene):
     assert path.position.max() <= np.nanmax(behind.point) and path.position.min() >= np.nanmin(behind.point)
 
 
-@pytest.mark.parametrize("peer", [camera_only, hold, pchip])
-def test_nothing_seen_gives_no_answer(behind: Scene, peer):
+@pytest.mark.parametrize("baseline", [camera_only, hold, pchip])
+def test_nothing_seen_gives_no_answer(behind: Scene, baseline):
     blind = replace(
         behind,
         joints=np.full_like(behind.joints, np.nan),
         guessed=np.full_like(behind.guessed, np.nan),
         point=np.full_like(behind.point, np.nan),
     )
-    assert np.isnan(peer(blind).position).all()
+    assert np.isnan(baseline(blind).position).all()

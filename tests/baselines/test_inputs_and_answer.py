@@ -1,4 +1,4 @@
-"""What a peer is told, and how its path becomes a recovery."""
+"""What a baseline is told, and how its path becomes a recovery."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from told_scenes import ALONE, Told, no_gaps, told
+from solved_arms import ALONE, Told, no_gaps, told
 
 from smoother.baselines.answer import answer
 from smoother.baselines.inputs import scenes_of
@@ -159,7 +159,7 @@ def test_what_belongs_to_another_recording_is_refused(behind: Told):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("magic",), "there is no method 'magic'; peers: rts"),
+        (("magic",), "there is no method 'magic'; baselines: rts"),
         (("hold", "compass"), "there is no orientation 'compass'; there are: vqf"),
         (("hold", "vqf", {"boundary_s": 1.0}), "hold has no option boundary_s"),
     ],

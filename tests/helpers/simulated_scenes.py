@@ -21,7 +21,7 @@ def arm(preset: str, seed: int = 0, **changes: object) -> SimulatedArm:
 
 
 def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = None) -> Scene:
-    """What a peer would see of a simulated arm: true calibration and clock, orientation off by a tilt."""
+    """What a baseline would see of a simulated arm: true calibration and clock, orientation off by a tilt."""
     recording, truth = made.recording, made.recording.truth
     assert truth is not None
     imu = recording.imu

@@ -1,4 +1,4 @@
-"""The peers `ukf` and `rts`: exact where the problem is linear, and what they make of simulated arms."""
+"""The baselines `ukf` and `rts`: exact where the problem is linear, and what they make of simulated arms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 from scipy.spatial.transform import Rotation
 
 from smoother.baselines import error_state as es
@@ -165,13 +165,13 @@ def test_sigma_points_have_the_covariance():
     np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("peer", "most_m", "most_deg"), [(rts, 0.0003, 0.05), (ukf, 0.0005, 0.1)])
+@pytest.mark.parametrize(("baseline", "most_m", "most_deg"), [(rts, 0.0003, 0.05), (ukf, 0.0005, 0.1)])
 def test_error_free_sensors_come_back_to_tenths_of_a_millimetre(
-    peer: Baseline, most_m: float, most_deg: float
+    baseline: Baseline, most_m: float, most_deg: float
 ):
     # measured 0.02 and 0.1 mm, 0.01 and 0.03 degrees
     made = arm("clean", 1, occlusion_lengths_s=NO_GAPS, duration_s=10.0)
-    path = peer(scene_of(made, sigma_m=1e-4))
+    path = baseline(scene_of(made, sigma_m=1e-4))
     assert path.R_K_A is not None
     settled = slice(80, None)
     assert rms(errors(made, path)[settled]) < most_m
@@ -228,15 +228,15 @@ def test_ukf_says_what_a_gap_costs():
     assert 0.05 < nees.mean() < 3.0
 
 
-@pytest.mark.parametrize("peer", [rts, ukf])
-def test_ends_and_nothing_seen(peer: Baseline):
+@pytest.mark.parametrize("baseline", [rts, ukf])
+def test_ends_and_nothing_seen(baseline: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=10.0)
     scene = scene_of(made)
     unseen = (scene.frame_t < 1.0) | (scene.frame_t > 9.0)
     point, joints = scene.point.copy(), scene.joints.copy()
     point[unseen] = np.nan
     joints[unseen] = np.nan
-    path = peer(replace(scene, point=point, joints=joints))
+    path = baseline(replace(scene, point=point, joints=joints))
     assert path.covariance is not None
     after = path.covariance[scene.t > 9.1, 0, 0]
     assert (np.diff(after) >= -1e-12).all() and after[-1] > 10 * path.covariance[400, 0, 0]
@@ -244,13 +244,13 @@ def test_ends_and_nothing_seen(peer: Baseline):
     assert errors(made, path)[scene.t > 9.0].max() < 0.3
     before = scene.t < 0.99
     answered = np.isfinite(path.position[before, 0])
-    assert answered.all() if peer is rts else not answered.any()
-    blind = peer(replace(scene, point=np.full_like(point, np.nan), joints=np.full_like(joints, np.nan)))
+    assert answered.all() if baseline is rts else not answered.any()
+    blind = baseline(replace(scene, point=np.full_like(point, np.nan), joints=np.full_like(joints, np.nan)))
     assert not np.isfinite(blind.position).any() and blind.notes
 
 
-@pytest.mark.parametrize("peer", [rts, ukf])
-def test_strap_alone_is_enough(peer: Baseline):
+@pytest.mark.parametrize("baseline", [rts, ukf])
+def test_strap_alone_is_enough(baseline: Baseline):
     made = arm("white", 3, occlusion_lengths_s=(1.0,), strap=True)
     scene = scene_of(made, tilt_deg=2.0)
     joints = np.full_like(scene.joints, np.nan)
@@ -259,11 +259,11 @@ def test_strap_alone_is_enough(peer: Baseline):
     point = np.where(scene.visible[:, None], joints[:, strap], np.nan)
     joints[~scene.visible] = np.nan
     bare = replace(made.calibration, lever_arms={}, upper_arm=None)
-    path = peer(replace(scene, joints=joints, point=point, point_sigma_m=0.008, calibration=bare))
+    path = baseline(replace(scene, joints=joints, point=point, point_sigma_m=0.008, calibration=bare))
     assert path.R_K_A is not None
     error = errors(made, path)
     assert rms(error[4:][~scene.occluded[4:]]) < 0.012
-    assert rms(error[scene.occluded]) < (0.02 if peer is rts else 0.15)
+    assert rms(error[scene.occluded]) < (0.02 if baseline is rts else 0.15)
     assert rms(turned_off(made, path.R_K_A)[200:]) < 3.0
 
 
