@@ -28,9 +28,11 @@ class Kernel:
 
     Attributes
     ----------
-    variance : v0, m^2.
-    rate : w, 1/s^2.
-    position_sigma, acceleration_sigma : m and m/s^2.
+    variance : float, m^2
+        v0.
+    rate : float, 1/s^2
+        w.
+    position_sigma, acceleration_sigma : float, m and m/s^2
     """
 
     variance: float = 5.66e4 * 1e-6
@@ -49,7 +51,15 @@ PUBLISHED = Kernel()
 
 @dataclass(frozen=True)
 class Measurements:
-    """Positions (f, c) m at frame_t (f,), accelerations (n, c) m/s^2 at acc_t (n,); columns share times."""
+    """Positions and accelerations; their c columns share the times.
+
+    Attributes
+    ----------
+    frame_t : ndarray, shape (f,), s
+    position : ndarray, shape (f, c), m
+    acc_t : ndarray, shape (n,), s
+    acceleration : ndarray, shape (n, c), m/s^2
+    """
 
     frame_t: FloatArray
     position: FloatArray
@@ -57,7 +67,7 @@ class Measurements:
     acceleration: FloatArray
 
     def between(self, start_s: float, end_s: float) -> Measurements:
-        """Those of a stretch of time, its ends included."""
+        """Those from one time to another, s, both included."""
         f = (self.frame_t >= start_s) & (self.frame_t <= end_s)
         a = (self.acc_t >= start_s) & (self.acc_t <= end_s)
         return Measurements(self.frame_t[f], self.position[f], self.acc_t[a], self.acceleration[a])
@@ -103,7 +113,15 @@ def joint_covariance(kernel: Kernel, frame_t: FloatArray, acc_t: FloatArray) -> 
 
 
 class Posterior:
-    """The positions given the measurements (4.24, with the covariance 4.23 belongs to)."""
+    """The positions given the measurements (4.24, with the covariance 4.23 belongs to).
+
+    Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm 2.1.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    seen : Measurements
+    """
 
     def __init__(self, kernel: Kernel, seen: Measurements) -> None:
         self._kernel, self._seen = kernel, seen
@@ -158,12 +176,21 @@ def predict(
 
     Parameters
     ----------
-    seen : frame_t are the times that the frames show; they arrive `latency_s` later.
-    at : (k,) increasing times, s.
+    kernel : Kernel
+    seen : Measurements
+        `frame_t` are the times that the frames show; they arrive `latency_s` later.
+    at : ndarray, shape (k,), s
+        Increasing times.
+    latency_s : float, s
+    order : int
+        How many frames the prediction looks back.
 
     Returns
     -------
-    (k, c) predicted positions, m, and (k,) their standard deviations; nan before the first frame arrives.
+    mean : ndarray, shape (k, c), m
+        Predicted positions; nan before the first frame arrives.
+    sigma : ndarray, shape (k,), m
+        Their standard deviations.
     """
     mean, sigma = np.full((len(at), seen.position.shape[1]), np.nan), np.full(len(at), np.nan)
     arrived = np.searchsorted(seen.frame_t + latency_s, at + 1e-9, side="right")

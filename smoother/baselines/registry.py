@@ -27,9 +27,12 @@ class BaselineEntry:
 
     Attributes
     ----------
-    name : as users call it; the function is the module's of that name, with underscores.
-    needs_orientation : the answer depends on the orientation filter.
-    options : keyword arguments of the function that a user may set.
+    name : str
+        As users call it; the function is the module's of that name, with underscores.
+    needs_orientation : bool
+        The answer depends on the orientation filter.
+    options : frozenset of str
+        Keyword arguments of the function that a user may set.
     """
 
     name: str
@@ -37,9 +40,9 @@ class BaselineEntry:
     options: frozenset[str] = frozenset()
 
     def function(self, options: Mapping[str, Any]) -> Baseline:
-        """The function, its options set."""
-        place = self.name.replace("-", "_")
-        function: Baseline = getattr(import_module(f".{place}", __package__), place)
+        """The method, from a scene to a path, its options set."""
+        name = self.name.replace("-", "_")
+        function: Baseline = getattr(import_module(f".{name}", __package__), name)
         return partial(function, **options) if options else function
 
 
@@ -62,7 +65,7 @@ BASELINES: dict[str, BaselineEntry] = {
 
 def recover(
     recording: Recording,
-    told: Recovery,
+    graph: Recovery,
     method: str,
     orientation: str = DEFAULT_ORIENTATION,
     options: Mapping[str, Any] | None = None,
@@ -71,18 +74,28 @@ def recover(
 
     Parameters
     ----------
-    recording : one arm and its forearm IMU; its truth is not looked at.
-    told : the graph's recovery of this very recording: calibration, clock, samples believed, gravity, gaps.
-    method : one of `BASELINES`.
-    orientation : one of `ORIENTATIONS`.
-    options : of the method, see `BaselineEntry.options`.
+    recording : Recording
+        One arm and its forearm IMU; its truth is not looked at.
+    graph : Recovery
+        The graph's recovery of this very recording, of which a baseline gets calibration, clock, accepted
+        samples, gravity and gaps.
+    method : str
+        One of `BASELINES`.
+    orientation : str
+        One of `ORIENTATIONS`.
+    options : mapping, optional
+        Of the method, by name, see `BaselineEntry.options`.
+
+    Returns
+    -------
+    recovery : Recovery
 
     Raises
     ------
     UnoccludeError
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
-    from .answer import answer
+    from .answer import recovery_of
     from .inputs import scenes_of
 
     options = dict(options or {})
@@ -93,7 +106,8 @@ def recover(
     entry = BASELINES[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
-    scenes = scenes_of(recording, told, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
+    scenes = scenes_of(recording, graph, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
     baseline = entry.function(options)
     settings = {"orientation": orientation} if entry.needs_orientation else {}
-    return answer(recording, told, scenes, [baseline(scene) for scene in scenes], method, settings | options)
+    paths = [baseline(scene) for scene in scenes]
+    return recovery_of(recording, graph, scenes, paths, method, settings | options)

@@ -1,4 +1,4 @@
-"""The simple baselines on recordings of others: BROAD (optical truth) and UTD-MHAD (a Kinect, a wrist IMU)."""
+"""The simple baselines on the recordings of others: BROAD (optical truth), UTD-MHAD (Kinect, wrist IMU)."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 from scipy.stats import multivariate_normal
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements
 from smoother.baselines.kernel import (

@@ -6,15 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 from scipy.spatial.transform import Rotation
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of, turned_off
 
 from smoother.baselines import error_state as es
 from smoother.baselines.linear import Chain, kalman_filter, rts_smoother
 from smoother.baselines.rts import linearised, residuals, rts, start
 from smoother.baselines.scene import Baseline
-from smoother.baselines.ukf import Belief, predicted, process_noise, sigma_points, ukf, updated
-from smoother.config import ImuNoise
+from smoother.baselines.ukf import (
+    ACC_DENSITY,
+    GYRO_DENSITY,
+    NavigationState,
+    predicted,
+    sigma_points,
+    ukf,
+    updated,
+)
 from smoother.linalg import skew
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import JOINTS
@@ -54,21 +61,21 @@ def test_transition_is_the_derivative_of_the_prediction(column: int):
 def test_measurements_are_the_derivative_of_the_residuals():
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=5.0)
     scene = scene_of(made)
-    states, sights = start(scene, es.levers_of(scene))
+    states, camera = start(scene, es.levers_of(scene))
     rng = np.random.default_rng(0)
     error = 1e-4 * rng.normal(size=(len(states.t), es.SIZE))
-    chain = linearised(states, sights, InertialSignal(scene.imu), scene, ImuNoise(), 0.1)
+    chain = linearised(states, camera, InertialSignal(scene.imu), scene)
 
     def loss(at: es.InertialTrajectory) -> np.ndarray:
         """Half the weighted squares of a node, the weights those of the linearisation."""
-        left, first = residuals(at, sights), residuals(states, sights)
-        size = np.linalg.norm(first, axis=2) / sights.sigma_m
-        weight = 1.0 / (1.0 + (size / 2.8) ** 2) / sights.sigma_m**2
+        left, first = residuals(at, camera), residuals(states, camera)
+        size = np.linalg.norm(first, axis=2) / camera.sigma_m
+        weight = 1.0 / (1.0 + (size / 2.8) ** 2) / camera.sigma_m**2
         total = 0.5 * np.nansum(weight[:, :, None] * left**2, axis=(1, 2))
-        elbow = at.p + at.R @ sights.levers["elbow"]
-        off = np.linalg.norm(elbow - at.shoulder, axis=1) - sights.upper_arm_m
+        elbow = at.p + at.R @ camera.levers["elbow"]
+        off = np.linalg.norm(elbow - at.shoulder, axis=1) - camera.upper_arm_m
         share = np.minimum(np.gradient(at.t) / 0.09, 1.0)
-        return total + 0.5 * share * (off / sights.upper_arm_sigma_m) ** 2
+        return total + 0.5 * share * (off / camera.upper_arm_sigma_m) ** 2
 
     slope = loss(states.moved(error)) - loss(states.moved(-error))
     expected = -2.0 * np.einsum("ni,ni->n", chain.vector[..., 0], error)
@@ -79,13 +86,13 @@ def test_rts_is_at_the_minimum_of_the_whole_stretch():
     """Gauss-Newton has arrived: no joint step of all states, solved densely, is worth a tenth of a mm."""
     made = arm("white", 1, occlusion_lengths_s=(0.5,), duration_s=4.0)
     scene = scene_of(made)
-    states, sights = start(scene, es.levers_of(scene))
+    states, camera = start(scene, es.levers_of(scene))
     signal = InertialSignal(scene.imu)
     for _ in range(6):
-        chain = linearised(states, sights, signal, scene, ImuNoise(), 0.1)
+        chain = linearised(states, camera, signal, scene)
         error = rts_smoother(chain)
         states = states.moved(error.mean[..., 0])
-    chain = linearised(states, sights, signal, scene, ImuNoise(), 0.1)
+    chain = linearised(states, camera, signal, scene)
     n, d = len(states.t), es.SIZE
     rows = [np.linalg.cholesky(np.linalg.inv(chain.covariance)).T @ np.eye(d, n * d)]
     right = [np.linalg.cholesky(np.linalg.inv(chain.covariance)).T @ chain.mean[:, 0]]
@@ -114,15 +121,15 @@ def test_ukf_is_the_error_state_filter_where_errors_are_small():
     motion = integrate(InertialSignal(scene.imu), t, np.zeros(6))
     arms = np.array([lever.position_m for lever in made.calibration.lever_arms.values()])
     P0 = np.diag(np.repeat([1e-3, 1e-2, 1e-3], 3)) ** 2
-    belief = Belief(scene.point[20], np.zeros(3), scene.R_K_A[40], P0)
-    noise, sigma = process_noise(motion), 0.008
-    unscented = [belief]
+    state = NavigationState(scene.point[20], np.zeros(3), scene.R_K_A[40], P0)
+    noise, sigma = es.white_noise(motion.dt, ACC_DENSITY**2, GYRO_DENSITY**2, 9), 0.008
+    unscented = [state]
     for k in range(len(t) - 1):
-        belief = predicted(belief, motion, k, scene.gravity, noise[k])
+        state = predicted(state, motion, k, scene.gravity, noise[k])
         if k % 3 == 0:
-            joints = belief.p + arms @ belief.R.T + 1e-3 * rng.normal(size=arms.shape)
-            belief = updated(belief, joints, arms, sigma)
-        unscented.append(belief)
+            joints = state.p + arms @ state.R.T + 1e-3 * rng.normal(size=arms.shape)
+            state = updated(state, joints, arms, sigma)
+        unscented.append(state)
     # the same by the linear filter: transitions of the first nine errors, measurements as information
     n = len(t)
     track = es.InertialTrajectory(

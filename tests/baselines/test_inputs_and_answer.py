@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from solved_arms import ALONE, Told, no_gaps, told
 
-from smoother.baselines.answer import answer
+from smoother.baselines.answer import recovery_of
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Path, Scene
@@ -102,7 +102,7 @@ def test_guesses_are_kept_apart_from_what_is_believed():
     inside = (it.graph.arm.t_s >= scene.t[0]) & (it.graph.arm.t_s <= scene.t[-1])
     inferred = it.recording.arm.state[inside, wrist] == JointState.INFERRED
     assert inferred.sum() > 30
-    assert np.isfinite(scene.guessed[inferred, wrist]).all()
+    assert np.isfinite(scene.camera_joints[inferred, wrist]).all()
     assert np.isnan(scene.joints[inferred, wrist]).all()
 
 
@@ -196,7 +196,7 @@ def test_an_answers_joints_and_covariances(behind: Told):
         covariance=np.tile(np.diag(spread**2), (count, 1, 1)),
         attitude_covariance=np.tile(np.diag(turning**2), (count, 1, 1)),
     )
-    found = answer(behind.recording, behind.graph, [scene], [path], "made up")
+    found = recovery_of(behind.recording, behind.graph, [scene], [path], "made up")
     levers = scene.calibration.lever_arms
     row, lever = 700, levers["elbow"]
     R = scene.R_K_A[row]

@@ -41,7 +41,7 @@ def first_samples(scene: Scene, count: int) -> Scene:
         acceleration=scene.acceleration[:count],
         frame_t=scene.frame_t[frames],
         joints=scene.joints[frames],
-        guessed=scene.guessed[frames],
+        camera_joints=scene.camera_joints[frames],
         point=scene.point[frames],
     )
 

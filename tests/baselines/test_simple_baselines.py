@@ -9,13 +9,12 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 from solved_arms import Told, no_gaps, told
 
-from smoother.baselines.camera import between
 from smoother.baselines.camera_only import camera_only
 from smoother.baselines.hold import hold
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.pchip import pchip
 from smoother.baselines.registry import recover
-from smoother.baselines.scene import Scene
+from smoother.baselines.scene import Scene, between
 from smoother.recording import JOINTS, FloatArray
 
 FRAME_S = 1.0 / 30.0
@@ -77,7 +76,7 @@ def test_camera_only_by_equation_16(behind: Scene):
     elbow, wrist = levers["elbow"].position_m, levers["wrist"].position_m
     along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
     d_se, d_sw = float(-elbow @ along), float(wrist @ along)
-    L, T = (behind.guessed[:, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
+    L, T = (behind.camera_joints[:, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
     D = L + d_se / (d_sw + d_se) * (T - L)
     known = np.isfinite(D).all(axis=1)
     frames = behind.frame_t[known]
@@ -88,23 +87,24 @@ def test_camera_only_by_equation_16(behind: Scene):
 def test_camera_only_takes_guesses_and_bridges_silence(behind: Scene):
     gap = behind.gaps[0]
     hidden = (behind.frame_t > gap.start_s) & (behind.frame_t < gap.end_s)
-    guessed = behind.guessed.copy()
-    guessed[hidden] = np.array([1.0, 2.0, 3.0])
+    camera_joints = behind.camera_joints.copy()
+    camera_joints[hidden] = np.array([1.0, 2.0, 3.0])
     inside = (behind.t > gap.start_s + FRAME_S) & (behind.t < gap.end_s - FRAME_S)
     np.testing.assert_allclose(
-        camera_only(replace(behind, guessed=guessed)).position[inside], [[1.0, 2.0, 3.0]] * inside.sum()
+        camera_only(replace(behind, camera_joints=camera_joints)).position[inside],
+        [[1.0, 2.0, 3.0]] * inside.sum(),
     )
-    guessed[hidden] = np.nan
-    line = camera_only(replace(behind, guessed=guessed)).position[inside]
+    camera_joints[hidden] = np.nan
+    line = camera_only(replace(behind, camera_joints=camera_joints)).position[inside]
     assert np.abs(np.diff(line, n=2, axis=0)).max() < 1e-9
 
 
 def test_camera_only_with_fewer_joints(behind: Scene):
-    strap = np.full_like(behind.guessed, np.nan)
+    strap = np.full_like(behind.camera_joints, np.nan)
     strap[:, JOINTS.index("strap")] = [0.1, 0.2, 2.0]
-    bare = replace(behind, guessed=strap, calibration=replace(behind.calibration, lever_arms={}))
+    bare = replace(behind, camera_joints=strap, calibration=replace(behind.calibration, lever_arms={}))
     np.testing.assert_allclose(camera_only(bare).position, np.tile([0.1, 0.2, 2.0], (len(behind.t), 1)))
-    nothing = replace(behind, guessed=np.full_like(strap, np.nan))
+    nothing = replace(behind, camera_joints=np.full_like(strap, np.nan))
     assert np.isnan(camera_only(nothing).position).all()
 
 
@@ -155,7 +155,7 @@ def test_nothing_seen_gives_no_answer(behind: Scene, baseline):
     blind = replace(
         behind,
         joints=np.full_like(behind.joints, np.nan),
-        guessed=np.full_like(behind.guessed, np.nan),
+        camera_joints=np.full_like(behind.camera_joints, np.nan),
         point=np.full_like(behind.point, np.nan),
     )
     assert np.isnan(baseline(blind).position).all()

@@ -57,7 +57,7 @@ def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = 
         acceleration=np.einsum("nij,nj->ni", R, imu.acc) + gravity,
         frame_t=frame_t,
         joints=joints,
-        guessed=tracks.position[inside],
+        camera_joints=tracks.position[inside],
         point=point,
         point_sigma_m=sigma_m,
         gaps=find_gaps(frame_t, visible, float(imu.t_s[0]), float(imu.t_s[-1])),

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.baselines.answer import answer
+from smoother.baselines.answer import recovery_of
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.registry import BASELINES
 from smoother.baselines.scene import Path as Answer
@@ -83,7 +83,7 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
     solving = time.perf_counter()
     paths = [_path(scene, name, timed) for scene in scenes]
     own_s = time.perf_counter() - solving
-    recovery = answer(recording, told, scenes, paths, name)
+    recovery = recovery_of(recording, told, scenes, paths, name)
     seconds, cpu = time.perf_counter() - began, _processor_s() - cpu
     truth = read_truth(made.truth, recovery.origin_ns)
     steps: dict[str, Any] = dict(timed.seconds)
