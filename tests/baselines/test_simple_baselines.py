@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
-from solved_arms import Told, no_gaps, told
+from solved_arms import SolvedArm, solved_arm, without_gaps
 
 from smoother.baselines.camera_only import camera_only
 from smoother.baselines.hold import hold
@@ -22,12 +22,12 @@ FRAME_S = 1.0 / 30.0
 
 @pytest.fixture(scope="module")
 def behind() -> Scene:
-    it = told("white", 3, protocol="behind", repetitions=1)
+    it = solved_arm("white", 3, protocol="behind", repetitions=1)
     (scene,) = scenes_of(it.recording, it.graph)
     return scene
 
 
-def acceleration_of(it: Told) -> float:
+def acceleration_of(it: SolvedArm) -> float:
     """Largest acceleration of the IMU and of elbow and wrist, m/s^2."""
     truth = it.made.recording.truth
     assert truth is not None
@@ -45,7 +45,7 @@ TILT_M = np.radians(1.5) * 0.06
 @pytest.mark.parametrize("seed", [21, 22])
 @pytest.mark.parametrize("method", ["linear-drift", "hold", "pchip"])
 def test_nothing_hidden_and_nothing_wrong(method: str, seed: int):
-    it = no_gaps(seed)
+    it = without_gaps(seed)
     assert it.graph.gaps == ()
     error = it.errors(recover(it.recording, it.graph, method))[4:-4]  # the camera starts a frame later
     limit = acceleration_of(it) * LINE + TILT_M
@@ -54,7 +54,7 @@ def test_nothing_hidden_and_nothing_wrong(method: str, seed: int):
 
 
 def test_camera_only_is_off_by_the_sensors_distance_from_the_axis():
-    it = no_gaps()
+    it = without_gaps()
     found = recover(it.recording, it.graph, "camera-only")
     levers = it.made.calibration.lever_arms
     along = it.made.calibration.forearm_direction
