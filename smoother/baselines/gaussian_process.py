@@ -63,12 +63,12 @@ def gaussian_process(scene: Scene, kernel: Kernel | None = None) -> Path:
     n = len(scene.t)
     position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     variance = np.full(n, np.nan)
-    seen = measurements(scene)
-    kernel = kernel or likeliest(scene, seen)
+    data = measurements(scene)
+    kernel = kernel or likeliest(scene, data)
     for start_s, end_s in pairwise(borders(scene)):
         rows = np.flatnonzero((scene.t >= start_s) & (scene.t <= end_s))
-        near = seen.between(start_s - MARGIN_S, end_s + MARGIN_S)
-        level = near.position.mean(axis=0) if len(near.frame_t) else _nearest(seen, 0.5 * (start_s + end_s))
+        near = data.between(start_s - MARGIN_S, end_s + MARGIN_S)
+        level = near.position.mean(axis=0) if len(near.frame_t) else _nearest(data, 0.5 * (start_s + end_s))
         near = replace(near, position=near.position - level)
         posterior, t = Posterior(kernel, near), scene.t[rows]
         position[rows], velocity[rows] = level + posterior.position(t), posterior.velocity(t)
@@ -95,8 +95,8 @@ def _averaged(t: FloatArray, values: FloatArray, size: int) -> tuple[FloatArray,
     )
 
 
-def _nearest(seen: Measurements, time_s: float) -> FloatArray:
-    return np.asarray(seen.position[int(np.argmin(np.abs(seen.frame_t - time_s)))])
+def _nearest(data: Measurements, time_s: float) -> FloatArray:
+    return np.asarray(data.position[int(np.argmin(np.abs(data.frame_t - time_s)))])
 
 
 def borders(scene: Scene) -> list[float]:
@@ -114,15 +114,15 @@ def borders(scene: Scene) -> list[float]:
     return [*edges, end_s]
 
 
-def likeliest(scene: Scene, seen: Measurements) -> Kernel:
+def likeliest(scene: Scene, data: Measurements) -> Kernel:
     """The hyper-parameters under which visible excerpts, evenly spread, are likeliest."""
-    spread = float(seen.position.var(axis=0).mean())
+    spread = float(data.position.var(axis=0).mean())
     start = replace(
         PUBLISHED,
         variance=max(PUBLISHED.variance, spread),
         position_sigma=max(white_sigma(scene), LEAST_SIGMA_M),
     )
-    excerpts = _training(scene, seen)
+    excerpts = _training(scene, data)
     if not excerpts:
         return start
 
@@ -139,14 +139,14 @@ def likeliest(scene: Scene, seen: Measurements) -> Kernel:
     return kernel(minimize(loss, first, method="Nelder-Mead", options=options).x)
 
 
-def _training(scene: Scene, seen: Measurements) -> list[Measurements]:
+def _training(scene: Scene, data: Measurements) -> list[Measurements]:
     """Visible excerpts, each about its own mean."""
-    size = max(round(len(seen.acc_t) / (scene.t[-1] - scene.t[0]) / TRAINING_RATE_HZ), 1)
+    size = max(round(len(data.acc_t) / (scene.t[-1] - scene.t[0]) / TRAINING_RATE_HZ), 1)
     excerpts = []
     for start_s in np.arange(scene.t[0], scene.t[-1] - TRAINING_S, TRAINING_S):
         if any(gap.start_s < start_s + TRAINING_S and gap.end_s > start_s for gap in scene.gaps):
             continue
-        excerpt = seen.between(start_s, start_s + TRAINING_S)
+        excerpt = data.between(start_s, start_s + TRAINING_S)
         if len(excerpt.frame_t) >= 10 and len(excerpt.acc_t) >= 10 * size:
             level = excerpt.position.mean(axis=0)
             averaged = _averaged(excerpt.acc_t, excerpt.acceleration, size)

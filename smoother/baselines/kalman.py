@@ -4,7 +4,7 @@ At its best within what was published: the work was done offline in MATLAB and s
 of filtering, so the low-passes run forwards and backwards and delay nothing. The Kalman filter itself is a
 filter: inside a gap it has seen the camera only up to the gap, and it jumps where the camera comes back.
 The gyroscope's low-pass belongs to the orientation, which the scene gives. While the camera sees, he
-recommends to believe it much more than the IMU: gravity that a wrong orientation leaves does not show at
+recommends to trust it much more than the IMU: gravity that a wrong orientation leaves does not show at
 rest, so it is added to the IMU's deviation.
 
 Order of the method: what is left of a movement by a low-pass of 2 Hz; on error-free sensors centimetres at
@@ -148,14 +148,14 @@ def state_model(
     F = constant_acceleration(dt)[:, None]
     push = np.stack([0.5 * dt**2, dt, np.ones_like(dt)], axis=1)
     Q = np.einsum("ni,nj,a->naij", push, push, sigma_acc**2)
-    seen = np.isfinite(camera[:, 0])
+    has_camera = np.isfinite(camera[:, 0])
     information, vector = np.zeros((len(t), 3, 3, 3)), np.zeros((len(t), 3, 3, 1))
-    information[seen, :, 0, 0] = sigma_m**-2.0
-    vector[seen, :, 0, 0] = camera[seen] / sigma_m**2
+    information[has_camera, :, 0, 0] = sigma_m**-2.0
+    vector[has_camera, :, 0, 0] = camera[has_camera] / sigma_m**2
     information[..., 2, 2] = sigma_acc**-2.0
     vector[..., 2, 0] = acceleration / sigma_acc**2
     start = np.zeros((3, 3, 1))
-    start[:, 0, 0] = camera[seen][0]
+    start[:, 0, 0] = camera[has_camera][0]
     return Chain(
         F, Q, np.zeros((len(dt), 1, 1, 1)), information, vector, start, np.tile(np.eye(3), (3, 1, 1))
     )

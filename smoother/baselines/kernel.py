@@ -120,46 +120,46 @@ class Posterior:
     Parameters
     ----------
     kernel : Kernel
-    seen : Measurements
+    data : Measurements
     """
 
-    def __init__(self, kernel: Kernel, seen: Measurements) -> None:
-        self._kernel, self._seen = kernel, seen
-        covariance = joint_covariance(kernel, seen.frame_t, seen.acc_t)
+    def __init__(self, kernel: Kernel, data: Measurements) -> None:
+        self._kernel, self._data = kernel, data
+        covariance = joint_covariance(kernel, data.frame_t, data.acc_t)
         self._factor = cho_factor(covariance, lower=True, check_finite=False)
-        self._weights = cho_solve(self._factor, seen.targets, check_finite=False)
+        self._weights = cho_solve(self._factor, data.targets, check_finite=False)
 
     def position(self, at: FloatArray) -> FloatArray:
         """(k, c) m at times (k,)."""
-        return np.asarray(_to_measurements(self._kernel, at, _VALUE, self._seen) @ self._weights)
+        return np.asarray(_to_measurements(self._kernel, at, _VALUE, self._data) @ self._weights)
 
     def velocity(self, at: FloatArray) -> FloatArray:
         """(k, c) m/s at times (k,), the first difference about each (4.12)."""
-        cross = _to_measurements(self._kernel, at, _FIRST, self._seen) / STEP_S
+        cross = _to_measurements(self._kernel, at, _FIRST, self._data) / STEP_S
         return np.asarray(cross @ self._weights)
 
     def variance(self, at: FloatArray) -> FloatArray:
         """(k,) m^2 of the positions, the same for all columns."""
-        cross = _to_measurements(self._kernel, at, _VALUE, self._seen)
+        cross = _to_measurements(self._kernel, at, _VALUE, self._data)
         explained = np.einsum("ij,ji->i", cross, cho_solve(self._factor, cross.T, check_finite=False))
         return np.maximum(self._kernel.variance - explained, 0.0)
 
 
 def _to_measurements(
-    kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], seen: Measurements
+    kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], data: Measurements
 ) -> FloatArray:
     return np.hstack(
         [
-            _mapped(kernel, at, rows, seen.frame_t, _VALUE),
-            _mapped(kernel, at, rows, seen.acc_t, _SECOND) * STEP_S**-2,
+            _mapped(kernel, at, rows, data.frame_t, _VALUE),
+            _mapped(kernel, at, rows, data.acc_t, _SECOND) * STEP_S**-2,
         ]
     )
 
 
-def log_likelihood(kernel: Kernel, seen: Measurements) -> float:
+def log_likelihood(kernel: Kernel, data: Measurements) -> float:
     """Log-density of the measurements under the prior (2.13), all columns together."""
-    factor = cho_factor(joint_covariance(kernel, seen.frame_t, seen.acc_t), lower=True, check_finite=False)
-    targets = seen.targets
+    factor = cho_factor(joint_covariance(kernel, data.frame_t, data.acc_t), lower=True, check_finite=False)
+    targets = data.targets
     quadratic = float(np.sum(targets * cho_solve(factor, targets, check_finite=False)))
     log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
     count, columns = targets.shape
@@ -167,17 +167,17 @@ def log_likelihood(kernel: Kernel, seen: Measurements) -> float:
 
 
 def predict(
-    kernel: Kernel, seen: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
+    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
 ) -> tuple[FloatArray, FloatArray]:
     """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3).
 
     At each time the last `order` frames that have arrived, and the accelerations from the oldest of them up
-    to now. Without accelerations in `seen` it is the position-only predictor.
+    to now. Without accelerations in `data` it is the position-only predictor.
 
     Parameters
     ----------
     kernel : Kernel
-    seen : Measurements
+    data : Measurements
         `frame_t` are the times that the frames show; they arrive `latency_s` later.
     at : ndarray, shape (k,), s
         Increasing times.
@@ -192,14 +192,14 @@ def predict(
     sigma : ndarray, shape (k,), m
         Their standard deviations.
     """
-    mean, sigma = np.full((len(at), seen.position.shape[1]), np.nan), np.full(len(at), np.nan)
-    arrived = np.searchsorted(seen.frame_t + latency_s, at + 1e-9, side="right")
+    mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
+    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
     for k in np.flatnonzero(arrived):
         frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
-        frame_t, position = seen.frame_t[frames], seen.position[frames]
-        a, b = np.searchsorted(seen.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
+        frame_t, position = data.frame_t[frames], data.position[frames]
+        a, b = np.searchsorted(data.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
         level = position.mean(axis=0)
-        window = Measurements(frame_t, position - level, seen.acc_t[a:b], seen.acceleration[a:b])
+        window = Measurements(frame_t, position - level, data.acc_t[a:b], data.acceleration[a:b])
         posterior, now = Posterior(kernel, window), at[k : k + 1]
         mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
     return mean, sigma

@@ -123,9 +123,9 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
     """The process noise of a moving hand under which the camera's samples are likeliest, and its filter."""
     candidates = np.array(Q_MOVING)
     filtered, predicted = kalman_filter(state_model(events, moving, noise, candidates))
-    seen = np.isfinite(events.position[:, 0])
-    variance = predicted.covariance[seen, :, 0, 0] + noise.sigma_m**2
-    innovation = events.position[seen, None] - predicted.mean[seen, :, 0]
+    is_frame = np.isfinite(events.position[:, 0])
+    variance = predicted.covariance[is_frame, :, 0, 0] + noise.sigma_m**2
+    innovation = events.position[is_frame, None] - predicted.mean[is_frame, :, 0]
     loss = np.sum(3.0 * np.log(variance) + np.sum(innovation**2, axis=2) / variance, axis=0)
     best = int(np.argmin(loss))
     return float(candidates[best]), Estimates(filtered.mean[:, best], filtered.covariance[:, best])
@@ -163,15 +163,15 @@ def state_model(events: Events, moving: BoolArray, noise: FilterNoise, q_moving:
     powers = np.array([[5, 4, 3], [4, 3, 2], [3, 2, 1]])
     shares = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
     Q = for_all(shares * dt[:, None, None] ** powers) * q_t[..., None, None]
-    seen, sampled = np.isfinite(events.position[:, 0]), np.isfinite(events.acceleration[:, 0])
+    is_frame, is_sample = np.isfinite(events.position[:, 0]), np.isfinite(events.acceleration[:, 0])
     acc_weight = np.where(moving, noise.acc_moving, noise.acc_still) ** -2.0
     information, vector = np.zeros((len(events.t), 3, 3)), np.zeros((len(events.t), 3, 3))
-    information[seen, 0, 0] = noise.sigma_m**-2.0
-    vector[seen, 0] = events.position[seen] / noise.sigma_m**2
-    information[sampled, 2, 2] = acc_weight[sampled]
-    vector[sampled, 2] = events.acceleration[sampled] * acc_weight[sampled, None]
+    information[is_frame, 0, 0] = noise.sigma_m**-2.0
+    vector[is_frame, 0] = events.position[is_frame] / noise.sigma_m**2
+    information[is_sample, 2, 2] = acc_weight[is_sample]
+    vector[is_sample, 2] = events.acceleration[is_sample] * acc_weight[is_sample, None]
     start = np.zeros((*q.shape, 3, 3))
-    start[..., 0, :] = events.position[seen][0]
+    start[..., 0, :] = events.position[is_frame][0]
     return Chain(
         F=for_all(constant_acceleration(dt)),
         Q=Q,

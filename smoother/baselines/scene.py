@@ -18,7 +18,7 @@ from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS, BoolArray, FloatArray, ImuStream
 
 #: The note of a path where a method has too little to begin with.
-TOO_LITTLE_SEEN = "The camera saw too little of this stretch."
+TOO_LITTLE_SEEN = "The camera saw too little of this segment."
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     lose_forearm(footage, hidden, true, config, gap_rng)
     parameters |= deceive(footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng)
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
-    tracks, kept = deliver(footage, "simulated", config, stamp_rng)
+    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
 
     lever_arms = {
         joint: LeverArm(measures.lever_arm(joint), np.full(3, LEVER_ARM_SIGMA_M))
@@ -141,4 +141,4 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         truth=true_motion(motion, imu.t_s),
         name=f"simulated arm, seed {seed}",
     )
-    return SimulatedArm(recording, calibration, parameters, ideal, hidden[kept], motion)
+    return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion)

@@ -77,7 +77,7 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
     hidden = random_gaps(times, config.occlusion_lengths_s, config.occlusion_every_s, 0.0, gap_rng)
     footage.state[hidden] = JointState.NOT_TRACKED
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
-    tracks, kept = deliver(footage, "simulated", config, stamp_rng)
+    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
     parameters |= {"gravity": gravity, "clock_offset_s": -config.latency_s}
     recording = Recording(
         imu=imu,
@@ -86,4 +86,4 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
         truth=true_motion(motion, imu.t_s),
         name=f"simulated point, seed {seed}",
     )
-    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[kept], motion)
+    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[delivered], motion)

@@ -106,24 +106,24 @@ def render(
     column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
     origin, rays = lens.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
     grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
-    hole = np.zeros(len(rays), dtype=bool)
+    no_depth = np.zeros(len(rays), dtype=bool)
     look = _near(lens, arm)
     for surface in (_trunk, _capsule, _ball):
         reach, shade, blind = surface(arm, origin, rays[look])
         closer = reach < z[look]
         index = np.flatnonzero(look)[closer]
-        z[index], grey[index], hole[index] = reach[closer], shade[closer], blind[closer]
+        z[index], grey[index], no_depth[index] = reach[closer], shade[closer], blind[closer]
     shape = (lens.height, lens.width)
-    grey, z, hole = grey.reshape(shape), z.reshape(shape), hole.reshape(shape)
+    grey, z, no_depth = grey.reshape(shape), z.reshape(shape), no_depth.reshape(shape)
     if noise is not None:
         if noise.blur_px > 0:
             grey = cv2.GaussianBlur(grey, (0, 0), noise.blur_px)
         grey = grey + noise.rng.normal(0, noise.brightness, shape)
         z = z + noise.rng.normal(0, noise.depth_m, shape) * (z / 2.0) ** 2
         rim = cv2.dilate((grey >= 250).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        hole = (hole & (noise.rng.random(shape) < noise.strap_holes)) | rim
+        no_depth = (no_depth & (noise.rng.random(shape) < noise.strap_holes)) | rim
         z = np.rint(1000 * z) / 1000  # depth images count millimetres
-    return np.clip(grey, 0, 255).astype(np.uint8), np.where(hole, np.nan, z)
+    return np.clip(grey, 0, 255).astype(np.uint8), np.where(no_depth, np.nan, z)
 
 
 def _near(lens: Lens, arm: Arm) -> NDArray[np.bool_]:

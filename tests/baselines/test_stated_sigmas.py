@@ -16,7 +16,8 @@ from smoother.baselines.ukf import ukf
 from smoother.recording import FloatArray
 
 #: NEES per degree of freedom over the arms of seeds 0 to 3 with gaps of a second: while the arm is visible,
-#: in gaps, and of the orientation where the method states its covariance. 1 is consistent, less under-confident.
+#: in gaps, and of the orientation where the method states its covariance. 1 is consistent, less is
+#: under-confident.
 MEASURED: dict[Baseline, tuple[float, float, float | None]] = {
     rts: (0.65, 0.52, 0.34),
     ukf: (0.78, 0.38, 0.34),
