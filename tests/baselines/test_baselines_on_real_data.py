@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from scenes import there
 from solved_arms import ALONE
 
 from smoother import Recovery
@@ -22,16 +21,6 @@ pytestmark = pytest.mark.real
 SIMPLE = ("graph", "linear-drift", "camera-only", "hold", "pchip")
 
 
-def there(*parts: str) -> Path:
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD and UTD-MHAD")
-    path = Path(folder).joinpath(*parts)
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    return path
-
-
 def moving(name: str) -> Recording:
     """Thirty seconds of a BROAD trial; movement starts after about half a minute."""
     recording = import_broad(there("broad", name))
@@ -44,11 +33,11 @@ def moving(name: str) -> Recording:
 
 
 def rms_of(table: GapTable, length_s: float) -> dict[str, float]:
-    found = {}
+    rms = {}
     for name, result in table.lengths[length_s].items():
         assert result.failed == 0 and result.figures.position_rms_m is not None, name
-        found[name] = result.figures.position_rms_m
-    return found
+        rms[name] = result.figures.position_rms_m
+    return rms
 
 
 def test_a_strap_alone():
