@@ -1,4 +1,4 @@
-"""`camera-only`: what the camera's own skeleton says, its guesses included."""
+"""`camera-only`: what the camera's own skeleton states, its guesses included."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import numpy as np
 
 from ..measurements.alignment import lever_of
 from ..recording import JOINTS, FloatArray
-from .camera import between
-from .scene import Path, Scene
+from .scene import Path, Scene, between
 
 
 def camera_only(scene: Scene) -> Path:
     """The IMU's position interpolated between the camera's elbow and wrist, `inferred` ones included.
 
-    Jatesiktat and Ang 2017, eq 16: D = L + d_se / (d_sw + d_se) (T - L), with d_se and d_sw the strap's
+    Jatesiktat and Ang, EMBC 2017, eq 16: D = L + d_se / (d_sw + d_se) (T - L), with d_se and d_sw the strap's
     distances from elbow L and wrist T along the forearm. The point lies on the forearm's axis, as
     published, so it is off by the sensor's distance from that axis (some centimetres). Where the camera
     states nothing, the last and the next statement are joined by a straight line. A recording with a
@@ -22,20 +21,30 @@ def camera_only(scene: Scene) -> Path:
 
     Order: without noise exact at the frames but for the distance from the axis; between frames linear,
     off by acceleration x (frame period)^2 / 8.
+
+    Parameters
+    ----------
+    scene : Scene
+        One segment.
+
+    Returns
+    -------
+    path : Path
+        Position and joints, without orientation or covariance.
     """
-    stated = {name: scene.guessed[:, JOINTS.index(name)] for name in JOINTS}
-    joints = {name: between(scene.frame_t, place, scene.t) for name, place in stated.items()}
-    nothing = np.full((len(scene.t), 3, 3), np.nan)
-    return Path(position=between(scene.frame_t, _position(scene), scene.t), R_K_A=nothing, joints=joints)
+    tracks = {name: scene.camera_joints[:, JOINTS.index(name)] for name in JOINTS}
+    joints = {name: between(scene.frame_t, track, scene.t) for name, track in tracks.items()}
+    no_orientation = np.full((len(scene.t), 3, 3), np.nan)
+    position = between(scene.frame_t, _position(scene, tracks), scene.t)
+    return Path(position=position, R_K_A=no_orientation, joints=joints)
 
 
-def _position(scene: Scene) -> FloatArray:
+def _position(scene: Scene, tracks: dict[str, FloatArray]) -> FloatArray:
     """The IMU's position (f, 3) m at the frames, from whichever joints the recording has."""
-    stated = {name: scene.guessed[:, JOINTS.index(name)] for name in ("elbow", "wrist", "strap")}
     share = _share(scene)
-    if share is not None and np.isfinite(stated["elbow"]).any():
-        return stated["elbow"] + share * (stated["wrist"] - stated["elbow"])
-    return stated["strap"] if np.isfinite(stated["strap"]).any() else stated["wrist"]
+    if share is not None and np.isfinite(tracks["elbow"]).any():
+        return tracks["elbow"] + share * (tracks["wrist"] - tracks["elbow"])
+    return tracks["strap"] if np.isfinite(tracks["strap"]).any() else tracks["wrist"]
 
 
 def _share(scene: Scene) -> float | None:

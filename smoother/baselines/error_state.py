@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from .. import units
 from ..config import ImuNoise
 from ..linalg import skew
 from ..measurements.alignment import lever_of
@@ -30,7 +31,22 @@ INTEGRATION_VARIANCE = 1e-6
 
 @dataclass(frozen=True)
 class InertialTrajectory:
-    """States at the nodes t (n,): p, v, gravity, shoulder (n, 3), R (n, 3, 3), bias (n, 6)."""
+    """States at the nodes.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+    p, v : ndarray, shape (n, 3), m and m/s
+        Of the IMU in {K}.
+    R : ndarray, shape (n, 3, 3)
+        Orientation `R_K_A`.
+    bias : ndarray, shape (n, 6), m/s^2 and rad/s
+        Of accelerometer and gyroscope in {A}.
+    gravity : ndarray, shape (n, 3), m/s^2
+        In {K}.
+    shoulder : ndarray, shape (n, 3), m
+        In {K}.
+    """
 
     t: FloatArray
     p: FloatArray
@@ -54,7 +70,7 @@ class InertialTrajectory:
 
 
 def orientation_at(scene: Scene, t: FloatArray) -> FloatArray:
-    """The scene's `R_K_A` (k, 3, 3) at times, held beyond its ends."""
+    """The scene's `R_K_A` (k, 3, 3) at times (k,) s, held beyond its ends."""
     curve = Slerp(scene.t, Rotation.from_matrix(scene.R_K_A))
     return curve(np.clip(t, scene.t[0], scene.t[-1])).as_matrix()
 
@@ -66,9 +82,13 @@ def seen_joints(scene: Scene) -> BoolArray:
 
 def levers_of(scene: Scene) -> dict[str, FloatArray]:
     """Lever arms (3,) m in {A} of the forearm's joints that have one and are seen in the scene."""
-    seen = seen_joints(scene).sum(axis=0) > 0
-    known = {joint: lever_of(scene.calibration, joint) for joint in FOREARM_JOINTS}
-    return {joint: lever for joint, lever in known.items() if lever is not None and seen[JOINTS.index(joint)]}
+    ever_seen = seen_joints(scene).sum(axis=0) > 0
+    levers = {joint: lever_of(scene.calibration, joint) for joint in FOREARM_JOINTS}
+    return {
+        joint: lever
+        for joint, lever in levers.items()
+        if lever is not None and ever_seen[JOINTS.index(joint)]
+    }
 
 
 def turned(R: FloatArray, reference: FloatArray) -> FloatArray:
@@ -90,7 +110,10 @@ def joint_sigma(scene: Scene) -> float:
 
 
 def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state."""
+    """p, v (n - 1, 3) and R (n - 1, 3, 3) of the next nodes by the IMU from each node's state.
+
+    Forster et al., IEEE Trans. Robotics 33:1-21 (2017), eq 33.
+    """
     h, g, R = motion.dt[:, None], states.gravity[:-1], states.R[:-1]
     p = states.p[:-1] + states.v[:-1] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R, motion.delta_p)
     v = states.v[:-1] + g * h + np.einsum("nij,nj->ni", R, motion.delta_v)
@@ -98,20 +121,21 @@ def predict(states: InertialTrajectory, motion: Preintegration) -> tuple[FloatAr
 
 
 def transition(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
-    """Jacobian (n - 1, 21, 21) of the next node's error to this one's (Sola 2017, section 7, over a block).
+    """Jacobian (n - 1, 21, 21) of the next node's error to this one's, over a whole interval.
 
-    Bias derivatives hold the rotation inside a block to first order.
+    Sola, Quaternion kinematics for the error-state Kalman filter (arXiv 1711.02508, 2017), section 7 (global
+    angular errors). Bias derivatives hold the rotation inside an interval to first order.
     """
     h, R = motion.dt[:, None, None], states.R[:-1]
     eye = np.eye(3)
     middle = 0.5 * (R + R @ motion.delta_R)
-    gained, gone = skew(motion.delta_v), skew(motion.delta_p)
     F = np.tile(np.eye(SIZE), (len(motion.dt), 1, 1))
     F[:, P, V], F[:, V, GRAVITY], F[:, P, GRAVITY] = h * eye, h * eye, 0.5 * h**2 * eye
     F[:, P, TURN] = -skew(np.einsum("nij,nj->ni", R, motion.delta_p))
     F[:, V, TURN] = -skew(np.einsum("nij,nj->ni", R, motion.delta_v))
     F[:, P, ACC_BIAS], F[:, V, ACC_BIAS] = -0.5 * h**2 * middle, -h * middle
-    F[:, P, GYRO_BIAS], F[:, V, GYRO_BIAS] = h / 3.0 * R @ gone, 0.5 * h * R @ gained
+    F[:, P, GYRO_BIAS] = h / 3.0 * R @ skew(motion.delta_p)
+    F[:, V, GYRO_BIAS] = 0.5 * h * R @ skew(motion.delta_v)
     F[:, TURN, GYRO_BIAS] = -h * middle
     return F
 
@@ -128,6 +152,32 @@ def defects(states: InertialTrajectory, motion: Preintegration) -> FloatArray:
     return out
 
 
+def white_noise(
+    h: FloatArray, acc: FloatArray | float, gyro: FloatArray | float, size: int = SIZE
+) -> FloatArray:
+    """Covariance (k, size, size) of what white noise of the IMU adds to p, v and the orientation.
+
+    Parameters
+    ----------
+    h : ndarray, shape (k,), s
+        Lengths of the intervals.
+    acc, gyro : ndarray, shape (k,), or float, (m/s^2)^2/Hz and (rad/s)^2/Hz
+        Squares of the densities.
+    size : int
+        Of the state, which begins with `P`, `V` and `TURN`.
+    """
+    Q = np.zeros((len(h), size, size))
+    for rows, columns, value in (
+        (P, P, acc * h**3 / 3.0 + INTEGRATION_VARIANCE * h),
+        (P, V, 0.5 * acc * h**2),
+        (V, P, 0.5 * acc * h**2),
+        (V, V, acc * h),
+        (TURN, TURN, gyro * h),
+    ):
+        Q[:, rows, columns] = value[:, None, None] * np.eye(3)
+    return Q
+
+
 def process_noise(
     signal: InertialSignal, t: FloatArray, motion: Preintegration, noise: ImuNoise, shoulder_walk: float
 ) -> FloatArray:
@@ -135,42 +185,36 @@ def process_noise(
 
     Parameters
     ----------
-    noise : densities, their share of the motion, and the biases' walks.
-    shoulder_walk : m/sqrt(s).
+    signal : InertialSignal
+    t : ndarray, shape (n,), s
+        Times of the nodes.
+    motion : Preintegration
+        The signal integrated between the nodes.
+    noise : ImuNoise
+        Densities, their share of the motion, and the biases' walks.
+    shoulder_walk : float, m/sqrt(s)
     """
     h = motion.dt
-    force = np.linalg.norm(motion.delta_v, axis=1) / h - 9.81
+    force = np.linalg.norm(motion.delta_v, axis=1) / h - units.GRAVITY
     rate = Rotation.from_matrix(motion.delta_R).magnitude() / h
     acc = np.hypot(noise.accelerometer_density, noise.accelerometer_share * force) ** 2
     acc = acc + signal.velocity_error(t) ** 2 / h
     gyro = np.hypot(noise.gyroscope_density, noise.gyroscope_share * rate) ** 2
-    Q = np.zeros((len(h), SIZE, SIZE))
-    for rows, columns, value in (
-        (P, P, acc * h**3 / 3.0 + INTEGRATION_VARIANCE * h),
-        (P, V, 0.5 * acc * h**2),
-        (V, P, 0.5 * acc * h**2),
-        (V, V, acc * h),
-        (TURN, TURN, gyro * h),
-        (ACC_BIAS, ACC_BIAS, noise.accelerometer_bias_walk**2 * h),
-        (GYRO_BIAS, GYRO_BIAS, noise.gyroscope_bias_walk**2 * h),
-        (SHOULDER, SHOULDER, shoulder_walk**2 * h),
+    Q = white_noise(h, acc, gyro)
+    for rows, walk in (
+        (ACC_BIAS, noise.accelerometer_bias_walk),
+        (GYRO_BIAS, noise.gyroscope_bias_walk),
+        (SHOULDER, shoulder_walk),
     ):
-        Q[:, rows, columns] = value[:, None, None] * np.eye(3)
+        Q[:, rows, rows] = (walk**2 * h)[:, None, None] * np.eye(3)
     return Q
 
 
 def at_samples(states: InertialTrajectory, signal: InertialSignal, t: FloatArray) -> States:
-    """Pose and velocity at times (k,) between the nodes, carried there by the IMU (`join.at_times`)."""
-    none = np.zeros((len(states.t), 3, 3))
+    """Pose and velocity at times (k,) s between the nodes, by the IMU (`window.trajectory.at_times`)."""
+    no_covariance = np.zeros((len(states.t), 3, 3))
+    states_at_nodes = States(states.R, states.p, states.v)
     motion = Trajectory(
-        states.t,
-        States(states.R, states.p, states.v),
-        none,
-        none,
-        states.bias,
-        states.gravity,
-        None,
-        None,
-        {},
+        states.t, states_at_nodes, no_covariance, no_covariance, states.bias, states.gravity, None, None, {}
     )
     return at_times(motion, signal, t)

@@ -1,6 +1,6 @@
-"""The scenes of a recording: what the graph found, told to a peer.
+"""The scenes of a recording: what a baseline gets of the graph's result.
 
-A peer gets the graph's calibration, its clock (wander included), the samples it believed, its gravity and
+A baseline gets the graph's calibration, its clock (wander included), the samples it accepted, its gravity and
 its gaps, so that a comparison is of the methods. It gets nothing of the graph's path.
 """
 
@@ -18,85 +18,94 @@ from ..measurements.attitude import inertial_attitude
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
-from ..measurements.visibility import Gap, enough_joints, joints_needed
+from ..measurements.visibility import enough_joints, joints_needed
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, Recording
 from ..result import Recovery
 from ..units import GRAVITY
 from .orientation import attitude_by
 from .scene import Scene
 
-#: How far the filter's vertical is off at any one frame, rad: {E} is tied to the gravity that is told.
+#: How far the filter's vertical is off at any one frame, rad: {E} is tied to the graph's gravity.
 VERTICAL_SIGMA_RAD = np.radians(0.5)
 
 
-def scenes_of(recording: Recording, told: Recovery, orientation: str = "vqf") -> list[Scene]:
-    """The stretches of a recording in which the graph answers, as a peer sees them.
+def scenes_of(recording: Recording, graph: Recovery, orientation: str = "vqf") -> list[Scene]:
+    """The segments of a recording in which the graph answers, as a baseline gets them.
 
     Parameters
     ----------
-    recording : one arm and its forearm IMU; its truth is not looked at.
-    told : the graph's recovery of this very recording.
-    orientation : which filter, see `peers.registry.ORIENTATIONS`.
+    recording : Recording
+        One arm and its forearm IMU; its truth is not looked at.
+    graph : Recovery
+        The graph's recovery of this very recording.
+    orientation : str
+        Which filter, see `baselines.registry.ORIENTATIONS`.
+
+    Returns
+    -------
+    scenes : list of Scene
+        In order of time, one for each segment with an answer.
 
     Raises
     ------
     SolveError
         The recovery is of another recording, or has no answer anywhere.
     """
-    if len(told) != len(recording.imu) or len(told.arm) != len(recording.arm) or told.residuals is None:
-        raise SolveError(f"{recording.name}: what the peers are told is the result of another recording")
-    answered: BoolArray = np.asarray(np.isfinite(told.position).all(axis=1))
+    if len(graph) != len(recording.imu) or len(graph.arm) != len(recording.arm) or graph.residuals is None:
+        raise SolveError(f"{recording.name}: what the baselines get is the result of another recording")
+    answered = graph.answered
     scenes = []
     for samples in split_at_pauses(recording.imu):
         rows = samples.start + np.flatnonzero(answered[samples])
         if len(rows) >= FEWEST_SAMPLES:
-            scenes.append(_scene(recording, told, orientation, samples, slice(rows[0], rows[-1] + 1)))
+            scenes.append(_scene(recording, graph, orientation, samples, slice(rows[0], rows[-1] + 1)))
     if not scenes:
         raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
     return scenes
 
 
-def _scene(recording: Recording, told: Recovery, orientation: str, samples: slice, rows: slice) -> Scene:
-    """One stretch; the filter runs from pause to pause, the scene has the rows with an answer."""
-    assert told.residuals is not None
-    calibration = told.calibration or ArmCalibration(side=recording.side)
+def _scene(recording: Recording, graph: Recovery, orientation: str, samples: slice, rows: slice) -> Scene:
+    """One segment; the filter goes from pause to pause, the scene has the rows with an answer."""
+    assert graph.residuals is not None
+    calibration = graph.calibration or ArmCalibration(side=recording.side)
     whole = _unbiased(recording.imu.select(samples), calibration)
     inside = slice(rows.start - samples.start, rows.stop - samples.start)
     imu = whole.select(inside)
-    frames = (told.arm.t_s >= imu.t_s[0]) & (told.arm.t_s <= imu.t_s[-1])
-    frame_t, used = told.arm.t_s[frames], told.residuals.used[frames]
-    stated = np.where(
+    frames = (graph.arm.t_s >= imu.t_s[0]) & (graph.arm.t_s <= imu.t_s[-1])
+    frame_t, used = graph.arm.t_s[frames], graph.residuals.used[frames]
+    camera_joints = np.where(
         (recording.arm.state[frames] != JointState.NOT_TRACKED)[:, :, None],
         recording.arm.position[frames],
         np.nan,
     )
-    joints = np.where(used[:, :, None], stated - _joint_bias(told), np.nan)
-    segment = _piece(recording, told, whole, orientation, frame_t, joints, used)
-    alignment = _aligned(segment, calibration, told.gravity_direction)
+    joints = np.where(used[:, :, None], camera_joints - _joint_bias(graph), np.nan)
+    segment = _segment(recording, graph, whole, orientation, frame_t, joints, used)
+    alignment = _aligned(segment, calibration, graph.gravity_direction)
     R_K_A = (alignment.at(imu.t_s) * segment.attitude.at(imu.t_s)).as_matrix()
-    gravity = GRAVITY * told.gravity_direction
+    gravity = GRAVITY * graph.gravity_direction
+    attitude_sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2) / 3.0)
     R_frames = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
     point = _point(joints, used, R_frames, calibration, segment.needed)
     return Scene(
         imu=imu,
         R_K_A=R_K_A,
-        attitude_sigma_rad=_attitude_sigma(alignment),
+        attitude_sigma_rad=float(np.median(attitude_sigma)),
         gravity=gravity,
         acceleration=np.einsum("nij,nj->ni", R_K_A, imu.acc) + gravity,
         frame_t=frame_t,
         joints=joints,
-        guessed=stated,
+        camera_joints=camera_joints,
         point=point,
-        point_sigma_m=_point_sigma(told, used, "camera_sigma_m"),
-        gaps=_gaps_inside(told.gaps, imu.t_s),
+        point_sigma_m=_point_sigma(graph, used, "camera_sigma_m"),
+        gaps=tuple(gap for gap in graph.gaps if gap.end_s > imu.t_s[0] and gap.start_s < imu.t_s[-1]),
         calibration=calibration,
-        point_effective_sigma_m=_point_sigma(told, used, "camera_effective_sigma_m"),
+        point_effective_sigma_m=_point_sigma(graph, used, "camera_effective_sigma_m"),
         rows=rows,
     )
 
 
 def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
-    """The samples on steadied times, the biases that a calibration knows taken off."""
+    """The samples on dejittered times, the biases that a calibration knows taken off."""
     acc, gyro = imu.acc, imu.gyro
     if calibration.accelerometer_bias is not None:
         acc = acc - calibration.accelerometer_bias
@@ -105,26 +114,25 @@ def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
     return replace(imu, t_s=dejitter(imu.t_s), acc=acc, gyro=gyro)
 
 
-def _joint_bias(told: Recovery) -> FloatArray:
+def _joint_bias(graph: Recovery) -> FloatArray:
     """The camera's constant errors (5, 3) m in {K} that the lever arms go with."""
     bias = np.zeros((len(JOINTS), 3))
-    found = told.figures.get("joint_bias_m")
-    if isinstance(found, dict):
-        for joint, value in found.items():
-            bias[JOINTS.index(joint)] = value
+    estimate = graph.figures.get("joint_bias_m")
+    for joint, value in estimate.items() if isinstance(estimate, dict) else ():
+        bias[JOINTS.index(joint)] = value
     return bias
 
 
-def _piece(
+def _segment(
     recording: Recording,
-    told: Recovery,
+    graph: Recovery,
     imu: ImuStream,
     orientation: str,
     frame_t: FloatArray,
     joints: FloatArray,
     used: BoolArray,
 ) -> Segment:
-    """The stretch as the alignment takes it, its attitude by the chosen filter.
+    """The segment as the alignment takes it, its attitude by the chosen filter.
 
     A gyroscope bias that no calibration knows is estimated from the IMU alone, for every filter alike.
     """
@@ -137,7 +145,7 @@ def _piece(
         position=joints,
         accepted=used,
         reason=np.zeros(used.shape, np.uint8),
-        down=told.gravity_direction,
+        down=graph.gravity_direction,
         needed=joints_needed(recording.arm),
         frames=slice(0, len(frame_t)),
         start_s=float(imu.t_s[0]),
@@ -146,8 +154,8 @@ def _piece(
 
 
 def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
-    """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the gravity told."""
-    seen = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
+    """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the graph's gravity."""
+    both_saw = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
     t = segment.frame_t_camera
     vertical = VectorPairs(
         t,
@@ -155,12 +163,7 @@ def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) ->
         np.tile([0.0, 0.0, 1.0], (len(t), 1)),
         np.full(len(t), VERTICAL_SIGMA_RAD**-2),
     )
-    return align([*seen, vertical], segment.start_s, segment.end_s, down)
-
-
-def _attitude_sigma(alignment: Alignment) -> float:
-    """The alignment's own statement, one sigma an axis, its median over time."""
-    return float(np.median(np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2) / 3.0)))
+    return align([*both_saw, vertical], segment.start_s, segment.end_s, down)
 
 
 def _point(
@@ -180,16 +183,11 @@ def _point(
         return np.where(good[:, None], total / count[:, None], np.nan)
 
 
-def _point_sigma(told: Recovery, used: BoolArray, figure: str) -> float:
+def _point_sigma(graph: Recovery, used: BoolArray, figure: str) -> float:
     """Noise of the mean over the joints that are usually seen, m an axis."""
-    noise = told.figures.get(figure)
-    known = noise if isinstance(noise, dict) else {}
+    noise = graph.figures.get(figure)
+    sigma = noise if isinstance(noise, dict) else {}
     default = CameraNoise().joint_sigma_m
     usual = [joint for joint in FOREARM_JOINTS if used[:, JOINTS.index(joint)].mean() > 0.25]
-    variances = [float(known.get(joint, default)) ** 2 for joint in usual] or [default**2]
+    variances = [float(sigma.get(joint, default)) ** 2 for joint in usual] or [default**2]
     return float(np.sqrt(np.sum(variances)) / len(variances))
-
-
-def _gaps_inside(gaps: tuple[Gap, ...], t: FloatArray) -> tuple[Gap, ...]:
-    """The gaps of this stretch; the graph finds them in each stretch by itself."""
-    return tuple(gap for gap in gaps if gap.end_s > t[0] and gap.start_s < t[-1])

@@ -28,9 +28,11 @@ class Kernel:
 
     Attributes
     ----------
-    variance : v0, m^2.
-    rate : w, 1/s^2.
-    position_sigma, acceleration_sigma : m and m/s^2.
+    variance : float, m^2
+        v0.
+    rate : float, 1/s^2
+        w.
+    position_sigma, acceleration_sigma : float, m and m/s^2
     """
 
     variance: float = 5.66e4 * 1e-6
@@ -49,7 +51,15 @@ PUBLISHED = Kernel()
 
 @dataclass(frozen=True)
 class Measurements:
-    """Positions (f, c) m at frame_t (f,), accelerations (n, c) m/s^2 at acc_t (n,); columns share times."""
+    """Positions and accelerations; their c columns share the times.
+
+    Attributes
+    ----------
+    frame_t : ndarray, shape (f,), s
+    position : ndarray, shape (f, c), m
+    acc_t : ndarray, shape (n,), s
+    acceleration : ndarray, shape (n, c), m/s^2
+    """
 
     frame_t: FloatArray
     position: FloatArray
@@ -57,7 +67,7 @@ class Measurements:
     acceleration: FloatArray
 
     def between(self, start_s: float, end_s: float) -> Measurements:
-        """Those of a stretch of time, its ends included."""
+        """Those from one time to another, s, both included."""
         f = (self.frame_t >= start_s) & (self.frame_t <= end_s)
         a = (self.acc_t >= start_s) & (self.acc_t <= end_s)
         return Measurements(self.frame_t[f], self.position[f], self.acc_t[a], self.acceleration[a])
@@ -103,45 +113,53 @@ def joint_covariance(kernel: Kernel, frame_t: FloatArray, acc_t: FloatArray) -> 
 
 
 class Posterior:
-    """The positions given the measurements (4.24, with the covariance 4.23 belongs to)."""
+    """The positions given the measurements (4.24, with the covariance 4.23 belongs to).
 
-    def __init__(self, kernel: Kernel, seen: Measurements) -> None:
-        self._kernel, self._seen = kernel, seen
-        covariance = joint_covariance(kernel, seen.frame_t, seen.acc_t)
+    Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, algorithm 2.1.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    data : Measurements
+    """
+
+    def __init__(self, kernel: Kernel, data: Measurements) -> None:
+        self._kernel, self._data = kernel, data
+        covariance = joint_covariance(kernel, data.frame_t, data.acc_t)
         self._factor = cho_factor(covariance, lower=True, check_finite=False)
-        self._weights = cho_solve(self._factor, seen.targets, check_finite=False)
+        self._weights = cho_solve(self._factor, data.targets, check_finite=False)
 
     def position(self, at: FloatArray) -> FloatArray:
         """(k, c) m at times (k,)."""
-        return np.asarray(_to_measurements(self._kernel, at, _VALUE, self._seen) @ self._weights)
+        return np.asarray(_to_measurements(self._kernel, at, _VALUE, self._data) @ self._weights)
 
     def velocity(self, at: FloatArray) -> FloatArray:
         """(k, c) m/s at times (k,), the first difference about each (4.12)."""
-        cross = _to_measurements(self._kernel, at, _FIRST, self._seen) / STEP_S
+        cross = _to_measurements(self._kernel, at, _FIRST, self._data) / STEP_S
         return np.asarray(cross @ self._weights)
 
     def variance(self, at: FloatArray) -> FloatArray:
         """(k,) m^2 of the positions, the same for all columns."""
-        cross = _to_measurements(self._kernel, at, _VALUE, self._seen)
+        cross = _to_measurements(self._kernel, at, _VALUE, self._data)
         explained = np.einsum("ij,ji->i", cross, cho_solve(self._factor, cross.T, check_finite=False))
         return np.maximum(self._kernel.variance - explained, 0.0)
 
 
 def _to_measurements(
-    kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], seen: Measurements
+    kernel: Kernel, at: FloatArray, rows: tuple[tuple[float, float], ...], data: Measurements
 ) -> FloatArray:
     return np.hstack(
         [
-            _mapped(kernel, at, rows, seen.frame_t, _VALUE),
-            _mapped(kernel, at, rows, seen.acc_t, _SECOND) * STEP_S**-2,
+            _mapped(kernel, at, rows, data.frame_t, _VALUE),
+            _mapped(kernel, at, rows, data.acc_t, _SECOND) * STEP_S**-2,
         ]
     )
 
 
-def log_likelihood(kernel: Kernel, seen: Measurements) -> float:
+def log_likelihood(kernel: Kernel, data: Measurements) -> float:
     """Log-density of the measurements under the prior (2.13), all columns together."""
-    factor = cho_factor(joint_covariance(kernel, seen.frame_t, seen.acc_t), lower=True, check_finite=False)
-    targets = seen.targets
+    factor = cho_factor(joint_covariance(kernel, data.frame_t, data.acc_t), lower=True, check_finite=False)
+    targets = data.targets
     quadratic = float(np.sum(targets * cho_solve(factor, targets, check_finite=False)))
     log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
     count, columns = targets.shape
@@ -149,30 +167,39 @@ def log_likelihood(kernel: Kernel, seen: Measurements) -> float:
 
 
 def predict(
-    kernel: Kernel, seen: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
+    kernel: Kernel, data: Measurements, at: FloatArray, latency_s: float = 0.1, order: int = 5
 ) -> tuple[FloatArray, FloatArray]:
     """The autoregressive predictor: the position now, from late frames and prompt accelerations (4.3).
 
     At each time the last `order` frames that have arrived, and the accelerations from the oldest of them up
-    to now. Without accelerations in `seen` it is the position-only predictor.
+    to now. Without accelerations in `data` it is the position-only predictor.
 
     Parameters
     ----------
-    seen : frame_t are the times that the frames show; they arrive `latency_s` later.
-    at : (k,) increasing times, s.
+    kernel : Kernel
+    data : Measurements
+        `frame_t` are the times that the frames show; they arrive `latency_s` later.
+    at : ndarray, shape (k,), s
+        Increasing times.
+    latency_s : float, s
+    order : int
+        How many frames the prediction looks back.
 
     Returns
     -------
-    (k, c) predicted positions, m, and (k,) their standard deviations; nan before the first frame arrives.
+    mean : ndarray, shape (k, c), m
+        Predicted positions; nan before the first frame arrives.
+    sigma : ndarray, shape (k,), m
+        Their standard deviations.
     """
-    mean, sigma = np.full((len(at), seen.position.shape[1]), np.nan), np.full(len(at), np.nan)
-    arrived = np.searchsorted(seen.frame_t + latency_s, at + 1e-9, side="right")
+    mean, sigma = np.full((len(at), data.position.shape[1]), np.nan), np.full(len(at), np.nan)
+    arrived = np.searchsorted(data.frame_t + latency_s, at + 1e-9, side="right")
     for k in np.flatnonzero(arrived):
         frames = slice(max(int(arrived[k]) - order, 0), int(arrived[k]))
-        frame_t, position = seen.frame_t[frames], seen.position[frames]
-        a, b = np.searchsorted(seen.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
+        frame_t, position = data.frame_t[frames], data.position[frames]
+        a, b = np.searchsorted(data.acc_t, [frame_t[0] - 1e-9, at[k] + 1e-9])
         level = position.mean(axis=0)
-        window = Measurements(frame_t, position - level, seen.acc_t[a:b], seen.acceleration[a:b])
+        window = Measurements(frame_t, position - level, data.acc_t[a:b], data.acceleration[a:b])
         posterior, now = Posterior(kernel, window), at[k : k + 1]
         mean[k], sigma[k] = posterior.position(now)[0] + level, np.sqrt(posterior.variance(now)[0])
     return mean, sigma

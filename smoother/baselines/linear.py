@@ -1,4 +1,4 @@
-"""The linear Kalman filter and the Rauch-Tung-Striebel smoother, for the peers that stand on them.
+"""The linear Kalman filter and the Rauch-Tung-Striebel smoother, for the baselines that stand on them.
 
 Measurements come in their information form, so that a step takes any number of them at one price.
 """
@@ -22,11 +22,17 @@ class Chain:
 
     Attributes
     ----------
-    F, Q : (n - 1, ..., d, d).
-    drift : (n - 1, ..., d, c).
-    information : (n, ..., d, d) sum of H' R^-1 H; zero where nothing was measured.
-    vector : (n, ..., d, c) sum of H' R^-1 z.
-    mean, covariance : (..., d, c) and (..., d, d) of the first state before it is measured.
+    F, Q : ndarray, shape (n - 1, ..., d, d)
+        Transitions and covariances of the process noise.
+    drift : ndarray, shape (n - 1, ..., d, c) or what broadcasts to it
+    information : ndarray, shape (n, ..., d, d)
+        Sum of H' R^-1 H; zero where nothing was measured.
+    vector : ndarray, shape (n, ..., d, c)
+        Sum of H' R^-1 z.
+    mean : ndarray, shape (..., d, c)
+        Of the first state before it is measured.
+    covariance : ndarray, shape (..., d, d)
+        Likewise.
     """
 
     F: FloatArray
@@ -40,18 +46,39 @@ class Chain:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Means (n, ..., d, c) and covariances (n, ..., d, d) of a chain's states."""
+    """What is known of a chain's states.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n, ..., d, c)
+    covariance : ndarray, shape (n, ..., d, d)
+    """
 
     mean: FloatArray
     covariance: FloatArray
 
 
+def constant_acceleration(dt: FloatArray) -> FloatArray:
+    """Transitions (k, 3, 3) of position, velocity and acceleration over times (k,) s."""
+    F = np.tile(np.eye(3), (len(dt), 1, 1))
+    F[:, 0, 1] = F[:, 1, 2] = dt
+    F[:, 0, 2] = 0.5 * dt**2
+    return F
+
+
 def kalman_filter(chain: Chain) -> tuple[Estimates, Estimates]:
-    """Each state from the measurements so far.
+    """Each state from the measurements so far (Kalman, J. Basic Engineering 82:35-45, 1960).
+
+    Parameters
+    ----------
+    chain : Chain
 
     Returns
     -------
-    filtered, predicted : with and without the state's own measurements (Kalman 1960).
+    filtered : Estimates
+        With the state's own measurements.
+    predicted : Estimates
+        Without them.
     """
     n, size = len(chain.information), chain.covariance.shape[-1]
     shape = np.broadcast_shapes(chain.mean.shape[:-2], chain.information.shape[1:-2])
@@ -78,7 +105,16 @@ def kalman_filter(chain: Chain) -> tuple[Estimates, Estimates]:
 
 
 def rts_smoother(chain: Chain) -> Estimates:
-    """Each state from all measurements (Rauch, Tung and Striebel, AIAA Journal 1965)."""
+    """Each state from all measurements (Rauch, Tung and Striebel, AIAA Journal 3:1445-1450, 1965).
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    smoothed : Estimates
+    """
     filtered, predicted = kalman_filter(chain)
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
     for k in range(len(mean) - 2, -1, -1):

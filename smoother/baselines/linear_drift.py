@@ -9,8 +9,7 @@ from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..measurements.visibility import Gap
 from ..recording import FloatArray
-from .camera import between, visible_point
-from .scene import Path, Scene
+from .scene import Path, Scene, between
 
 #: Visible time beside the gap through which the boundary lines are fitted, s (II-K.1).
 BOUNDARY_S = 0.5
@@ -20,7 +19,7 @@ Boundary = tuple[FloatArray, FloatArray]
 
 
 def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
-    """Recover every gap as published (II-K and II-L, eq 11-13); elsewhere the camera's point.
+    """Recover every gap as published (Jatesiktat and Ang, EMBC 2017, II-K, II-L, eq 11-13).
 
     Lines through the visible points of `boundary_s` on both sides give position and velocity at the ends;
     the net acceleration is integrated to velocities, whose error at the far end is spread linearly in time;
@@ -29,14 +28,22 @@ def linear_drift(scene: Scene, boundary_s: float = BOUNDARY_S) -> Path:
     gap that is open on one side is integrated from the side that there is, without what the other side
     would correct. Outside the gaps: the camera's point, linear between frames.
 
-    Parameters
-    ----------
-    boundary_s : what the lines are fitted through, s.
-
     Order: without noise, in the gap off by the boundary lines' error, acceleration x boundary_s^2 / 12 in
     position and acceleration x boundary_s / 2 in velocity; outside by acceleration x (frame period)^2 / 8.
+
+    Parameters
+    ----------
+    scene : Scene
+        One segment.
+    boundary_s : float, s
+        What the lines are fitted through.
+
+    Returns
+    -------
+    path : Path
+        Position, without covariance.
     """
-    t, point = visible_point(scene)
+    t, point = scene.visible_points
     position = between(t, point, scene.t)
     for gap in scene.gaps:
         before = None if gap.open_start else boundary(t, point, gap.start_s - boundary_s, gap.start_s)
@@ -54,7 +61,22 @@ def boundary(
 ) -> Boundary | None:
     """Position and velocity at the later (or earlier) of two times, by a line through what lies between.
 
-    One visible point alone gives no velocity: it is taken for none. None without any point.
+    One visible point alone gives no velocity: zero stands for it. None without any point.
+
+    Parameters
+    ----------
+    t : ndarray, shape (v,), s
+        Times of the visible frames.
+    point : ndarray, shape (v, 3), m
+        The IMU's positions there.
+    start_s, end_s : float, s
+        The two times.
+    at_end : bool
+        At the later time.
+
+    Returns
+    -------
+    boundary : Boundary or None
     """
     rows = slice(*np.searchsorted(t, [start_s - 1e-9, end_s + 1e-9]))
     u, x = t[rows] - (end_s if at_end else start_s), point[rows]
@@ -86,13 +108,19 @@ def integrated(t: FloatArray, acceleration: FloatArray, start: Boundary, end: Bo
 
     Parameters
     ----------
-    t : (n,) times from the gap's start to its end, s.
-    acceleration : (n, 3) without gravity, m/s^2 in {K}.
-    start, end : position and velocity there; without an end nothing is spread.
+    t : ndarray, shape (n,), s
+        From the gap's start to its end.
+    acceleration : ndarray, shape (n, 3), m/s^2
+        Without gravity, in {K}.
+    start : Boundary
+        Position and velocity at the start.
+    end : Boundary or None
+        At the end; without it nothing is spread.
 
     Returns
     -------
-    (n, 3) positions, m in {K}.
+    position : ndarray, shape (n, 3), m
+        In {K}.
     """
     share = ((t - t[0]) / (t[-1] - t[0]))[:, None]
     velocity = start[1] + cumulative_trapezoid(acceleration, t, axis=0, initial=0)
@@ -105,7 +133,7 @@ def integrated(t: FloatArray, acceleration: FloatArray, start: Boundary, end: Bo
 
 
 def snapped(scene: Scene, rows: np.ndarray, position: FloatArray) -> FloatArray:
-    """Positions moved radially to the sphere of the upper arm's length about C (eq 13).
+    """Positions (k, 3) m of rows, moved radially to the sphere of the upper arm's length about C (eq 13).
 
     C = S - R_K_A lever_elbow: where the IMU would be with its elbow on the shoulder. Unchanged where the
     shoulder, the upper arm's length or the elbow's lever arm is not known.

@@ -1,4 +1,4 @@
-"""Peer `multirate-kalman`: Feng (Glasgow thesis, 2014), chapter 3, a Kalman filter fed at two rates.
+"""Baseline `multirate-kalman`: Feng (Glasgow thesis, 2014), chapter 3, a Kalman filter fed at two rates.
 
 A Wiener-process acceleration model an axis, fed with positions when there is a frame and with accelerations
 when there is an IMU sample. At its best within what was published: every measurement at its own time. It is
@@ -6,7 +6,7 @@ a filter: inside a gap it has seen the camera only up to the gap, and it jumps w
 
 Published: q = 2000 mm^2/s^5, 8 mm, 10 mm/s^2 for a hand at rest and 100 mm/s^2 above 150 mm/s, where the
 process noise grows too, to a value that is not given: here the likeliest of `Q_MOVING` on the camera's
-samples of this stretch. The camera's noise is the scene's; gravity that the scene's orientation may leave in
+samples of this segment. The camera's noise is the scene's; gravity that the scene's orientation may leave in
 the accelerations is added to theirs. The switch follows the speed of a first pass of the filter (the
 published one that of its last state).
 
@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recording import BoolArray, FloatArray
-from .linear import Chain, Estimates, kalman_filter
-from .scene import Path, Scene
+from .linear import Chain, Estimates, constant_acceleration, kalman_filter
+from .scene import Path, Scene, no_answer
 
 #: Published values in SI units.
 Q_STILL = 2000e-6  # m^2/s^5
@@ -39,7 +39,15 @@ LEAST_SIGMA_M = 1e-4
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Standard deviations of a position, m, and of an acceleration of a still and a moving hand, m/s^2."""
+    """Standard deviations of the measurements.
+
+    Attributes
+    ----------
+    sigma_m : float, m
+        Of a position.
+    acc_still, acc_moving : float, m/s^2
+        Of an acceleration of a still and of a moving hand.
+    """
 
     sigma_m: float = POSITION_SIGMA_M
     acc_still: float = ACC_SIGMA_STILL
@@ -48,7 +56,16 @@ class FilterNoise:
 
 @dataclass(frozen=True)
 class Events:
-    """Measurements in the order of time: (m,) times, (m, 3) values, nan where it is not of that kind."""
+    """Measurements in order of time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (m,), s
+    position : ndarray, shape (m, 3), m
+        Nan where the event is no frame.
+    acceleration : ndarray, shape (m, 3), m/s^2
+        Nan where it is no sample of the IMU.
+    """
 
     t: FloatArray
     position: FloatArray
@@ -56,24 +73,31 @@ class Events:
 
 
 def multirate_kalman(scene: Scene) -> Path:
-    """Recover one stretch; nan before the camera first sees the arm.
+    """Recover one segment; nan before the camera first sees the arm.
 
     Parameters
     ----------
-    scene : one stretch; see `Scene`.
+    scene : Scene
+        One segment.
+
+    Returns
+    -------
+    path : Path
+        Position and velocity, with the position's covariance.
     """
+    frame_t, point = scene.visible_points
+    frame_t, point = frame_t[frame_t <= scene.t[-1]], point[frame_t <= scene.t[-1]]
+    if len(frame_t) < 2:
+        return no_answer(scene)
     n = len(scene.t)
     position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     covariance = np.full((n, 3, 3), np.nan)
-    seen = np.flatnonzero(scene.visible & (scene.frame_t <= scene.t[-1]))
-    if len(seen) < 2:
-        return Path(position, velocity, covariance, notes=("The camera saw too little of this stretch.",))
-    after = np.flatnonzero(scene.t >= scene.frame_t[seen[0]])
+    after = np.flatnonzero(scene.t >= frame_t[0])
     leak = scene.attitude_sigma_rad * float(np.linalg.norm(scene.gravity))
     noise = FilterNoise(
         max(scene.point_sigma_m, LEAST_SIGMA_M), *np.hypot((ACC_SIGMA_STILL, ACC_SIGMA_MOVING), leak)
     )
-    events = merge(scene.frame_t[seen], scene.point[seen], scene.t[after], scene.acceleration[after])
+    events = merge(frame_t, point, scene.t[after], scene.acceleration[after])
     moving = np.ones(len(events.t), dtype=bool)
     q_moving, filtered = likeliest(events, moving, noise)
     moving = np.linalg.norm(filtered.mean[:, 1], axis=1) > MOVING_SPEED
@@ -99,10 +123,10 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
     """The process noise of a moving hand under which the camera's samples are likeliest, and its filter."""
     candidates = np.array(Q_MOVING)
     filtered, predicted = kalman_filter(state_model(events, moving, noise, candidates))
-    seen = np.isfinite(events.position[:, 0])
-    variance = predicted.covariance[seen, :, 0, 0] + noise.sigma_m**2
-    surprise = events.position[seen, None] - predicted.mean[seen, :, 0]
-    loss = np.sum(3.0 * np.log(variance) + np.sum(surprise**2, axis=2) / variance, axis=0)
+    is_frame = np.isfinite(events.position[:, 0])
+    variance = predicted.covariance[is_frame, :, 0, 0] + noise.sigma_m**2
+    innovation = events.position[is_frame, None] - predicted.mean[is_frame, :, 0]
+    loss = np.sum(3.0 * np.log(variance) + np.sum(innovation**2, axis=2) / variance, axis=0)
     best = int(np.argmin(loss))
     return float(candidates[best]), Estimates(filtered.mean[:, best], filtered.covariance[:, best])
 
@@ -110,33 +134,50 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
 def state_model(events: Events, moving: BoolArray, noise: FilterNoise, q_moving: FloatArray | float) -> Chain:
     """Equations 3.1-3.7 with the continuous Wiener-process acceleration model.
 
-    Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3). Several candidates for
-    `q_moving` (c,) give a chain with that leading axis.
+    Q's entry [2, 2] is dt^3/3 (Bar-Shalom et al. 2004; misprinted as dt^3/6 in 3.3).
+
+    Parameters
+    ----------
+    events : Events
+        What was measured.
+    moving : ndarray, shape (m,)
+        Whether the hand moves at the events.
+    noise : FilterNoise
+        Of the measurements.
+    q_moving : float or ndarray, shape (c,), m^2/s^5
+        Process noise of a moving hand; several candidates give a chain with that leading axis.
+
+    Returns
+    -------
+    chain : Chain
+        Of [p v a], the three axes as columns: (m, 3, 3) or (m, c, 3, 3).
     """
-    dt = np.diff(events.t)
     q = np.asarray(q_moving, dtype=np.float64)
+
+    def for_all(stack: FloatArray) -> FloatArray:
+        """A stack (m, 3, 3) that is the same for all candidates."""
+        return stack[:, None] if q.ndim else stack
+
+    dt = np.diff(events.t)
     q_t = np.where(moving[1:].reshape(-1, *([1] * q.ndim)), np.maximum(q, Q_STILL), Q_STILL)
-    F = np.tile(np.eye(3), (len(dt), 1, 1))
-    F[:, 0, 1] = F[:, 1, 2] = dt
-    F[:, 0, 2] = 0.5 * dt**2
     powers = np.array([[5, 4, 3], [4, 3, 2], [3, 2, 1]])
     shares = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
-    Q = shares * dt[:, None, None] ** powers
-    if q.ndim:
-        F, Q = F[:, None], Q[:, None]
-    Q = Q * q_t[..., None, None]
-    seen, felt = np.isfinite(events.position[:, 0]), np.isfinite(events.acceleration[:, 0])
+    Q = for_all(shares * dt[:, None, None] ** powers) * q_t[..., None, None]
+    is_frame, is_sample = np.isfinite(events.position[:, 0]), np.isfinite(events.acceleration[:, 0])
     acc_weight = np.where(moving, noise.acc_moving, noise.acc_still) ** -2.0
     information, vector = np.zeros((len(events.t), 3, 3)), np.zeros((len(events.t), 3, 3))
-    information[seen, 0, 0] = noise.sigma_m**-2.0
-    vector[seen, 0] = events.position[seen] / noise.sigma_m**2
-    information[felt, 2, 2] = acc_weight[felt]
-    vector[felt, 2] = events.acceleration[felt] * acc_weight[felt, None]
-    start = np.zeros((3, 3))
-    start[0] = events.position[seen][0]
-    P = np.diag([noise.sigma_m**2, START_SIGMA[0] ** 2, START_SIGMA[1] ** 2])
-    if q.ndim:
-        information, vector, start = information[:, None], vector[:, None], np.tile(start, (len(q), 1, 1))
+    information[is_frame, 0, 0] = noise.sigma_m**-2.0
+    vector[is_frame, 0] = events.position[is_frame] / noise.sigma_m**2
+    information[is_sample, 2, 2] = acc_weight[is_sample]
+    vector[is_sample, 2] = events.acceleration[is_sample] * acc_weight[is_sample, None]
+    start = np.zeros((*q.shape, 3, 3))
+    start[..., 0, :] = events.position[is_frame][0]
     return Chain(
-        F, Q, np.zeros((len(dt), 1, 1) if q.ndim == 0 else (len(dt), 1, 1, 1)), information, vector, start, P
+        F=for_all(constant_acceleration(dt)),
+        Q=Q,
+        drift=for_all(np.zeros((len(dt), 1, 1))),
+        information=for_all(information),
+        vector=for_all(vector),
+        mean=start,
+        covariance=np.diag([noise.sigma_m**2, START_SIGMA[0] ** 2, START_SIGMA[1] ** 2]),
     )

@@ -1,4 +1,4 @@
-"""The peers by name, and `recover`: one of them over a whole recording."""
+"""The baselines by name, and `recover`: one of them over a whole recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 #: Orientation filters; each is the function of that name in `baselines/orientation/`.
 ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
-#: The filter that peers get unless another is asked for.
+#: The filter that baselines get unless another is asked for.
 DEFAULT_ORIENTATION = "vqf"
 
 
@@ -27,23 +27,26 @@ class BaselineEntry:
 
     Attributes
     ----------
-    name : as users call it; the function is the module's of that name, with underscores.
-    needs_orientation : the answer depends on the orientation filter.
-    options : keyword arguments of the function that a user may set.
+    name : str
+        As users call it; the function is the module's of that name, with underscores.
+    needs_orientation : bool
+        The answer depends on the orientation filter.
+    options : frozenset of str
+        Keyword arguments of the function that a user may set.
     """
 
     name: str
     needs_orientation: bool = True
     options: frozenset[str] = frozenset()
 
-    def peer(self, options: Mapping[str, Any]) -> Baseline:
-        """The function, its options set."""
-        place = self.name.replace("-", "_")
-        function: Baseline = getattr(import_module(f".{place}", __package__), place)
+    def function(self, options: Mapping[str, Any]) -> Baseline:
+        """The method, from a scene to a path, its options set."""
+        name = self.name.replace("-", "_")
+        function: Baseline = getattr(import_module(f".{name}", __package__), name)
         return partial(function, **options) if options else function
 
 
-#: Every peer, the strongest first.
+#: Every baseline, the strongest first.
 BASELINES: dict[str, BaselineEntry] = {
     entry.name: entry
     for entry in (
@@ -62,38 +65,49 @@ BASELINES: dict[str, BaselineEntry] = {
 
 def recover(
     recording: Recording,
-    told: Recovery,
+    graph: Recovery,
     method: str,
     orientation: str = DEFAULT_ORIENTATION,
     options: Mapping[str, Any] | None = None,
 ) -> Recovery:
-    """Recover a recording by a peer.
+    """Recover a recording by a baseline.
 
     Parameters
     ----------
-    recording : one arm and its forearm IMU; its truth is not looked at.
-    told : the graph's recovery of this very recording: calibration, clock, samples believed, gravity, gaps.
-    method : one of `BASELINES`.
-    orientation : one of `ORIENTATIONS`.
-    options : of the method, see `BaselineEntry.options`.
+    recording : Recording
+        One arm and its forearm IMU; its truth is not looked at.
+    graph : Recovery
+        The graph's recovery of this very recording, of which a baseline gets calibration, clock, accepted
+        samples, gravity and gaps.
+    method : str
+        One of `BASELINES`.
+    orientation : str
+        One of `ORIENTATIONS`.
+    options : mapping, optional
+        Of the method, by name, see `BaselineEntry.options`.
+
+    Returns
+    -------
+    recovery : Recovery
 
     Raises
     ------
     UnoccludeError
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
-    from .answer import answer
+    from .answer import recovery_of
     from .inputs import scenes_of
 
     options = dict(options or {})
     if method not in BASELINES:
-        raise UnoccludeError(f"there is no method '{method}'; peers: {', '.join(BASELINES)}")
+        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(BASELINES)}")
     if orientation not in ORIENTATIONS:
         raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
     entry = BASELINES[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
-    scenes = scenes_of(recording, told, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
-    peer = entry.peer(options)
+    scenes = scenes_of(recording, graph, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)
+    baseline = entry.function(options)
     settings = {"orientation": orientation} if entry.needs_orientation else {}
-    return answer(recording, told, scenes, [peer(scene) for scene in scenes], method, settings | options)
+    paths = [baseline(scene) for scene in scenes]
+    return recovery_of(recording, graph, scenes, paths, method, settings | options)

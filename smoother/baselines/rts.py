@@ -1,9 +1,9 @@
-"""Peer `rts`: an error-state Kalman filter with Rauch-Tung-Striebel smoothing over the whole stretch.
+"""Baseline `rts`: an error-state Kalman filter with Rauch-Tung-Striebel smoothing over the whole segment.
 
 The strongest thing short of the graph: the IMU integrated between camera frames, every accepted joint as a
 measurement of its own lever arm's end, the shoulder and the upper arm's length, biases, gravity and shoulder
 as states. Each round linearises about the last one's answer and weighs the camera's samples by Cauchy's
-loss: Gauss-Newton on the whole stretch (Bell, SIAM J. Optimization 1994, for the iterated smoother; Sola
+loss: Gauss-Newton on the whole segment (Bell, SIAM J. Optimization 1994, for the iterated smoother; Sola
 2017 for the error state). What the graph has beyond it: lever arms solved along, and a quiet arm's prior.
 
 Order of the method: on error-free sensors tenths of a millimetre, what the integration leaves.
@@ -11,12 +11,12 @@ Order of the method: on error-free sensors tenths of a millimetre, what the inte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..config import ArmPrior, CameraNoise, ImuNoise
-from ..linalg import interpolate, skew
+from ..linalg import interpolate, robust_sigma, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
 from ..window.nodes import decimate, insert_nodes
@@ -24,7 +24,7 @@ from ..window.prepare import states_from_camera
 from . import error_state as es
 from .error_state import InertialTrajectory
 from .linear import Chain, Estimates, rts_smoother
-from .scene import Path, Scene
+from .scene import Path, Scene, no_answer
 
 #: Rounds end when no node moved more than this, m, and at the latest after so many.
 SETTLED_M = 0.0005
@@ -38,16 +38,27 @@ GRAVITY_SIZE_SIGMA = 0.01
 #: The upper arm's length counts as measured anew no more often than this, s, and varies at most so much, m.
 RANGE_EVERY_S = 0.09
 LARGEST_FLEX_M = 0.04
-#: A joint's noise is never taken for less, m.
+#: The least noise of a joint, m.
 LEAST_SIGMA_M = 2e-4
+#: The sensor and the arm, as in the graph by default.
+IMU_NOISE, ARM_PRIOR = ImuNoise(), ArmPrior()
 SHOULDER = JOINTS.index("shoulder")
 
 
 @dataclass(frozen=True)
-class Sights:
-    """What the camera saw at the nodes (n,): joints (n, 5, 3) m, nan where nothing, and their noise (5,) m.
+class CameraAtNodes:
+    """What the camera saw at the nodes.
 
-    `upper_arm_m` and `upper_arm_sigma_m`: length shoulder to elbow and how it varies; nan where unknown.
+    Attributes
+    ----------
+    joints : ndarray, shape (n, 5, 3), m
+        In {K}; nan where nothing was seen.
+    sigma_m : ndarray, shape (5,), m
+        Noise of the joints, an axis.
+    levers : dict of ndarray, shape (3,), m
+        Lever arms in {A}, by joint.
+    upper_arm_m, upper_arm_sigma_m : float, m
+        Length shoulder to elbow and how it varies; nan where unknown.
     """
 
     joints: FloatArray
@@ -58,31 +69,34 @@ class Sights:
 
 
 def rts(scene: Scene) -> Path:
-    """Recover one stretch from all that was seen in it, before and after.
+    """Recover one segment from all that was seen in it, before and after.
 
     Parameters
     ----------
-    scene : one stretch; see `Scene`.
+    scene : Scene
+        One segment.
+
+    Returns
+    -------
+    path : Path
+        Position, velocity and orientation, with the covariances of position and orientation.
     """
-    nothing = np.full((len(scene.t), 3), np.nan)
     levers = es.levers_of(scene)
     if not levers or scene.visible.sum() < 2:
-        return Path(nothing, notes=("The camera saw too little of this stretch.",))
+        return no_answer(scene)
     signal = InertialSignal(scene.imu)
-    states, sights = start(scene, levers)
-    chain_noise = ImuNoise(), ArmPrior().shoulder_walk
+    states, camera = start(scene, levers)
     for round_ in range(MOST_ROUNDS):
-        chain = linearised(states, sights, signal, scene, *chain_noise)
-        error = rts_smoother(chain)
+        error = rts_smoother(linearised(states, camera, signal, scene))
         states = states.moved(error.mean[..., 0])
         if round_ == 0:
-            sights = with_noise_of(sights, states, scene)
+            camera = with_noise_of(camera, states, scene)
         elif np.abs(error.mean[:, es.P, 0]).max() < SETTLED_M:
             break
     return _path(scene, states, signal, error)
 
 
-def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, Sights]:
+def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajectory, CameraAtNodes]:
     """Nodes at the frames with a joint and between them; start values from camera and filter."""
     any_joint = np.flatnonzero(es.seen_joints(scene).sum(axis=1))
     frames = any_joint[decimate(scene.frame_t[any_joint])]
@@ -92,7 +106,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     on = np.abs(t[node] - scene.frame_t[frames]) < 1e-9
     joints[node[on]] = scene.joints[frames[on]]
     R = es.orientation_at(scene, t)
-    first = states_from_camera(t, R, scene.frame_t[scene.visible], scene.point[scene.visible])
+    first = states_from_camera(t, R, *scene.visible_points)
     shoulder = interpolate(scene.t, scene.shoulder, t)
     has_shoulder = bool(np.isfinite(shoulder).all())
     states = InertialTrajectory(
@@ -107,7 +121,7 @@ def start(scene: Scene, levers: dict[str, FloatArray]) -> tuple[InertialTrajecto
     length = scene.calibration.upper_arm
     known = has_shoulder and length is not None and "elbow" in levers
     sigmas = np.full(len(JOINTS), max(es.joint_sigma(scene), LEAST_SIGMA_M))
-    return states, Sights(
+    return states, CameraAtNodes(
         joints,
         sigmas,
         levers,
@@ -121,54 +135,64 @@ def _flex(joints: FloatArray, sigma_m: float) -> float:
     length = np.linalg.norm(joints[:, SHOULDER] - joints[:, JOINTS.index("elbow")], axis=1)
     length = length[np.isfinite(length)]
     if len(length) < 10:
-        return ArmPrior().upper_arm_flex_m
-    spread = 1.4826 * float(np.median(np.abs(length - np.median(length))))
+        return ARM_PRIOR.upper_arm_flex_m
+    spread = float(robust_sigma(length - np.median(length)))
     extra = float(np.sqrt(max(spread**2 - 2.0 * sigma_m**2, 0.0)))
-    return float(np.clip(extra, ArmPrior().upper_arm_flex_m, LARGEST_FLEX_M))
+    return float(np.clip(extra, ARM_PRIOR.upper_arm_flex_m, LARGEST_FLEX_M))
 
 
-def residuals(states: InertialTrajectory, sights: Sights) -> FloatArray:
+def residuals(states: InertialTrajectory, camera: CameraAtNodes) -> FloatArray:
     """Camera minus state (n, 5, 3) m, nan where nothing was seen or the joint has no lever arm."""
-    out = np.full_like(sights.joints, np.nan)
-    for joint, lever in sights.levers.items():
+    out = np.full_like(camera.joints, np.nan)
+    for joint, lever in camera.levers.items():
         column = JOINTS.index(joint)
-        out[:, column] = sights.joints[:, column] - states.p - states.R @ lever
-    out[:, SHOULDER] = sights.joints[:, SHOULDER] - states.shoulder
+        out[:, column] = camera.joints[:, column] - states.p - states.R @ lever
+    out[:, SHOULDER] = camera.joints[:, SHOULDER] - states.shoulder
     return out
 
 
-def with_noise_of(sights: Sights, states: InertialTrajectory, scene: Scene) -> Sights:
-    """The sights with each joint's noise from its residuals, lengthened as the scene's noise remembers."""
-    left = residuals(states, sights)
+def with_noise_of(camera: CameraAtNodes, states: InertialTrajectory, scene: Scene) -> CameraAtNodes:
+    """The same with each joint's noise from its residuals, widened by the memory of the scene's noise."""
+    residual = residuals(states, camera)
     memory = es.white_sigma(scene) / max(scene.point_sigma_m, 1e-9)
-    sigma = sights.sigma_m.copy()
-    for joint in sights.levers:
-        own = left[:, JOINTS.index(joint)]
+    sigma = camera.sigma_m.copy()
+    for joint in camera.levers:
+        own = residual[:, JOINTS.index(joint)]
         own = own[np.isfinite(own[:, 0])]
         if len(own) >= 30:
-            spread = 1.4826 * float(np.median(np.abs(own)))
-            sigma[JOINTS.index(joint)] = max(memory * spread, LEAST_SIGMA_M)
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in sights.levers]
+            sigma[JOINTS.index(joint)] = max(memory * float(robust_sigma(own)), LEAST_SIGMA_M)
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in camera.levers]
     sigma[SHOULDER] = sigma[forearm].max()
-    return Sights(sights.joints, sigma, sights.levers, sights.upper_arm_m, sights.upper_arm_sigma_m)
+    return replace(camera, sigma_m=sigma)
 
 
 def linearised(
-    states: InertialTrajectory,
-    sights: Sights,
-    signal: InertialSignal,
-    scene: Scene,
-    noise: ImuNoise,
-    shoulder_walk: float,
+    states: InertialTrajectory, camera: CameraAtNodes, signal: InertialSignal, scene: Scene
 ) -> Chain:
-    """The chain of the errors of the states: transitions, what the IMU and the camera say of them."""
+    """The chain of the errors of the states: transitions, what the IMU and the camera state of them.
+
+    Parameters
+    ----------
+    states : InertialTrajectory
+        Where to linearise.
+    camera : CameraAtNodes
+        What the camera saw at the states' nodes.
+    signal : InertialSignal
+        The IMU.
+    scene : Scene
+        For the prior of the first node.
+
+    Returns
+    -------
+    chain : Chain
+        Of the error states of dimension 21, see `error_state`.
+    """
     motion = integrate(signal, states.t, states.bias[:-1])
-    information, vector = _measured(states, sights)
-    Q = es.process_noise(signal, states.t, motion, noise, shoulder_walk)
-    mean, covariance = _prior(states, scene, noise)
+    information, vector = _measured(states, camera)
+    mean, covariance = _prior(states, scene)
     return Chain(
         F=es.transition(states, motion),
-        Q=Q,
+        Q=es.process_noise(signal, states.t, motion, IMU_NOISE, ARM_PRIOR.shoulder_walk),
         drift=es.defects(states, motion)[..., None],
         information=information,
         vector=vector[..., None],
@@ -177,7 +201,7 @@ def linearised(
     )
 
 
-def _prior(states: InertialTrajectory, scene: Scene, noise: ImuNoise) -> tuple[FloatArray, FloatArray]:
+def _prior(states: InertialTrajectory, scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Error of the first node before anything is measured: what was known less what the states hold."""
     R = es.orientation_at(scene, states.t[:1])[0]
     mean = np.zeros(es.SIZE)
@@ -191,8 +215,8 @@ def _prior(states: InertialTrajectory, scene: Scene, noise: ImuNoise) -> tuple[F
         (es.P, START_SIGMA_M**2),
         (es.V, START_SIGMA_SPEED**2),
         (es.TURN, ATTITUDE_SIGMA_RAD**2 + scene.attitude_sigma_rad**2),
-        (es.ACC_BIAS, noise.accelerometer_bias_sigma**2),
-        (es.GYRO_BIAS, noise.gyroscope_bias_sigma**2),
+        (es.ACC_BIAS, IMU_NOISE.accelerometer_bias_sigma**2),
+        (es.GYRO_BIAS, IMU_NOISE.gyroscope_bias_sigma**2),
         (es.SHOULDER, START_SIGMA_M**2),
     ):
         covariance[rows, rows] = variance * np.eye(3)
@@ -202,11 +226,11 @@ def _prior(states: InertialTrajectory, scene: Scene, noise: ImuNoise) -> tuple[F
     return mean, covariance
 
 
-def _measured(states: InertialTrajectory, sights: Sights) -> tuple[FloatArray, FloatArray]:
+def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatArray, FloatArray]:
     """Sums of H' R^-1 H (n, 21, 21) and H' R^-1 z (n, 21) over what the camera saw of each node."""
     n = len(states.t)
     information, vector = np.zeros((n, es.SIZE, es.SIZE)), np.zeros((n, es.SIZE))
-    left = residuals(states, sights)
+    residual = residuals(states, camera)
 
     def add(H: FloatArray, z: FloatArray, weight: FloatArray) -> None:
         nonlocal information, vector
@@ -214,21 +238,21 @@ def _measured(states: InertialTrajectory, sights: Sights) -> tuple[FloatArray, F
         information += np.swapaxes(weighted, 1, 2) @ H
         vector += np.einsum("nij,ni->nj", weighted, z)
 
-    for joint in (*sights.levers, "shoulder"):
+    for joint in (*camera.levers, "shoulder"):
         column = JOINTS.index(joint)
-        z, seen = left[:, column], np.isfinite(left[:, column, 0])
+        z, seen = residual[:, column], np.isfinite(residual[:, column, 0])
         H = np.zeros((n, 3, es.SIZE))
         if joint == "shoulder":
             H[:, :, es.SHOULDER] = np.eye(3)
         else:
             H[:, :, es.P] = np.eye(3)
-            H[:, :, es.TURN] = -skew(states.R @ sights.levers[joint])
-        size = np.linalg.norm(z, axis=1) / sights.sigma_m[column]
+            H[:, :, es.TURN] = -skew(states.R @ camera.levers[joint])
+        size = np.linalg.norm(z, axis=1) / camera.sigma_m[column]
         cauchy = 1.0 / (1.0 + (size / CameraNoise().cauchy) ** 2)
-        weight = np.where(seen, cauchy, 0.0) / sights.sigma_m[column] ** 2
+        weight = np.where(seen, cauchy, 0.0) / camera.sigma_m[column] ** 2
         add(H, np.where(seen[:, None], z, 0.0), np.where(seen, weight, 0.0))
-    if np.isfinite(sights.upper_arm_m):
-        arm = states.R @ sights.levers["elbow"]
+    if np.isfinite(camera.upper_arm_m):
+        arm = states.R @ camera.levers["elbow"]
         upper = states.p + arm - states.shoulder
         length = np.linalg.norm(upper, axis=1)
         along = upper / length[:, None]
@@ -236,7 +260,7 @@ def _measured(states: InertialTrajectory, sights: Sights) -> tuple[FloatArray, F
         H[:, 0, es.P], H[:, 0, es.SHOULDER] = along, -along
         H[:, 0, es.TURN] = np.cross(arm, along)
         share = np.minimum(np.gradient(states.t) / RANGE_EVERY_S, 1.0)
-        add(H, (sights.upper_arm_m - length)[:, None], share / sights.upper_arm_sigma_m**2)
+        add(H, (camera.upper_arm_m - length)[:, None], share / camera.upper_arm_sigma_m**2)
     return information, vector
 
 

@@ -1,8 +1,8 @@
-"""What every peer gets, and what it gives back.
+"""What every baseline gets, and what it gives back.
 
-A peer sees the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
-nothing else. `Scene` is one stretch of the recording without a pause of the IMU; a peer is a function from a
-scene to a `Path`.
+A baseline gets the graph's calibration, clock and accepted samples, so that a comparison is of methods and of
+nothing else. `Scene` is one segment of the recording (between pauses of the IMU); a baseline is a function
+from a scene to a `Path`.
 """
 
 from __future__ import annotations
@@ -17,29 +17,44 @@ from ..linalg import interpolate
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS, BoolArray, FloatArray, ImuStream
 
+#: The note of a path where a method has too little to begin with.
+TOO_LITTLE_SEEN = "The camera saw too little of this segment."
+
 
 @dataclass(frozen=True)
 class Scene:
-    """One stretch as a peer sees it; all times on the IMU's clock, all vectors in {K} unless said.
+    """One segment as a baseline gets it; all times on the IMU's clock, all vectors in {K} unless said.
 
     Attributes
     ----------
-    imu : (n,) samples in {A}, the calibration's biases taken off.
-    R_K_A : (n, 3, 3) orientation at the samples by the chosen filter, aligned to the camera.
-    attitude_sigma_rad : one standard deviation an axis of that orientation.
-    gravity : (3,) m/s^2 in {K}.
-    acceleration : (n, 3) of the sensor without gravity, m/s^2 in {K}, from that orientation.
-    frame_t : (f,) camera frames, increasing, s.
-    joints : (f, 5, 3) accepted joints in the order of `JOINTS`, m; nan where there is none.
-    guessed : (f, 5, 3) whatever the camera stated, `inferred` included, m; nan where it stated nothing.
-    point : (f, 3) the IMU's position at visible frames, the mean over joints of joint - R_K_A lever, m; nan
-        elsewhere.
-    point_sigma_m : noise of `point`, m an axis.
-    gaps : the occluded stretches inside.
-    calibration : lever arms and measures.
-    point_effective_sigma_m : deviation of a white noise with the long-run variance of `point`'s, which
-        remembers: what a filter of independent samples must be told, m an axis; nan where unknown.
-    rows : which of the recording's IMU samples these are.
+    imu : ImuStream, n samples
+        In {A}, the calibration's biases taken off.
+    R_K_A : ndarray, shape (n, 3, 3)
+        Orientation at the samples by the chosen filter, aligned to the camera.
+    attitude_sigma_rad : float, rad
+        One standard deviation of that orientation, an axis.
+    gravity : ndarray, shape (3,), m/s^2
+    acceleration : ndarray, shape (n, 3), m/s^2
+        Of the sensor, without gravity, from that orientation.
+    frame_t : ndarray, shape (f,), s
+        Times of the camera frames, increasing.
+    joints : ndarray, shape (f, 5, 3), m
+        Accepted joints in the order of `JOINTS`; nan where there is none.
+    camera_joints : ndarray, shape (f, 5, 3), m
+        Whatever the camera stated, `inferred` included; nan where it stated nothing.
+    point : ndarray, shape (f, 3), m
+        The IMU's position at visible frames, the mean over joints of joint - R_K_A lever; nan elsewhere.
+    point_sigma_m : float, m
+        Noise of `point`, an axis.
+    gaps : tuple of Gap
+        The gaps inside.
+    calibration : ArmCalibration
+        Lever arms and measures.
+    point_effective_sigma_m : float, m
+        Deviation of a white noise with the long-run variance of the noise of `point`, which has a memory:
+        what a filter of independent samples needs, an axis; nan where unknown.
+    rows : slice
+        Which of the recording's IMU samples these are.
     """
 
     imu: ImuStream
@@ -49,7 +64,7 @@ class Scene:
     acceleration: FloatArray
     frame_t: FloatArray
     joints: FloatArray
-    guessed: FloatArray
+    camera_joints: FloatArray
     point: FloatArray
     point_sigma_m: float
     gaps: tuple[Gap, ...]
@@ -64,8 +79,13 @@ class Scene:
 
     @property
     def visible(self) -> BoolArray:
-        """(f,) frames in which the forearm is seen."""
+        """(f,) frames in which the forearm is visible."""
         return np.asarray(np.isfinite(self.point).all(axis=1))
+
+    @property
+    def visible_points(self) -> tuple[FloatArray, FloatArray]:
+        """Times (v,) s and the IMU's positions (v, 3) m at the visible frames."""
+        return finite_rows(self.frame_t, self.point)
 
     @property
     def occluded(self) -> BoolArray:
@@ -78,26 +98,29 @@ class Scene:
 
         nan where it was never seen.
         """
-        place = self.joints[:, JOINTS.index("shoulder")]
-        seen = np.isfinite(place).all(axis=1)
-        if not seen.any():
-            return np.full((len(self.t), 3), np.nan)
-        return interpolate(self.frame_t[seen], place[seen], self.t)
+        return between(self.frame_t, self.joints[:, JOINTS.index("shoulder")], self.t)
 
 
 @dataclass(frozen=True)
 class Path:
-    """A peer's answer at the scene's IMU times, in {K}; nan where it has none.
+    """A baseline's answer at the scene's IMU times, in {K}; nan where it has none.
 
     Attributes
     ----------
-    position : (n, 3) of the IMU, m.
-    velocity : (n, 3) m/s, or None where the method has none.
-    covariance : (n, 3, 3) of the position, m^2, or None where the method states none.
-    R_K_A : (n, 3, 3) orientation, or None where it is the scene's.
-    attitude_covariance : (n, 3, 3) rad^2 in {K}, or None.
-    joints : (n, 3) m by joint, where the method finds them otherwise than by pose and lever arm.
-    notes : what a reader must know, one sentence each.
+    position : ndarray, shape (n, 3), m
+        Of the IMU.
+    velocity : ndarray, shape (n, 3), m/s, optional
+        None where the method has none.
+    covariance : ndarray, shape (n, 3, 3), m^2, optional
+        Of the position; None where the method states none.
+    R_K_A : ndarray, shape (n, 3, 3), optional
+        Orientation; None where it is the scene's.
+    attitude_covariance : ndarray, shape (n, 3, 3), rad^2, optional
+        Of the orientation's error as a rotation vector in {K}.
+    joints : dict of ndarray, shape (n, 3), m
+        By joint, where the method gets them otherwise than by pose and lever arm.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     position: FloatArray
@@ -109,5 +132,25 @@ class Path:
     notes: tuple[str, ...] = ()
 
 
-#: A method: one stretch in, its answer out.
+#: A method: one scene in, its answer out.
 Baseline = Callable[[Scene], Path]
+
+
+def no_answer(scene: Scene) -> Path:
+    """The path of a scene in which the camera saw too little to begin with."""
+    return Path(np.full((len(scene.t), 3), np.nan), notes=(TOO_LITTLE_SEEN,))
+
+
+def finite_rows(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The times (f,) and values (f, 3) without the rows that have a nan."""
+    finite = np.isfinite(values).all(axis=1)
+    return t[finite], values[finite]
+
+
+def between(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Linear interpolation (n, 3) between the finite rows of the values (f, 3), held beyond the ends.
+
+    nan where no row is finite.
+    """
+    t, values = finite_rows(t, values)
+    return interpolate(t, values, at) if len(t) else np.full((len(at), 3), np.nan)

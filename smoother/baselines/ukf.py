@@ -1,4 +1,4 @@
-"""Peer `ukf`: after Tian et al. (Neurocomputing 2015), an unscented Kalman filter, here with one IMU.
+"""Baseline `ukf`: after Tian et al. (Neurocomputing 2015), an unscented Kalman filter, here with one IMU.
 
 State position, velocity and orientation; the IMU drives it, the camera's joints are measurements, each at
 the end of its own lever arm, which also keeps the heading. Sigma points live in the error of the state (the
@@ -21,8 +21,8 @@ from ..measurements.inertial import InertialSignal, Preintegration, integrate
 from ..recording import JOINTS, FloatArray
 from ..window.nodes import decimate
 from ..window.prepare import states_from_camera
-from .error_state import INTEGRATION_VARIANCE, joint_sigma, levers_of, orientation_at, seen_joints, turned
-from .scene import Path, Scene
+from .error_state import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise
+from .scene import Path, Scene, no_answer
 
 #: Process noise: m/s^2/sqrt(Hz) and rad/s/sqrt(Hz); the first holds a bias that nobody took off.
 ACC_DENSITY = 0.06
@@ -32,13 +32,23 @@ START_SIGMA_M = 0.02
 START_SIGMA_SPEED = 0.5
 ATTITUDE_SIGMA_RAD = np.radians(3.0)
 LEAST_SIGMA_M = 2e-4
-P, V, TURN = slice(0, 3), slice(3, 6), slice(6, 9)
+#: Of the error state: position, velocity and orientation.
 SIZE = 9
 
 
 @dataclass(frozen=True)
-class Belief:
-    """Position, velocity (3,), `R_K_A` (3, 3), and the covariance (9, 9) of their errors."""
+class NavigationState:
+    """Where the IMU is, and how well that is known.
+
+    Attributes
+    ----------
+    p, v : ndarray, shape (3,), m and m/s
+        In {K}.
+    R : ndarray, shape (3, 3)
+        Orientation `R_K_A`.
+    covariance : ndarray, shape (9, 9)
+        Of the errors of p, v and the orientation (a rotation vector in {K}).
+    """
 
     p: FloatArray
     v: FloatArray
@@ -47,20 +57,26 @@ class Belief:
 
 
 def ukf(scene: Scene) -> Path:
-    """Recover one stretch; nan before the camera first sees the arm.
+    """Recover one segment; nan before the camera first sees the arm.
 
     Parameters
     ----------
-    scene : one stretch; see `Scene`.
+    scene : Scene
+        One segment.
+
+    Returns
+    -------
+    path : Path
+        Position, velocity and orientation, with the covariances of position and orientation.
     """
-    n = len(scene.t)
-    position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-    covariance, turning = np.full((n, 3, 3), np.nan), np.full((n, 3, 3), np.nan)
-    orientation = scene.R_K_A.copy()
     levers = levers_of(scene)
     first_visible = np.flatnonzero(scene.visible & (scene.frame_t < scene.t[-1]))
     if not levers or len(first_visible) < 2:
-        return Path(position, velocity, notes=("The camera saw too little of this stretch.",))
+        return no_answer(scene)
+    n = len(scene.t)
+    position, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    covariance, attitude_covariance = np.full((n, 3, 3), np.nan), np.full((n, 3, 3), np.nan)
+    orientation = scene.R_K_A.copy()
     columns = [JOINTS.index(joint) for joint in levers]
     arms = np.array(list(levers.values()))
     frames = np.flatnonzero(seen_joints(scene)[:, columns].sum(axis=1))
@@ -70,21 +86,21 @@ def ukf(scene: Scene) -> Path:
     rows = np.flatnonzero(scene.t >= start_s)
     t = np.union1d(scene.frame_t[frames], scene.t[rows])
     motion = integrate(InertialSignal(scene.imu), t, np.concatenate([np.zeros(3), gyroscope_bias(scene)]))
-    noise = process_noise(motion)
+    noise = white_noise(motion.dt, ACC_DENSITY**2, GYRO_DENSITY**2, SIZE)
     frame_at = dict(zip(np.searchsorted(t, scene.frame_t[frames]).tolist(), frames.tolist(), strict=True))
     row_at = dict(zip(np.searchsorted(t, scene.t[rows]).tolist(), rows.tolist(), strict=True))
     sigma_m = max(joint_sigma(scene), LEAST_SIGMA_M)
-    belief = start(scene, start_s)
+    state = start(scene, start_s)
     for k in range(len(t)):
         if k:
-            belief = predicted(belief, motion, k - 1, scene.gravity, noise[k - 1])
+            state = predicted(state, motion, k - 1, scene.gravity, noise[k - 1])
         if k in frame_at:
-            belief = updated(belief, scene.joints[frame_at[k], columns], arms, sigma_m)
+            state = updated(state, scene.joints[frame_at[k], columns], arms, sigma_m)
         if k in row_at:
             row = row_at[k]
-            position[row], velocity[row], orientation[row] = belief.p, belief.v, belief.R
-            covariance[row], turning[row] = belief.covariance[P, P], belief.covariance[TURN, TURN]
-    return Path(position, velocity, covariance, orientation, turning)
+            position[row], velocity[row], orientation[row] = state.p, state.v, state.R
+            covariance[row], attitude_covariance[row] = state.covariance[P, P], state.covariance[TURN, TURN]
+    return Path(position, velocity, covariance, orientation, attitude_covariance)
 
 
 def gyroscope_bias(scene: Scene) -> FloatArray:
@@ -94,26 +110,14 @@ def gyroscope_bias(scene: Scene) -> FloatArray:
     return np.asarray((measured - step).sum(axis=0) / (scene.t[-1] - scene.t[0]))
 
 
-def start(scene: Scene, start_s: float) -> Belief:
+def start(scene: Scene, start_s: float) -> NavigationState:
     """The first visible frame: the camera's point and its slope, the scene's orientation."""
-    at = np.array([start_s])
-    seen = scene.visible
-    R = orientation_at(scene, at)
-    first = states_from_camera(at, R, scene.frame_t[seen], scene.point[seen])
+    t = np.array([start_s])
+    R = orientation_at(scene, t)
+    first = states_from_camera(t, R, *scene.visible_points)
     turn = ATTITUDE_SIGMA_RAD**2 + scene.attitude_sigma_rad**2
     sigma2 = np.repeat([START_SIGMA_M**2, START_SIGMA_SPEED**2, turn], 3)
-    return Belief(first.p[0], first.v[0], R[0], np.diag(sigma2))
-
-
-def process_noise(motion: Preintegration) -> FloatArray:
-    """Covariance (n - 1, 9, 9) of what white noise of the IMU adds in each interval."""
-    h = motion.dt[:, None, None]
-    eye = np.eye(3)
-    Q = np.zeros((len(motion.dt), SIZE, SIZE))
-    Q[:, P, P] = (ACC_DENSITY**2 * h**3 / 3.0 + INTEGRATION_VARIANCE * h) * eye
-    Q[:, P, V] = Q[:, V, P] = 0.5 * ACC_DENSITY**2 * h**2 * eye
-    Q[:, V, V], Q[:, TURN, TURN] = ACC_DENSITY**2 * h * eye, GYRO_DENSITY**2 * h * eye
-    return Q
+    return NavigationState(first.p[0], first.v[0], R[0], np.diag(sigma2))
 
 
 def sigma_points(covariance: FloatArray) -> FloatArray:
@@ -123,31 +127,59 @@ def sigma_points(covariance: FloatArray) -> FloatArray:
 
 
 def predicted(
-    belief: Belief, motion: Preintegration, k: int, gravity: FloatArray, noise: FloatArray
-) -> Belief:
-    """The belief after interval k of the IMU; the interval's rotation is common to all sigma points."""
+    state: NavigationState, motion: Preintegration, k: int, gravity: FloatArray, noise: FloatArray
+) -> NavigationState:
+    """The state after interval k of the IMU; the interval's rotation is common to all sigma points.
+
+    Julier and Uhlmann, Proc. IEEE 92:401-422 (2004), the time update.
+
+    Parameters
+    ----------
+    state : NavigationState
+        At the beginning of the interval.
+    motion : Preintegration
+        All intervals.
+    k : int
+        Which of them.
+    gravity : ndarray, shape (3,), m/s^2
+        In {K}.
+    noise : ndarray, shape (9, 9)
+        Covariance of the process noise of the interval.
+    """
     h = motion.dt[k]
-    points = sigma_points(belief.covariance)
-    gained = belief.R @ np.stack([motion.delta_p[k], motion.delta_v[k]], axis=1)
+    points = sigma_points(state.covariance)
+    gained = state.R @ np.stack([motion.delta_p[k], motion.delta_v[k]], axis=1)
     gained = Rotation.from_rotvec(points[:, TURN]).as_matrix() @ gained
     ahead = points.copy()
     ahead[:, P] += points[:, V] * h + gained[:, :, 0]
     ahead[:, V] += gained[:, :, 1]
     mean = ahead.mean(axis=0)
     spread = ahead - mean
-    return Belief(
-        belief.p + belief.v * h + 0.5 * gravity * h**2 + mean[P],
-        belief.v + gravity * h + mean[V],
-        belief.R @ motion.delta_R[k],
+    return NavigationState(
+        state.p + state.v * h + 0.5 * gravity * h**2 + mean[P],
+        state.v + gravity * h + mean[V],
+        state.R @ motion.delta_R[k],
         spread.T @ spread / len(points) + noise,
     )
 
 
-def updated(belief: Belief, joints: FloatArray, arms: FloatArray, sigma_m: float) -> Belief:
-    """The belief with a frame's joints (j, 3) m, nan where not seen, at lever arms (j, 3) m in {A}."""
+def updated(state: NavigationState, joints: FloatArray, arms: FloatArray, sigma_m: float) -> NavigationState:
+    """The state with a frame's joints (Julier and Uhlmann 2004, the measurement update).
+
+    Parameters
+    ----------
+    state : NavigationState
+        Without the frame.
+    joints : ndarray, shape (j, 3), m
+        In {K}; nan where not seen.
+    arms : ndarray, shape (j, 3), m
+        The joints' lever arms in {A}.
+    sigma_m : float, m
+        Noise of a joint, an axis.
+    """
     seen = np.isfinite(joints[:, 0])
-    points = sigma_points(belief.covariance)
-    arm_K = belief.R @ arms[seen].T
+    points = sigma_points(state.covariance)
+    arm_K = state.R @ arms[seen].T
     turned_arms = Rotation.from_rotvec(points[:, TURN]).as_matrix() @ arm_K
     expected = (points[:, P, None] + turned_arms).transpose(0, 2, 1).reshape(len(points), -1)
     mean = expected.mean(axis=0)
@@ -155,11 +187,11 @@ def updated(belief: Belief, joints: FloatArray, arms: FloatArray, sigma_m: float
     S = spread.T @ spread / len(points) + sigma_m**2 * np.eye(len(mean))
     cross = points.T @ spread / len(points)
     gain = np.linalg.solve(S, cross.T).T
-    error = gain @ ((joints[seen] - belief.p).ravel() - mean)
-    covariance = belief.covariance - gain @ S @ gain.T
-    return Belief(
-        belief.p + error[P],
-        belief.v + error[V],
-        Rotation.from_rotvec(error[TURN]).as_matrix() @ belief.R,
+    error = gain @ ((joints[seen] - state.p).ravel() - mean)
+    covariance = state.covariance - gain @ S @ gain.T
+    return NavigationState(
+        state.p + error[P],
+        state.v + error[V],
+        Rotation.from_rotvec(error[TURN]).as_matrix() @ state.R,
         0.5 * (covariance + covariance.T),
     )

@@ -29,14 +29,20 @@ class SimulatedArm:
 
     Attributes
     ----------
-    recording : what a reader of recordings would give, with truth.
-    calibration : true lever arms and arm measures, with small sigmas (2 mm, 3 mm).
-    parameters : what was drawn, by name; SI units, vectors as arrays. Among them `gravity` (3,) m/s^2 in {K},
+    recording : Recording
+        What a reader of recordings would give, with truth.
+    calibration : ArmCalibration
+        True lever arms and arm measures, with small sigmas (2 mm, 3 mm).
+    parameters : dict
+        What was drawn, by name; SI units, vectors as arrays. Among them `gravity` (3,) m/s^2 in {K},
         `clock_offset_s` (t_imu = t_camera + offset), `accelerometer_bias` and `gyroscope_bias` (3,) means,
         `..._bias_t` (N, 3), `..._matrix` (3, 3), `joint_bias` {joint: (3,)}.
-    ideal_imu : the IMU without its errors.
-    occluded : (F,) frames in which the camera cannot see the forearm, whatever it says.
-    motion : the motion itself, for further sensors.
+    ideal_imu : ImuStream
+        The IMU without its errors.
+    occluded : ndarray, shape (F,)
+        Frames in which the camera cannot see the forearm, whatever it states.
+    motion : MotionModel
+        The motion itself, for further sensors.
     """
 
     recording: Recording
@@ -50,7 +56,7 @@ class SimulatedArm:
 def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
     """The motion at the given times (N,) as a reference to score against."""
     R, position = motion.imu_pose(t_s)
-    quaternion = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)  # to qw, qx, qy, qz
+    quaternion = Rotation.from_matrix(R).as_quat(scalar_first=True)
     # One sign all along, so that a plot shows no jumps.
     turn = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternion[1:] *= np.cumprod(turn)[:, None]
@@ -66,8 +72,14 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
 
     Parameters
     ----------
-    config : what to simulate; None for the defaults (preset `white`).
-    seed : non-negative.
+    config : ArmSimulation, optional
+        What to simulate; None for the defaults (preset `white`).
+    seed : int
+        Non-negative.
+
+    Returns
+    -------
+    simulated : SimulatedArm
     """
     config = config or ArmSimulation()
     # Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
@@ -101,7 +113,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     lose_forearm(footage, hidden, true, config, gap_rng)
     parameters |= deceive(footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng)
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
-    tracks, kept = deliver(footage, "simulated", config, stamp_rng)
+    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
 
     lever_arms = {
         joint: LeverArm(measures.lever_arm(joint), np.full(3, LEVER_ARM_SIGMA_M))
@@ -129,4 +141,4 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         truth=true_motion(motion, imu.t_s),
         name=f"simulated arm, seed {seed}",
     )
-    return SimulatedArm(recording, calibration, parameters, ideal, hidden[kept], motion)
+    return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion)

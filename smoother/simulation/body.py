@@ -21,15 +21,20 @@ POSTURE_SIZE = 8
 
 @dataclass(frozen=True)
 class Measures:
-    """One person's arm and how the IMU sits on it, metres.
+    """One person's arm and how the IMU sits on it.
 
     Attributes
     ----------
-    upper_arm, forearm, hand : shoulder to elbow, elbow to wrist, wrist to the hand's centre.
-    strap_to_wrist : along the forearm.
-    imu_in_forearm : (3,) the IMU in {F}, m.
-    R_F_A : (3, 3) IMU axes to forearm axes.
-    shoulder : (3,) right shoulder in {T} at rest, m.
+    upper_arm, forearm, hand : float, m
+        Shoulder to elbow, elbow to wrist, wrist to the hand's centre.
+    strap_to_wrist : float, m
+        Along the forearm.
+    imu_in_forearm : ndarray, shape (3,), m
+        The IMU in {F}.
+    R_F_A : ndarray, shape (3, 3)
+        IMU axes to forearm axes.
+    shoulder : ndarray, shape (3,), m
+        Right shoulder in {T} at rest.
     """
 
     upper_arm: float
@@ -42,7 +47,7 @@ class Measures:
 
     @property
     def along_forearm(self) -> dict[str, float]:
-        """Places on the forearm's axis, m along y of {F}."""
+        """Joints on the forearm's axis, m along y of {F}."""
         wrist = self.strap_to_wrist
         return {"elbow": wrist - self.forearm, "wrist": wrist, "hand": wrist + self.hand}
 
@@ -79,9 +84,12 @@ def arm_chain(
 
     Parameters
     ----------
-    posture : (N, 8) see the column names of this module.
-    reference : the upper arm's rotation `R_T_U` that a zero shoulder rotation vector stands for.
-    measures : the person.
+    posture : ndarray, shape (N, 8)
+        See the column names of this module.
+    reference : Rotation
+        The upper arm's rotation `R_T_U` that a zero shoulder rotation vector stands for.
+    measures : Measures
+        The person.
     """
     R_T_U = (reference * Rotation.from_rotvec(posture[:, SHOULDER])).as_matrix()
     shoulder = measures.shoulder + posture[:, GIRDLE]
@@ -92,7 +100,13 @@ def arm_chain(
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """A part of the body that hides what is behind it, m in {T}."""
+    """A part of the body that hides what is behind it.
+
+    Attributes
+    ----------
+    centre, half_axes : tuple of float, m
+        In {T}.
+    """
 
     centre: tuple[float, float, float]
     half_axes: tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""What a depth camera's skeleton says of an arm: stamps, noise, and what it does where it cannot see."""
+"""What a depth camera's skeleton states of an arm: stamps, noise, and what it does where it cannot see."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from ..linalg import unit
 from ..recording import JOINTS, BoolArray, FloatArray, JointState, JointTracks
 from .config import SensorErrors
 
@@ -18,9 +19,12 @@ class Footage:
 
     Attributes
     ----------
-    t_s : (F,) true times of exposure, s.
-    position : (F, 5, 3) m in {K}, joints in the order of `JOINTS`.
-    state : (F, 5) `JointState` values.
+    t_s : ndarray, shape (F,), s
+        True times of exposure.
+    position : ndarray, shape (F, 5, 3), m
+        In {K}, joints in the order of `JOINTS`.
+    state : ndarray, shape (F, 5)
+        `JointState` values.
     """
 
     t_s: FloatArray
@@ -47,10 +51,10 @@ def correlated_noise(
     frames: int, size: int, sigma: float, tau_s: float, step_s: float, rng: np.random.Generator
 ) -> FloatArray:
     """Noise (frames, size) with standard deviation `sigma` and autocorrelation exp(-lag / tau_s)."""
-    keep = np.exp(-step_s / tau_s)
-    drive = rng.normal(size=(frames, size)) * np.sqrt(1 - keep**2)
-    drive[0] /= np.sqrt(1 - keep**2)  # stationary from the first frame on
-    return np.asarray(sigma * lfilter([1.0], [1.0, -keep], drive, axis=0))
+    memory = np.exp(-step_s / tau_s)
+    drive = rng.normal(size=(frames, size)) * np.sqrt(1 - memory**2)
+    drive[0] /= np.sqrt(1 - memory**2)  # stationary from the first frame on
+    return np.asarray(sigma * lfilter([1.0], [1.0, -memory], drive, axis=0))
 
 
 def add_noise(footage: Footage, errors: SensorErrors, rng: np.random.Generator) -> dict[str, Any]:
@@ -78,8 +82,7 @@ def add_outliers(footage: Footage, errors: SensorErrors, rng: np.random.Generato
     """Displace a fraction of the tracked samples in a random direction; returns which (F, 5)."""
     wrong = rng.uniform(size=footage.state.shape) < errors.outliers
     wrong &= footage.state == JointState.TRACKED
-    direction = rng.normal(size=footage.position.shape)
-    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    direction = unit(rng.normal(size=footage.position.shape))
     footage.position[wrong] += errors.outlier_m * direction[wrong]
     return wrong
 
@@ -94,7 +97,7 @@ def deliver(
     jitter = errors.frame_jitter_s * rng.normal(size=len(footage.t_s))
     limit = 0.45 / errors.frame_rate_hz
     stamp = footage.t_s + errors.latency_s + np.clip(jitter, -limit, limit)
-    kept = rng.uniform(size=len(stamp)) >= errors.dropped_frames
+    delivered = rng.uniform(size=len(stamp)) >= errors.dropped_frames
     position = footage.position.copy()
     position[footage.state == JointState.NOT_TRACKED] = np.nan
-    return JointTracks(name, stamp[kept], position[kept], footage.state[kept]), kept
+    return JointTracks(name, stamp[delivered], position[delivered], footage.state[delivered]), delivered

@@ -17,7 +17,13 @@ STEP_S = 0.3125e-3
 
 @dataclass(frozen=True)
 class Clocks:
-    """Nodes whose clocks read tau + offset + skew tau."""
+    """Nodes whose clocks read tau + offset + skew tau.
+
+    Attributes
+    ----------
+    offset_s : ndarray, shape (n,), s
+    skew : ndarray, shape (n,)
+    """
 
     offset_s: FloatArray
     skew: FloatArray
@@ -47,7 +53,26 @@ def broadcast(
     late: float = 0.05,
     start_s: float = 0.0,
 ) -> tuple[Clocks, Receptions]:
-    """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast."""
+    """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast.
+
+    Parameters
+    ----------
+    seed : int
+    nodes, rounds : int
+        How many.
+    span_s : float, s
+        Time from the first round to the last, at most.
+    missed, late : float
+        Fractions of the receptions.
+    start_s : float, s
+        Added to the clocks' offsets, the first excepted.
+
+    Returns
+    -------
+    clocks : Clocks
+        The truth.
+    receptions : Receptions
+    """
     rng = np.random.default_rng(seed)
     offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1) + start_s])
     skew = np.concatenate([[0.0, 390e-6], rng.uniform(-4e-4, 4e-4, nodes)])[:nodes]
@@ -66,8 +91,26 @@ def broadcast(
 def beep(
     seed: int, rate_hz: int = 16000, quiet_db: float = 25.0, room_s: float | None = None, voice: bool = True
 ) -> tuple[FloatArray, float, float]:
-    """A buzzer near a microphone, in a room where somebody speaks: samples, the beep's end (s), its"
-    " tone (Hz).
+    """A buzzer near a microphone, in a room where somebody speaks.
+
+    Parameters
+    ----------
+    seed : int
+    rate_hz : int, Hz
+        Of the samples.
+    quiet_db : float, dB
+        White noise below the beep.
+    room_s : float, s, optional
+        Time in which the echo dies by 60 dB; drawn where None.
+    voice : bool
+        Somebody speaks.
+
+    Returns
+    -------
+    sound : ndarray, shape (4 rate_hz,)
+    end_s : float, s
+        The beep's end.
+    tone_hz : float, Hz
     """
     rng = np.random.default_rng(seed)
     t = np.arange(4 * rate_hz) / rate_hz

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_closing, binary_opening
 
+from ..linalg import runs
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
 from .camera import Footage, correlated_noise
 from .config import ArmSimulation
@@ -13,14 +14,8 @@ _FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 _ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
 
 
-def runs(mask: BoolArray) -> list[slice]:
-    """The runs of True in a mask (F,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def settle(hidden: BoolArray, rate_hz: float) -> BoolArray:
-    """The mask (F,) without holes and runs under 0.2 s: a tracker neither loses nor finds a limb so fast."""
+    """The mask (F,) without runs under 0.2 s, of either kind: no tracker loses or gets a limb so fast."""
     size = np.ones(max(round(0.2 * rate_hz), 1), dtype=bool)
     padded = np.pad(hidden, len(size))
     settled = binary_opening(binary_closing(padded, size), size)
@@ -30,7 +25,7 @@ def settle(hidden: BoolArray, rate_hz: float) -> BoolArray:
 def random_gaps(
     t_s: FloatArray, lengths_s: tuple[float, ...], every_s: float, begin_s: float, rng: np.random.Generator
 ) -> BoolArray:
-    """(F,) True in occlusions of the given lengths, one in about `every_s`, at least 2 s of sight between."""
+    """(F,) True in occlusions of the given lengths, one in about `every_s`, at least 2 s visible between."""
     hidden = np.zeros(len(t_s), dtype=bool)
     if not lengths_s or len(t_s) == 0:
         return hidden
@@ -95,22 +90,22 @@ def deceive(
 ) -> dict[str, list[tuple[float, float]]]:
     """Make some occlusions look tracked: joints that stand still, or the other arm's (F, 5, 3) m in {K}.
 
-    Returns the begin and end of those stretches, s, by what happened.
+    Returns the begin and end of those gaps, s, by what happened.
     """
-    done: dict[str, list[tuple[float, float]]] = {"frozen": [], "swapped": []}
+    deceptions: dict[str, list[tuple[float, float]]] = {"frozen": [], "swapped": []}
     for gap in runs(hidden):
         draw = rng.uniform()
-        span = (float(footage.t_s[gap.start]), float(footage.t_s[gap.stop - 1]))
+        from_to = (float(footage.t_s[gap.start]), float(footage.t_s[gap.stop - 1]))
         noise = config.noise_m * rng.normal(size=(gap.stop - gap.start, len(_FOREARM), 3))
         if draw < config.frozen_gaps:
             last = footage.position[max(gap.start - 1, 0), _FOREARM]
             footage.position[gap, _FOREARM] = last  # bit for bit the same, as trackers do
-            done["frozen"].append(span)
+            deceptions["frozen"].append(from_to)
         elif draw < config.frozen_gaps + config.swapped_gaps:
             footage.position[gap, _FOREARM] = other[gap][:, _FOREARM] + noise
-            done["swapped"].append(span)
+            deceptions["swapped"].append(from_to)
         else:
             continue
         seen = np.isfinite(footage.position[gap][:, _FOREARM]).all(axis=2)
         footage.state[gap, _FOREARM] = np.where(seen, JointState.TRACKED, JointState.NOT_TRACKED)
-    return done
+    return deceptions

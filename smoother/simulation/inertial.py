@@ -24,10 +24,18 @@ def ideal_imu(motion: MotionModel, duration_s: float, rate_hz: float, gravity: F
 
     Parameters
     ----------
-    motion : the body.
-    duration_s : samples fill 0 to `duration_s`.
-    rate_hz : samples a second.
-    gravity : (3,) m/s^2 in {K}.
+    motion : MotionModel
+        The body.
+    duration_s : float, s
+        Samples fill 0 to `duration_s`.
+    rate_hz : float, Hz
+        Samples a second.
+    gravity : ndarray, shape (3,), m/s^2
+        In {K}.
+
+    Returns
+    -------
+    imu : ImuStream
     """
     count = int(np.floor(duration_s * rate_hz))
     parts = [
@@ -65,16 +73,13 @@ def _averages(
 
 
 def _sensor(
-    true: FloatArray,
-    rate_hz: float,
-    density: float,
-    bias: float,
-    walk: float,
-    limit: float | None,
-    errors: SensorErrors,
-    rng: np.random.Generator,
+    sensor: str, true: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """One triaxial sensor: its samples (N, 3), its bias (N, 3) and its matrix (3, 3) of scale and axes."""
+    density, bias, walk, limit = (
+        getattr(errors, f"{sensor}_{error}") for error in ("noise", "bias", "walk", "range")
+    )
+    rate_hz = errors.imu_rate_hz
     matrix = np.eye(3) + np.diag(errors.imu_scale * rng.normal(size=3))
     cross = np.radians(errors.imu_misalignment_deg) * rng.normal(size=(3, 3))
     matrix += cross - np.diag(np.diag(cross))
@@ -90,38 +95,32 @@ def _sensor(
 def measure(
     ideal: ImuStream, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[ImuStream, dict[str, Any]]:
-    """The samples with the sensor's errors, and what was drawn: biases (N, 3) and matrices (3, 3).
+    """The samples with the sensor's errors.
 
     The model is measured = matrix @ true + bias + noise, then saturation. A noise density d gives samples a
     standard deviation of d * sqrt(rate).
+
+    Parameters
+    ----------
+    ideal : ImuStream
+        Samples without errors.
+    errors : SensorErrors
+        How large the errors are.
+    rng : Generator
+        Of the draws.
+
+    Returns
+    -------
+    imu : ImuStream
+    parameters : dict
+        What was drawn, by name: biases, their means (3,) and their course `..._bias_t` (N, 3), and matrices
+        (3, 3), SI units.
     """
-    rate, e = errors.imu_rate_hz, errors
-    acc, acc_bias, acc_matrix = _sensor(
-        ideal.acc,
-        rate,
-        e.accelerometer_noise,
-        e.accelerometer_bias,
-        e.accelerometer_walk,
-        e.accelerometer_range,
-        e,
-        rng,
-    )
-    gyro, gyro_bias, gyro_matrix = _sensor(
-        ideal.gyro,
-        rate,
-        e.gyroscope_noise,
-        e.gyroscope_bias,
-        e.gyroscope_walk,
-        e.gyroscope_range,
-        e,
-        rng,
-    )
-    drawn = {
-        "accelerometer_bias": acc_bias.mean(axis=0),
-        "gyroscope_bias": gyro_bias.mean(axis=0),
-        "accelerometer_bias_t": acc_bias,
-        "gyroscope_bias_t": gyro_bias,
-        "accelerometer_matrix": acc_matrix,
-        "gyroscope_matrix": gyro_matrix,
-    }
-    return ImuStream(ideal.name, ideal.t_s, acc, gyro), drawn
+    samples, parameters = {}, {}
+    for sensor, true in (("accelerometer", ideal.acc), ("gyroscope", ideal.gyro)):
+        samples[sensor], bias, matrix = _sensor(sensor, true, errors, rng)
+        parameters[f"{sensor}_bias"] = bias.mean(axis=0)
+        parameters[f"{sensor}_bias_t"] = bias
+        parameters[f"{sensor}_matrix"] = matrix
+    imu = ImuStream(ideal.name, ideal.t_s, samples["accelerometer"], samples["gyroscope"])
+    return imu, parameters

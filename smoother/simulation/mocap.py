@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
+from ..linalg import unit
 from ..recording import BoolArray, CameraFrame, FloatArray
 from .arm import SimulatedArm
 from .motion import LEVEL_FROM_KINECT, ArmMotion
 from .path import PAD_S
 
-#: Markers of a joint: the mean of their places is the joint's centre.
+#: Markers of a joint: the mean of their positions is the joint's centre.
 JOINT_MARKERS = {
     "shoulder": ("ACR",),
     "elbow": ("EL_MED", "EL_LAT"),
@@ -81,12 +82,18 @@ class MarkerCapture:
 
     Attributes
     ----------
-    names : of the markers, M.
-    rate_hz : nominal, on the mocap's own clock.
-    position : (N, M, 3) m in {E}; nan where a marker was not seen. Frame k is at k / rate_hz.
-    R_C_E, translation_m : (3, 3) and (3,): p_camera = R_C_E p_mocap + translation, with {C} the camera's
-        optical axes (x right, y down, z forward) whatever axes the recording has.
-    offset_s, skew_ppm : t_imu = t_mocap (1 + skew) + offset.
+    names : tuple of str
+        Of the M markers.
+    rate_hz : float, Hz
+        Nominal, on the mocap's own clock.
+    position : ndarray, shape (N, M, 3), m
+        In {E}; nan where a marker was not seen. Frame k is at k / rate_hz.
+    R_C_E : ndarray, shape (3, 3)
+        p_camera = R_C_E p_mocap + translation, with {C} the camera's optical axes (x right, y down, z
+        forward) whatever axes the recording has.
+    translation_m : ndarray, shape (3,), m
+    offset_s, skew_ppm : float, s and ppm
+        t_imu = t_mocap (1 + skew) + offset.
     """
 
     names: tuple[str, ...]
@@ -112,8 +119,8 @@ class MarkerCapture:
 
     @property
     def plate(self) -> dict[str, list[float]]:
-        """Places of the plate's markers in the IMU's axes {A}, m, by name."""
-        return {name: place.round(9).tolist() for name, place in zip(PLATE_MARKERS, PLATE_M, strict=True)}
+        """Positions of the plate's markers in the IMU's axes {A}, m, by name."""
+        return {name: row.round(9).tolist() for name, row in zip(PLATE_MARKERS, PLATE_M, strict=True)}
 
     @property
     def extrinsics(self) -> dict[str, list[float]]:
@@ -130,9 +137,16 @@ def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed
 
     Parameters
     ----------
-    simulated : from `simulate_arm`.
-    config : None for the defaults.
-    seed : of the mocap's own draws; the arm's motion is not touched by it.
+    simulated : SimulatedArm
+        From `simulate_arm`.
+    config : MocapSimulation, optional
+        None for the defaults.
+    seed : int
+        Of the mocap's own draws; the arm's motion is not touched by it.
+
+    Returns
+    -------
+    markers : MarkerCapture
     """
     config = config or MocapSimulation()
     assert isinstance(simulated.motion, ArmMotion)
@@ -171,34 +185,32 @@ def capture(simulated: SimulatedArm, config: MocapSimulation | None = None, seed
 def optical_axes(frame: CameraFrame) -> FloatArray:
     """`R_K_C` (3, 3): optical axes (x right, y down, z forward) to the axes of a recording's camera frame.
 
-    `zup` is taken as x forward, y left, z up, as the simulation and ROS have it.
+    `zup` is x forward, y left, z up, as the simulation and ROS have it.
     """
     return np.asarray(LEVEL_FROM_KINECT[frame] @ _OPTICAL_FROM_KINECT.T)
 
 
 def marker_positions(motion: ArmMotion, t_s: FloatArray, side: str) -> FloatArray:
-    """Places (N, 15, 3) of the markers, m in {K}, at true times (N,)."""
+    """Positions (N, 15, 3) of the markers, m in {K}, at true times (N,) s."""
     joints = motion.joints(t_s)
     R_K_A, imu = motion.imu_pose(t_s)
     across_elbow, R_K_F = motion.bone_axes(t_s)
     # z of {F} points to the thumb of a right arm, away from it on a left one.
     to_thumb = R_K_F[:, :, 2] * (-1.0 if side == "left" else 1.0)
     medial = {"elbow": -across_elbow, "wrist": to_thumb, "hand": to_thumb}
-    places = [joints["shoulder"]]
+    positions = [joints["shoulder"]]
     for joint, half in _HALF_WIDTH_M.items():
-        places += [joints[joint] + half * medial[joint], joints[joint] - half * medial[joint]]
+        positions += [joints[joint] + half * medial[joint], joints[joint] - half * medial[joint]]
     plate = imu[:, None, :] + np.einsum("nij,mj->nmi", R_K_A, PLATE_M)
-    return np.concatenate([np.stack(places, axis=1), plate], axis=1)
+    return np.concatenate([np.stack(positions, axis=1), plate], axis=1)
 
 
 def _draw_extrinsics(
     simulated: SimulatedArm, frame: CameraFrame, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """`R_C_E` and the origin of {E} in the camera's optical axes, m."""
-    up = -optical_axes(frame).T @ simulated.parameters["gravity"]
-    up /= np.linalg.norm(up)
-    ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
-    ahead /= np.linalg.norm(ahead)
+    up = unit(-optical_axes(frame).T @ simulated.parameters["gravity"])
+    ahead = unit(np.array([0.0, 0.0, 1.0]) - up[2] * up)
     level = np.column_stack([ahead, np.cross(up, ahead), up])
     turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
     camera_in_level = np.array([rng.uniform(-3, -1), rng.uniform(-1.5, 1.5), rng.uniform(0.9, 1.5)])
@@ -206,7 +218,7 @@ def _draw_extrinsics(
 
 
 def _lost(frames: int, markers: int, config: MocapSimulation, rng: np.random.Generator) -> BoolArray:
-    """(N, M) True where a marker is not seen: stretches of some tenths of a second, each marker its own."""
+    """(N, M) True where a marker is not seen: for some tenths of a second, each marker by itself."""
     lost = np.zeros((frames, markers), dtype=bool)
     seconds = frames / config.mocap_rate_hz
     for marker in range(markers if config.marker_lost else 0):

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from ..recording import BoolArray, CameraFrame, FloatArray
+from ..units import GRAVITY
 from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, Measures, arm_chain
 from .path import KNOT_RATE_HZ, band_noise
 from .posture import reference
@@ -42,20 +43,19 @@ class Stage:
 
     Attributes
     ----------
-    R_K_T : (3, 3) torso axes to camera axes.
-    place_K : (3,) origin of {T} (between the shoulders), m in {K}.
+    R_K_T : ndarray, shape (3, 3)
+        Torso axes to camera axes.
+    origin_K : ndarray, shape (3,), m
+        Origin of {T} (between the shoulders) in {K}.
     """
 
     R_K_T: FloatArray
-    place_K: FloatArray
+    origin_K: FloatArray
 
     @property
     def gravity(self) -> FloatArray:
         """(3,) m/s^2 in {K}; the torso is upright."""
         return np.asarray(self.R_K_T @ [0.0, -GRAVITY, 0.0])
-
-
-GRAVITY = 9.81
 
 
 def tilt_rotation(degrees: float, heading: float, up: FloatArray) -> Rotation:
@@ -70,9 +70,9 @@ def draw_stage(distance_m: float, frame: CameraFrame, rng: np.random.Generator) 
     up = np.array([0.0, 1.0, 0.0])
     tilt = tilt_rotation(rng.uniform(3, 10), rng.uniform(-np.pi, np.pi), up)
     turn = Rotation.from_euler("y", rng.normal(0, 4), degrees=True)
-    place = [rng.normal(0, 0.08), rng.uniform(0.1, 0.35), distance_m * rng.uniform(0.95, 1.05)]
+    origin = [rng.normal(0, 0.08), rng.uniform(0.1, 0.35), distance_m * rng.uniform(0.95, 1.05)]
     to_frame = LEVEL_FROM_KINECT[frame]
-    return Stage(to_frame @ (tilt * turn).as_matrix(), to_frame @ place)
+    return Stage(to_frame @ (tilt * turn).as_matrix(), to_frame @ origin)
 
 
 def draw_wobble(performance: Performance, rms_deg: float, rng: np.random.Generator) -> FloatArray:
@@ -125,7 +125,7 @@ class ArmMotion:
         )
 
     def _to_camera(self, points_T: FloatArray) -> FloatArray:
-        return np.asarray(points_T @ self.stage.R_K_T.T + self.stage.place_K)
+        return np.asarray(points_T @ self.stage.R_K_T.T + self.stage.origin_K)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `MotionModel.imu_pose`."""
@@ -142,10 +142,10 @@ class ArmMotion:
         """See `MotionModel.joints`."""
         shoulder, elbow, R_T_F, _ = self._chain(t_s)
         along, direction = self.measures.along_forearm, R_T_F[:, :, 1]
-        places = {"shoulder": shoulder, "elbow": elbow}
+        positions = {"shoulder": shoulder, "elbow": elbow}
         for joint in ("wrist", "hand"):
-            places[joint] = elbow + (along[joint] - along["elbow"]) * direction
-        return {joint: self._to_camera(place) for joint, place in places.items()}
+            positions[joint] = elbow + (along[joint] - along["elbow"]) * direction
+        return {joint: self._to_camera(position) for joint, position in positions.items()}
 
     def bone_axes(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Elbow's flexion axis, from the medial to the lateral epicondyle, (N, 3), and `R_K_F` (N, 3, 3)."""
@@ -174,11 +174,11 @@ class ArmMotion:
         # The body sways with the shoulder.
         sway = self._spline(t_s)[:, POSTURE_SIZE : POSTURE_SIZE + 3] @ self._mirror
         R_T_K = self.stage.R_K_T.T
-        eye = -R_T_K @ self.stage.place_K - sway
+        eye = -R_T_K @ self.stage.origin_K - sway
         joints = self.joints(t_s)
         hidden = np.zeros(len(t_s), dtype=bool)
         for joint in ("wrist", "hand"):
-            place = (joints[joint] - self.stage.place_K) @ R_T_K.T - sway
+            position_T = (joints[joint] - self.stage.origin_K) @ R_T_K.T - sway
             for part in BODY:
-                hidden |= part.hides(place, eye)
+                hidden |= part.hides(position_T, eye)
         return hidden

@@ -21,10 +21,14 @@ class Movement:
 
     Attributes
     ----------
-    through : (V, D) points passed without a stop; the last is where it ends.
-    duration_s : from the start of the movement to its end.
-    hold_s : rest after it.
-    label : what the movement and its hold are for.
+    through : ndarray, shape (V, D)
+        Points passed without a stop; the last is where it ends.
+    duration_s : float, s
+        From the start of the movement to its end.
+    hold_s : float, s
+        Rest after it.
+    label : str
+        What the movement and its hold are for.
     """
 
     through: FloatArray
@@ -47,20 +51,17 @@ def knot_times(duration_s: float) -> FloatArray:
 def follow(start: FloatArray, movements: list[Movement], t_s: FloatArray) -> FloatArray:
     """Points (N, D) at `t_s` of a path that starts at `start` (D,) at time 0 and moves with minimum jerk.
 
-    A movement through via points is the quintic spline through them that is at rest at both ends; the time
-    between two points grows with the square root of their distance.
+    Minimum jerk: Flash and Hogan, J. Neuroscience 5:1688-1703 (1985). A movement through via points is the
+    quintic spline through them that is at rest at both ends; the time between two points grows with the
+    square root of their distance.
     """
     out = np.tile(start, (len(t_s), 1))
     at, begin = start, 0.0
-    still = np.zeros_like(start)
-    rest = [(1, still), (2, still)]
     for movement in movements:
         points = np.vstack([at, movement.through])
         step = np.sqrt(np.linalg.norm(np.diff(points, axis=0), axis=1) + 1e-9)
         share = np.concatenate([[0.0], np.cumsum(step)])
-        curve = make_interp_spline(
-            begin + movement.duration_s * share / share[-1], points, k=5, bc_type=(rest, rest)
-        )
+        curve = wander(begin + movement.duration_s * share / share[-1], points)
         end = begin + movement.duration_s
         moving = (t_s >= begin) & (t_s <= end)
         out[moving] = curve(t_s[moving])

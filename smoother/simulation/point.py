@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration
 from ..recording import CameraFrame, FloatArray, JointState, Recording
+from ..units import GRAVITY
 from .arm import SimulatedArm, true_motion
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import PointSimulation
 from .gaps import random_gaps
 from .inertial import ideal_imu, measure
-from .motion import GRAVITY, tilt_rotation
+from .motion import tilt_rotation
 from .path import PAD_S, knot_times, wander
 
 
@@ -34,12 +35,12 @@ class PointMotion:
         self._spline: BSpline = make_interp_spline(t_s, table, k=5)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Motion.imu_pose`."""
+        """See `MotionModel.imu_pose`."""
         table = self._spline(t_s)
         return (self._start * Rotation.from_rotvec(table[:, 3:])).as_matrix(), table[:, :3]
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
-        """See `Motion.joints`."""
+        """See `MotionModel.joints`."""
         return {"strap": self._spline(t_s)[:, :3]}
 
 
@@ -51,8 +52,14 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
 
     Parameters
     ----------
-    config : what to simulate; None for the defaults (preset `white`).
-    seed : non-negative.
+    config : PointSimulation, optional
+        What to simulate; None for the defaults (preset `white`).
+    seed : int
+        Non-negative.
+
+    Returns
+    -------
+    simulated : SimulatedArm
     """
     config = config or PointSimulation()
     body_rng, imu_rng, noise_rng, gap_rng, stamp_rng = (
@@ -70,7 +77,7 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
     hidden = random_gaps(times, config.occlusion_lengths_s, config.occlusion_every_s, 0.0, gap_rng)
     footage.state[hidden] = JointState.NOT_TRACKED
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
-    tracks, kept = deliver(footage, "simulated", config, stamp_rng)
+    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
     parameters |= {"gravity": gravity, "clock_offset_s": -config.latency_s}
     recording = Recording(
         imu=imu,
@@ -79,4 +86,4 @@ def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> Simu
         truth=true_motion(motion, imu.t_s),
         name=f"simulated point, seed {seed}",
     )
-    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[kept], motion)
+    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[delivered], motion)

@@ -7,19 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from ..linalg import unit
 from ..recording import FloatArray, ImuStream
+from ..units import GRAVITY
 
-#: Six sides, twelve edges and eight corners: the poses in the order in which they are taken.
+#: Six sides, twelve edges and eight corners: the poses in order.
 _SIDES = np.vstack([np.eye(3), -np.eye(3)])
 _EDGES = np.array([v for v in np.ndindex(3, 3, 3) if np.abs(np.array(v) - 1).sum() == 2], float) - 1.0
 _CORNERS = np.array(list(np.ndindex(2, 2, 2)), float) * 2.0 - 1.0
-REST_POSES = np.vstack([_SIDES, _EDGES[::2], _EDGES[1::2], _CORNERS])
-REST_POSES = REST_POSES / np.linalg.norm(REST_POSES, axis=1)[:, None]
+REST_POSES = unit(np.vstack([_SIDES, _EDGES[::2], _EDGES[1::2], _CORNERS]))
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """measured = matrix @ true + offset; the matrix is symmetric, as a calibration cannot see a rotation."""
+    """measured = matrix @ true + offset; the matrix is symmetric, as a calibration cannot see a rotation.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (3,)
+    matrix : ndarray, shape (3, 3)
+    """
 
     offset: FloatArray
     matrix: FloatArray
@@ -47,23 +54,32 @@ def rest_poses(
     rate_hz: float = 100.0,
     acc_noise: float = 0.02,
     gyro_noise: float = 0.002,
-    gravity: float = 9.81,
+    gravity: float = GRAVITY,
 ) -> tuple[ImuStream, FloatArray]:
     """A sensor laid still in one pose after the other, turned by hand between.
 
     Parameters
     ----------
-    model : the accelerometer's errors.
-    poses : how many of `REST_POSES` (26), each some degrees off.
-    acc_noise, gyro_noise : standard deviation of a sample, m/s^2 and rad/s.
+    model : SensorModel
+        The accelerometer's errors.
+    poses : int
+        How many of `REST_POSES` (26), each some degrees off.
+    seed : int
+    rest_s, turn_s : float, s
+        Rest in a pose, and the turn to the next.
+    rate_hz : float, Hz
+    acc_noise, gyro_noise : float, m/s^2 and rad/s
+        Standard deviation of a sample.
+    gravity : float, m/s^2
 
     Returns
     -------
-    The stream, and the gyroscope's bias (3,) rad/s.
+    imu : ImuStream
+    gyroscope_bias : ndarray, shape (3,), rad/s
     """
     rng = np.random.default_rng(seed)
     up = REST_POSES[:poses] + rng.normal(0.0, 0.06, (poses, 3))
-    turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis / np.linalg.norm(axis)])[0] for axis in up]
+    turns = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0] for axis in up]
     step = rest_s + turn_s
     knots = np.concatenate([[step * k, step * k + rest_s] for k in range(poses)])
     curve = Slerp(knots, Rotation.concatenate([turn for turn in turns for _ in range(2)]))

@@ -24,11 +24,16 @@ class Performance:
 
     Attributes
     ----------
-    duration_s : length of the recording.
-    t_s : (N,) knots, s, from a little before the start to a little after the end.
-    posture : (N, 8) joint angles of a right arm, columns as in `body`.
-    sway : (N, 3) shift of the whole trunk, m in {T}.
-    belly_s : (B, 2) begin and end of the stretches with the forearm before the belly, s.
+    duration_s : float, s
+        Length of the recording.
+    t_s : ndarray, shape (N,), s
+        Knots, from a little before the start to a little after the end.
+    posture : ndarray, shape (N, 8)
+        Joint angles of a right arm, columns as in `body`.
+    sway : ndarray, shape (N, 3), m
+        Shift of the whole trunk in {T}.
+    belly_s : ndarray, shape (B, 2), s
+        From when to when the forearm is before the belly.
     """
 
     duration_s: float

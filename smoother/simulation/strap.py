@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib.strap.strap_camera import Lens
 
+from ..linalg import unit
 from ..recording import FloatArray
 
 #: Brightness of skin, strap, marker, clothes and wall.
@@ -20,16 +21,22 @@ AMBIENT = 0.45
 
 @dataclass(frozen=True)
 class Arm:
-    """A forearm (a capsule) with its strap, in {K}, m.
+    """A forearm (a capsule) with its strap, in {K}.
 
     Attributes
     ----------
-    elbow, wrist : (3,) ends of its core.
-    radius : of the arm.
-    strap : distance of the strap's middle from the elbow along the arm; None for an arm without.
-    strap_width : along the arm.
-    marker : distance of a reflective ball from the strap's middle towards the elbow; None for none.
-    trunk : centre and half axes of an ellipsoid that may stand before the arm, or None.
+    elbow, wrist : ndarray, shape (3,), m
+        Ends of its core.
+    radius : float, m
+        Of the arm.
+    strap : float, m, optional
+        Distance of the strap's middle from the elbow along the arm; None for an arm without.
+    strap_width : float, m
+        Along the arm.
+    marker : float, m, optional
+        Distance of a reflective ball from the strap's middle towards the elbow; None for none.
+    trunk : tuple of ndarray, shape (3,), m, optional
+        Centre and half axes of an ellipsoid that may stand before the arm.
     """
 
     elbow: FloatArray
@@ -48,12 +55,25 @@ class Arm:
 
     @property
     def _y(self) -> FloatArray:
-        return np.asarray((self.wrist - self.elbow) / np.linalg.norm(self.wrist - self.elbow))
+        return unit(self.wrist - self.elbow)
 
 
 @dataclass(frozen=True)
 class StrapImageNoise:
-    """Errors of the images; the defaults are those of a good camera in a lit room."""
+    """Errors of the images; the defaults are those of a good camera in a lit room.
+
+    Attributes
+    ----------
+    brightness : float
+        Sigma of a pixel's brightness.
+    depth_m : float, m
+        Sigma of a depth at 2 m; grows with distance squared.
+    blur_px : float, pixels
+        Sigma of the lens' blur.
+    strap_holes : float
+        Share of the strap's pixels without depth.
+    rng : Generator
+    """
 
     brightness: float = 4.0
     depth_m: float = 0.003
@@ -65,33 +85,45 @@ class StrapImageNoise:
 def render(
     arm: Arm, lens: Lens, noise: StrapImageNoise | None = None
 ) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Brightness (height, width) and depth (z in the lens's axes, m; nan where there is none).
+    """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim.
 
-    Depth fails on most of a black strap, and on a reflective marker with a rim about it.
+    Parameters
+    ----------
+    arm : Arm
+    lens : Lens
+    noise : StrapImageNoise, optional
+        None for images without errors.
+
+    Returns
+    -------
+    grey : ndarray of uint8, shape (height, width)
+        Brightness.
+    z : ndarray, shape (height, width), m
+        Depth in the lens's axes; nan where there is none.
     """
     import cv2
 
     column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
     origin, rays = lens.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
     grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
-    hole = np.zeros(len(rays), dtype=bool)
+    no_depth = np.zeros(len(rays), dtype=bool)
     look = _near(lens, arm)
     for surface in (_trunk, _capsule, _ball):
         reach, shade, blind = surface(arm, origin, rays[look])
         closer = reach < z[look]
         index = np.flatnonzero(look)[closer]
-        z[index], grey[index], hole[index] = reach[closer], shade[closer], blind[closer]
+        z[index], grey[index], no_depth[index] = reach[closer], shade[closer], blind[closer]
     shape = (lens.height, lens.width)
-    grey, z, hole = grey.reshape(shape), z.reshape(shape), hole.reshape(shape)
+    grey, z, no_depth = grey.reshape(shape), z.reshape(shape), no_depth.reshape(shape)
     if noise is not None:
         if noise.blur_px > 0:
             grey = cv2.GaussianBlur(grey, (0, 0), noise.blur_px)
         grey = grey + noise.rng.normal(0, noise.brightness, shape)
         z = z + noise.rng.normal(0, noise.depth_m, shape) * (z / 2.0) ** 2
         rim = cv2.dilate((grey >= 250).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        hole = (hole & (noise.rng.random(shape) < noise.strap_holes)) | rim
+        no_depth = (no_depth & (noise.rng.random(shape) < noise.strap_holes)) | rim
         z = np.rint(1000 * z) / 1000  # depth images count millimetres
-    return np.clip(grey, 0, 255).astype(np.uint8), np.where(hole, np.nan, z)
+    return np.clip(grey, 0, 255).astype(np.uint8), np.where(no_depth, np.nan, z)
 
 
 def _near(lens: Lens, arm: Arm) -> NDArray[np.bool_]:
@@ -128,7 +160,7 @@ def _capsule(
     along = (points - arm.elbow) @ y
     normal = points - arm.elbow - np.clip(along, 0, length)[:, None] * y
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    light = -np.einsum("ni,ni->n", normal, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    light = -np.einsum("ni,ni->n", normal, unit(rays))
     colour, blind = np.full(len(rays), SKIN), np.zeros(len(rays), dtype=bool)
     if arm.strap is not None:
         blind = np.abs(along - arm.strap) < 0.5 * arm.strap_width
@@ -143,7 +175,7 @@ def _ball(arm: Arm, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, F
     core = arm.strap_core - arm.marker * arm._y
     into = core - origin
     into = into - (into @ arm._y) * arm._y
-    off = origin - (core - (arm.radius + 0.007) * into / np.linalg.norm(into))
+    off = origin - (core - (arm.radius + 0.007) * unit(into))
     reach = _first((rays**2).sum(axis=1), rays @ off, float(off @ off) - 0.007**2)
     return reach, np.full(len(rays), MARKER), np.isfinite(reach)
 

@@ -1,4 +1,4 @@
-"""The peer `gaussian-process`: the textbook's conditional on a grid, Feng's reach, lag, gaps and ends."""
+"""The baseline `gaussian-process`: the textbook's conditional on a grid, Feng's reach, lag, gaps and ends."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_scenes import NO_GAPS, arm, errors, rms, scene_of
 from scipy.stats import multivariate_normal
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements
 from smoother.baselines.kernel import (
@@ -82,8 +82,8 @@ def test_fused_prediction_beats_position_only_as_published():
     for seed in range(12):
         t, path, seen = reach(seed)
         alone = replace(seen, acc_t=np.zeros(0), acceleration=np.zeros((0, 1)))
-        for k, told in enumerate((seen, alone)):
-            mean, sigma = predict(PUBLISHED, told, t)
+        for k, measured in enumerate((seen, alone)):
+            mean, sigma = predict(PUBLISHED, measured, t)
             known = np.isfinite(sigma)
             assert not known[t < 0.099].any() and known[t > 0.101].all()
             squares[k] += np.sum((mean[known, 0] - path[known]) ** 2)
@@ -139,8 +139,6 @@ def test_gaps_are_bridged_from_both_sides():
     variance = path.covariance[inside, 0, 0]
     middle = len(inside) // 2
     assert np.argmax(variance) == pytest.approx(middle, abs=0.2 * len(inside))
-    nees = error[scene.occluded] ** 2 / (3.0 * path.covariance[scene.occluded, 0, 0])
-    assert 0.1 < nees.mean() < 4.0
 
 
 def test_windows_cover_everything_once_and_leave_gaps_whole():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from told_scenes import Told, told
+from solved_arms import SolvedArm, solved_arm
 
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.linear_drift import boundary, integrated, linear_drift
@@ -19,14 +19,14 @@ from smoother.recording import JOINTS, FloatArray
 PEOPLE = (50, 51, 52)
 
 
-def scene_of(it: Told) -> Scene:
+def scene_of(it: SolvedArm) -> Scene:
     (scene,) = scenes_of(it.recording, it.graph)
     return scene
 
 
 @pytest.fixture(scope="module")
-def behind() -> Told:
-    return told("white", 3, protocol="behind", repetitions=1)
+def behind() -> SolvedArm:
+    return solved_arm("white", 3, protocol="behind", repetitions=1)
 
 
 def slow(scene: Scene, gap: Gap, boundary_s: float) -> tuple[FloatArray, FloatArray]:
@@ -87,7 +87,7 @@ def slow(scene: Scene, gap: Gap, boundary_s: float) -> tuple[FloatArray, FloatAr
 
 
 @pytest.mark.parametrize("boundary_s", [0.5, 0.2])
-def test_the_published_steps(behind: Told, boundary_s: float):
+def test_the_published_steps(behind: SolvedArm, boundary_s: float):
     scene = scene_of(behind)
     path = linear_drift(scene, boundary_s)
     assert len(scene.gaps) >= 2
@@ -96,7 +96,7 @@ def test_the_published_steps(behind: Told, boundary_s: float):
         np.testing.assert_allclose(path.position[rows], expected, atol=1e-9)
 
 
-def test_the_elbow_is_an_upper_arm_from_the_shoulder(behind: Told):
+def test_the_elbow_is_an_upper_arm_from_the_shoulder(behind: SolvedArm):
     scene = scene_of(behind)
     inside = scene.occluded
     lever, upper_arm = scene.calibration.lever_arms["elbow"], scene.calibration.upper_arm
@@ -111,7 +111,7 @@ def test_errors_of_the_papers_size(preset: str):
     """4.07 cm rms and 14.1 cm at most, each within a factor of 2.5, over three people."""
     squares, largest = [], []
     for seed in PEOPLE:
-        it = told(preset, seed, protocol="behind", repetitions=1)
+        it = solved_arm(preset, seed, protocol="behind", repetitions=1)
         error = it.errors(recover(it.recording, it.graph, "linear-drift"))[it.occluded]
         squares.append(np.nanmean(error**2))
         largest.append(float(np.nanmax(error)))
@@ -119,7 +119,7 @@ def test_errors_of_the_papers_size(preset: str):
     assert 0.141 / 2.5 < np.mean(largest) < 0.141 * 2.5
 
 
-def true_at(it: Told, t: float) -> tuple[FloatArray, FloatArray]:
+def true_at(it: SolvedArm, t: float) -> tuple[FloatArray, FloatArray]:
     """True position and velocity of the IMU."""
     truth = it.made.recording.truth
     assert truth is not None
@@ -135,7 +135,7 @@ def test_it_turns_back_early_because_v0_is_too_small():
     """
     shares, short_shares, bulges, short_bulges, early_s = [], [], [], [], []
     for seed in PEOPLE:
-        it = told("white", seed, protocol="behind", repetitions=1)
+        it = solved_arm("white", seed, protocol="behind", repetitions=1)
         scene, truth = scene_of(it), it.made.recording.truth
         assert truth is not None
         free = replace(scene, calibration=replace(scene.calibration, upper_arm=None))
@@ -163,7 +163,7 @@ def test_it_turns_back_early_because_v0_is_too_small():
 
 
 def test_with_true_ends_and_no_noise_the_integration_is_exact():
-    it = told("clean", 51, protocol="behind", repetitions=1)
+    it = solved_arm("clean", 51, protocol="behind", repetitions=1)
     truth, imu = it.made.recording.truth, it.made.ideal_imu
     assert truth is not None
     scene = scene_of(it)
@@ -178,7 +178,7 @@ def test_with_true_ends_and_no_noise_the_integration_is_exact():
         assert np.linalg.norm(found - truth.position[rows], axis=1).max() < 0.002
 
 
-def test_one_sided_gaps_are_integrated_from_the_side_that_is_there(behind: Told):
+def test_one_sided_gaps_are_integrated_from_the_side_that_is_there(behind: SolvedArm):
     """Under a constant acceleration and without a shoulder: the parabola that the ends imply, exactly."""
     scene = scene_of(behind)
     a = np.array([0.3, -0.2, 0.1])
@@ -219,7 +219,7 @@ def test_boundaries_with_hardly_anything_to_see():
     assert boundary(t, x, 2.0, 3.0) is None
 
 
-def test_never_seen_gives_no_answer(behind: Told):
+def test_never_seen_gives_no_answer(behind: SolvedArm):
     scene = scene_of(behind)
     gap = Gap(float(scene.t[0]), float(scene.t[-1]), open_start=True, open_end=True)
     blind = replace(scene, point=np.full_like(scene.point, np.nan), gaps=(gap,))

@@ -1,4 +1,4 @@
-"""Every peer with a model of the motion, on short, sparse or odd scenes: an answer, or nan and a note."""
+"""Every baseline with a model of the motion, on short, sparse or odd scenes: an answer, or nan and a note."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_scenes import NO_GAPS, arm, errors, rms, scene_of
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman
@@ -17,8 +17,8 @@ from smoother.baselines.ukf import ukf
 from smoother.measurements.visibility import find_gaps
 from smoother.recording import JOINTS, BoolArray
 
-PEERS = [kalman, multirate_kalman, gaussian_process, ukf, rts]
-every_peer = pytest.mark.parametrize("peer", PEERS)
+BASELINES = [kalman, multirate_kalman, gaussian_process, ukf, rts]
+every_baseline = pytest.mark.parametrize("baseline", BASELINES)
 
 
 def seen_only(scene: Scene, frames: BoolArray) -> Scene:
@@ -41,7 +41,7 @@ def first_samples(scene: Scene, count: int) -> Scene:
         acceleration=scene.acceleration[:count],
         frame_t=scene.frame_t[frames],
         joints=scene.joints[frames],
-        guessed=scene.guessed[frames],
+        camera_joints=scene.camera_joints[frames],
         point=scene.point[frames],
     )
 
@@ -59,52 +59,52 @@ def check(scene: Scene, path: Path) -> None:
         assert np.isfinite(eigenvalues).all() and eigenvalues.min() > -1e-12
 
 
-@every_peer
+@every_baseline
 @pytest.mark.parametrize("count", [8, 13, 40])
-def test_short_scenes(peer: Baseline, count: int):
+def test_short_scenes(baseline: Baseline, count: int):
     made = arm("white", 1, occlusion_lengths_s=NO_GAPS, duration_s=3.0)
     scene = first_samples(scene_of(made), count)
-    check(scene, peer(scene))
+    check(scene, baseline(scene))
 
 
-@every_peer
-def test_frames_that_stand_alone(peer: Baseline):
+@every_baseline
+def test_frames_that_stand_alone(baseline: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=8.0)
     scene = scene_of(made)
     rng = np.random.default_rng(0)
     scene = seen_only(scene, rng.uniform(size=len(scene.frame_t)) < 0.15)
-    path = peer(scene)
+    path = baseline(scene)
     check(scene, path)
     error = errors(made, path)
     # five frames a second, in between the IMU: `kalman`'s low-pass cannot work on single frames
-    assert rms(error[np.isfinite(error)]) < (0.10 if peer is kalman else 0.03)
+    assert rms(error[np.isfinite(error)]) < (0.10 if baseline is kalman else 0.03)
 
 
-@every_peer
+@every_baseline
 @pytest.mark.parametrize("rate_hz", [30.0, 400.0])
-def test_slow_and_fast_imus(peer: Baseline, rate_hz: float):
+def test_slow_and_fast_imus(baseline: Baseline, rate_hz: float):
     made = arm("white", 3, occlusion_lengths_s=NO_GAPS, duration_s=6.0, imu_rate_hz=rate_hz)
     scene = scene_of(made)
-    path = peer(scene)
+    path = baseline(scene)
     check(scene, path)
     error = errors(made, path)
     assert rms(error[np.isfinite(error)]) < 0.025
 
 
-@every_peer
-def test_no_shoulder_and_no_measures(peer: Baseline):
+@every_baseline
+def test_no_shoulder_and_no_measures(baseline: Baseline):
     made = arm("white", 4, duration_s=10.0)
     scene = scene_of(made)
     joints = scene.joints.copy()
     joints[:, JOINTS.index("shoulder")] = np.nan
     bare = replace(scene, joints=joints, calibration=replace(scene.calibration, upper_arm=None))
-    path = peer(bare)
+    path = baseline(bare)
     check(bare, path)
     error = errors(made, path)
     assert rms(error[np.isfinite(error) & ~scene.occluded]) < 0.02
 
 
-@every_peer
-def test_the_same_scene_gives_the_same_answer(peer: Baseline):
+@every_baseline
+def test_the_same_scene_gives_the_same_answer(baseline: Baseline):
     scene = scene_of(arm("white", 5, duration_s=6.0))
-    np.testing.assert_array_equal(peer(scene).position, peer(scene).position)
+    np.testing.assert_array_equal(baseline(scene).position, baseline(scene).position)

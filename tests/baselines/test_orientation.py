@@ -19,7 +19,7 @@ from smoother.baselines.orientation.comotti import (
     product,
     quaternion_of,
 )
-from smoother.baselines.orientation.complementary import ALPHA, MU, RATE_HZ, steady_axes
+from smoother.baselines.orientation.complementary import ALPHA, MU, RATE_HZ, level_axes
 from smoother.baselines.orientation.samples import even_samples, start_attitude, tilted
 from smoother.baselines.registry import ORIENTATIONS
 from smoother.measurements.inertial import InertialSignal
@@ -128,7 +128,7 @@ def test_complementary_is_its_slow_plain_version(with_field: bool):
     samples = turning(wandering(seed=3), Rotation.from_euler("ZYX", [0.3, 0.2, 0.1]), field)
     rough = np.random.default_rng(0).normal(size=samples.acc.shape)
     samples = replace(samples, acc=samples.acc + rough)
-    R_B_A = steady_axes(samples)
+    R_B_A = level_axes(samples)
     acc, mag = R_B_A.apply(samples.acc), R_B_A.apply(samples.mag) if with_field else None
     alpha = ALPHA ** (STEP * RATE_HZ)
     R = start_attitude(samples) * R_B_A.inv()

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.baselines.answer import answer
+from smoother.baselines.answer import recovery_of
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.registry import BASELINES
 from smoother.baselines.scene import Path as Answer
@@ -32,8 +32,8 @@ from .exactness import Exactness, apart_cm, exactness
 from .plain import WAYS, Timed, solve_plainly
 from .recordings import Made, read_truth
 
-PEERS_BESIDE = ("rts", "linear-drift")
-METHODS = (*(f"plain graph, {way}" for way in WAYS), *PEERS_BESIDE)
+BASELINES_BESIDE = ("rts", "linear-drift")
+METHODS = (*(f"plain graph, {way}" for way in WAYS), *BASELINES_BESIDE)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
     solving = time.perf_counter()
     paths = [_path(scene, name, timed) for scene in scenes]
     own_s = time.perf_counter() - solving
-    recovery = answer(recording, told, scenes, paths, name)
+    recovery = recovery_of(recording, told, scenes, paths, name)
     seconds, cpu = time.perf_counter() - began, _processor_s() - cpu
     truth = read_truth(made.truth, recovery.origin_ns)
     steps: dict[str, Any] = dict(timed.seconds)
@@ -104,7 +104,7 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
 
 def _path(scene: Scene, name: str, timed: Timed) -> Answer:
     if name in BASELINES:
-        return BASELINES[name].peer({})(scene)
+        return BASELINES[name].function({})(scene)
     return solve_plainly(scene, name.removeprefix("plain graph, "), timed)
 
 

@@ -17,7 +17,7 @@ robust loss, and the IMU's pieces are integrated to second order. That is what i
 
 Each gives the pose's covariance at every frame by marginals (`smooth` states one at every sample).
 
-In the plain graphs' favour: as peers, they are told what `smooth` found: the clock, the camera's noise, which
+In the plain graphs' favour: like baselines, they get what `smooth` found: clock, the camera's noise, which
 samples to believe, the gaps; the first two also gravity and the lever arms, `same job` has their values as
 start values. `batch` and `same job` start from the house's own values: orientation by the inertial filter
 aligned to the camera, positions from the camera with cubic bridges over the gaps. (From the IMU's prediction

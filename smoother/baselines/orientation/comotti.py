@@ -8,9 +8,12 @@ the observation. Their noise figures are not given; ours are here.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from ...linalg import unit
 from ...recording import FloatArray
 from ...units import GRAVITY
 from .samples import EvenSamples, start_attitude
@@ -24,6 +27,7 @@ GATE = 0.2
 #: The uncertainty of the start, which is a mean over seconds, rad.
 START_SIGMA_RAD = 0.01
 
+# Quaternions as plain numbers: an object of scipy a sample would cost fifty times as much.
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
@@ -38,23 +42,23 @@ def comotti(samples: EvenSamples) -> FloatArray:
     the prediction's own heading stands for it: then only the tilt is observed.
     """
     q: Quaternion = tuple(start_attitude(samples).as_quat(scalar_first=True))
-    found = np.empty((len(samples), 4))
-    found[0] = q
+    quaternion = np.empty((len(samples), 4))
+    quaternion[0] = q
     step, p = samples.step_s, 0.25 * START_SIGMA_RAD**2
     drift, r = 0.25 * GYROSCOPE_DENSITY**2 * step, 0.25 * DIRECTION_SIGMA_RAD**2
     force = np.linalg.norm(samples.acc, axis=1)
-    up = (samples.acc / force[:, None]).tolist()
-    believed = (np.abs(force / GRAVITY - 1.0) < GATE).tolist()
-    turns = _turns(samples.gyro * step).tolist()
+    up = unit(samples.acc).tolist()
+    near_gravity = (np.abs(force / GRAVITY - 1.0) < GATE).tolist()
+    turns = Rotation.from_rotvec(samples.gyro * step).as_quat(scalar_first=True).tolist()
     fields = None if samples.mag is None else samples.mag.tolist()
     for k in range(1, len(samples)):
         q, p = product(q, turns[k]), p + drift
-        if believed[k]:
+        if near_gravity[k]:
             z = observed(q, up[k], None if fields is None else fields[k])
             gain = p / (p + r)
-            q, p = _normalised([a + gain * (b - a) for a, b in zip(q, z, strict=True)]), (1.0 - gain) * p
-        found[k] = q
-    return found
+            q, p = _normalised(tuple(a + gain * (b - a) for a, b in zip(q, z, strict=True))), (1.0 - gain) * p
+        quaternion[k] = q
+    return quaternion
 
 
 def observed(predicted: Quaternion, up: Vector, field: Vector | None) -> Quaternion:
@@ -62,13 +66,21 @@ def observed(predicted: Quaternion, up: Vector, field: Vector | None) -> Quatern
 
     Parameters
     ----------
-    predicted : qw, qx, qy, qz of `R_E_A`.
-    up : unit vector of the force in {A}.
-    field : the magnetic field in {A}; the prediction's x of {E} where None or not a number.
+    predicted : Quaternion
+        qw, qx, qy, qz of `R_E_A`.
+    up : Vector
+        Unit vector of the force in {A}.
+    field : Vector or None
+        The magnetic field in {A}; the prediction's x of {E} where None or not a number.
+
+    Returns
+    -------
+    quaternion : Quaternion
+        qw, qx, qy, qz of `R_E_A`.
     """
     if field is None or field[0] != field[0]:
         field = _north(predicted)
-    west = _unit(_cross(up, field))
+    west = _normalised(_cross(up, field))
     north = _cross(west, up)
     # rows of R_E_A: the earth's axes in the sensor
     z = quaternion_of(north, west, up)
@@ -103,12 +115,6 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-def _turns(angle: FloatArray) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of rotation vectors (n, 3)."""
-    half = 0.5 * np.linalg.norm(angle, axis=1)[:, None]
-    return np.hstack([np.cos(half), 0.5 * angle * np.sinc(half / np.pi)])
-
-
 def _north(q: Quaternion) -> Vector:
     """X of {E} in {A}: the first row of `R_E_A`."""
     w, x, y, z = q
@@ -119,11 +125,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _unit(v: Vector) -> Vector:
+def _normalised(v: tuple[float, ...]) -> tuple[Any, ...]:
+    """A vector or quaternion of length one."""
     length = math.hypot(*v) or 1.0
-    return v[0] / length, v[1] / length, v[2] / length
-
-
-def _normalised(q: list[float]) -> Quaternion:
-    length = math.hypot(*q)
-    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
+    return tuple(a / length for a in v)

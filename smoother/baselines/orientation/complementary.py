@@ -1,6 +1,6 @@
-"""Complementary filter on roll, pitch and heading (Feng 2014, eq 3.10 and 3.13-3.19).
+"""Complementary filter on roll, pitch and heading (Feng, thesis, Glasgow 2014, eq 3.10 and 3.13-3.19).
 
-The class of that name in `ahrs` is another algorithm: it takes body rates for the angles' rates and leaves
+The class of that name in `ahrs` is another algorithm: it uses body rates as the angles' rates and leaves
 the heading at zero without a magnetometer. Feng's text leaves open what rates are meant; here the
 gyroscope turns the attitude exactly, and the angles are blended after that. It has a compass; where there is
 none, the blend turns about the level alone, so that the heading is the gyroscope's.
@@ -13,6 +13,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...linalg import unit
 from ...recording import FloatArray
 from .samples import EvenSamples, start_attitude
 
@@ -28,9 +29,9 @@ def complementary(samples: EvenSamples) -> FloatArray:
     """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` = Rz(heading) Ry(pitch) Rx(roll), z of {E} up.
 
     The angles are singular where the sensor's x axis is vertical. Which axis of a sensor is called x is
-    free, so the one that keeps farthest from the vertical in this recording is taken for it.
+    free, so it is the one that keeps farthest from the vertical in this recording.
     """
-    R_B_A = steady_axes(samples)
+    R_B_A = level_axes(samples)
     acc, gyro = R_B_A.apply(samples.acc), R_B_A.apply(samples.gyro)
     mag = None if samples.mag is None else R_B_A.apply(samples.mag)
     roll_acc, pitch_acc = tilt(acc)
@@ -38,35 +39,34 @@ def complementary(samples: EvenSamples) -> FloatArray:
     alpha = ALPHA ** (samples.step_s * RATE_HZ)
     here = start_attitude(samples) * R_B_A.inv()
     roll, pitch, heading = angles_of(here.as_matrix())
-    found = np.empty((len(samples), 3))
-    found[0] = roll, pitch, heading
+    angles = np.empty((len(samples), 3))
+    angles[0] = roll, pitch, heading
     turns = Rotation.from_rotvec(gyro * samples.step_s).as_matrix()
     for k in range(1, len(samples)):
-        carried = matrix_of(roll, pitch, heading) @ turns[k]
-        roll, pitch, heading = angles_of(carried)
+        propagated = matrix_of(roll, pitch, heading) @ turns[k]
+        roll, pitch, heading = angles_of(propagated)
         roll += (1.0 - alpha) * wrapped(roll_acc[k] - roll)
         pitch += (1.0 - alpha) * wrapped(pitch_acc[k] - pitch)
         if mag is not None and mag[k, 0] == mag[k, 0]:
             heading += (1.0 - alpha) * wrapped(compass(mag[k], roll, pitch) - heading)
         else:
-            heading = heading_kept(carried, roll, pitch)
-        found[k] = roll, pitch, heading
-    R_E_B = Rotation.from_euler("ZYX", found[:, ::-1])
+            heading = same_heading(propagated, roll, pitch)
+        angles[k] = roll, pitch, heading
+    R_E_B = Rotation.from_euler("ZYX", angles[:, ::-1])
     return np.asarray((R_E_B * R_B_A).as_quat(scalar_first=True))
 
 
-def steady_axes(samples: EvenSamples) -> Rotation:
+def level_axes(samples: EvenSamples) -> Rotation:
     """`R_B_A`: axes whose x keeps farthest from the vertical, by the force's direction over time."""
-    up = samples.acc / np.linalg.norm(samples.acc, axis=1)[:, None]
+    up = unit(samples.acc)
     count = np.arange(200) + 0.5
     polar, around = np.arccos(1.0 - count / 200.0), np.pi * (1.0 + np.sqrt(5.0)) * count
-    tries = np.stack(
+    candidates = np.stack(
         [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=1
     )  # evenly over half of the sphere
-    nearest = np.quantile(np.abs(up @ tries.T), 0.99, axis=0)
-    x = tries[int(np.argmin(nearest))]
-    z = np.cross(x, np.eye(3)[int(np.argmin(np.abs(x)))])
-    z /= np.linalg.norm(z)
+    nearest = np.quantile(np.abs(up @ candidates.T), 0.99, axis=0)
+    x = candidates[int(np.argmin(nearest))]
+    z = unit(np.cross(x, np.eye(3)[int(np.argmin(np.abs(x)))]))
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
 
 
@@ -108,16 +108,16 @@ def angles_of(R: FloatArray) -> Angles:
     )
 
 
-def heading_kept(carried: FloatArray, roll: float, pitch: float) -> float:
+def same_heading(R: FloatArray, roll: float, pitch: float) -> float:
     """The heading with which an attitude (3, 3) gets another roll and pitch by turning about the level alone.
 
     Without a compass nothing would undo what a correction of roll turns about the vertical.
     """
     up = matrix_of(roll, pitch, 0.0)[2]  # of the earth, in the sensor
-    x, y, z = carried @ up
+    x, y, z = R @ up
     # the shortest turn from there to (0, 0, 1), and what it makes of the sensor's first axis
-    a, b = carried[0, 0], carried[1, 0]
-    c, along = carried[2, 0], (x * a + y * b) / (1.0 + z)
+    a, b = R[0, 0], R[1, 0]
+    c, along = R[2, 0], (x * a + y * b) / (1.0 + z)
     return math.atan2(b - y * (c + along), a - x * (c + along))
 
 

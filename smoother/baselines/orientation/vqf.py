@@ -9,7 +9,10 @@ from .samples import EvenSamples
 
 
 def vqf(samples: EvenSamples) -> FloatArray:
-    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` by the package `vqf`: forwards and backwards in time."""
+    """Quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` by the package `vqf`: forwards and backwards in time.
+
+    Its class `offlineVQF` with the published settings; 6D, without a magnetometer.
+    """
     from vqf import offlineVQF
 
     answer = offlineVQF(

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...recording import FloatArray, ImuStream
+from ...units import GRAVITY
 from ..config import SensorErrors
 from ..inertial import ideal_imu, measure
-from ..motion import GRAVITY
 from ..path import band_noise, ramp
 from .config import PanelSimulation
 
@@ -26,11 +26,15 @@ class Held:
 
     Attributes
     ----------
-    R_W : (n, 3, 3) orientation in each pose, body to world.
-    p_W : (n, 3) m.
-    hold_s, move_s : time in a pose, and from one to the next.
-    sway_deg : rms of the sway.
-    seed : of the sway.
+    R_W : ndarray, shape (n, 3, 3)
+        Orientation in each pose, body to world.
+    p_W : ndarray, shape (n, 3), m
+    hold_s, move_s : float, s
+        Time in a pose, and from one to the next.
+    sway_deg : float, deg
+        Rms of the sway.
+    seed : int
+        Of the sway.
     """
 
     R_W: FloatArray
@@ -51,14 +55,14 @@ class Held:
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Orientation (N, 3, 3) and position (N, 3) m in {W}: minimum jerk between the poses."""
-        turned = Rotation.from_matrix(self.R_W)
-        step = (turned[:-1].inv() * turned[1:]).as_rotvec()
+        poses = Rotation.from_matrix(self.R_W)
+        step = (poses[:-1].inv() * poses[1:]).as_rotvec()
         R = np.tile(self.R_W[0], (len(t_s), 1, 1))
         p = np.tile(self.p_W[0], (len(t_s), 1))
         for i, begin in enumerate(self.middle_s()[:-1] + self.hold_s / 2):
             now = t_s >= begin
             share = ramp(t_s[now], begin, self.move_s)[:, None]
-            R[now] = (turned[i] * Rotation.from_rotvec(share * step[i])).as_matrix()
+            R[now] = (poses[i] * Rotation.from_rotvec(share * step[i])).as_matrix()
             p[now] = self.p_W[i] + share * (self.p_W[i + 1] - self.p_W[i])
         if self.sway_deg > 0:
             sway = self.sway_deg * band_noise(t_s, *_SWAY_HZ, 6, np.random.default_rng(self.seed))

@@ -17,9 +17,11 @@ class RenderLens:
 
     Attributes
     ----------
-    width, height : pixels.
-    fx, fy, cx, cy : focal lengths and principal point, pixels.
-    distortion : k1, k2, p1, p2, k3.
+    width, height : int, pixels
+    fx, fy, cx, cy : float, pixels
+        Focal lengths and principal point.
+    distortion : tuple of float
+        k1, k2, p1, p2, k3.
     """
 
     width: int
@@ -48,7 +50,7 @@ class RenderLens:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     def project(self, points_K: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of points (N, 3) in {K} in front of the camera."""
+        """Pixels (N, 2) of points (N, 3) in {K} in front of the camera (Brown 1971, as in OpenCV)."""
         x, y = (points_K[:, :2] / points_K[:, 2:]).T
         k1, k2, p1, p2, k3 = self.distortion
         r2 = x * x + y * y

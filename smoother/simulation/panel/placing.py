@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...linalg import unit
 from ...recording import FloatArray
 from .config import PanelSimulation
 from .lens import RenderLens
@@ -28,9 +29,20 @@ def place_panel(
 ) -> tuple[FloatArray, FloatArray]:
     """A pose of the panel above the floor in which the camera sees all of it.
 
+    Parameters
+    ----------
+    config : PanelSimulation
+        The panel, and the ranges of its poses.
+    lens : RenderLens
+    R_W_K : ndarray, shape (3, 3)
+        The camera in the world, z up.
+    rng : Generator
+
     Returns
     -------
-    R_K_P (3, 3), and the panel's origin in {K} (3,), m.
+    R_K_P : ndarray, shape (3, 3)
+    p_K_P : ndarray, shape (3,), m
+        The panel's origin in {K}.
 
     Raises
     ------
@@ -44,8 +56,7 @@ def place_panel(
             rng.uniform(*r) for r in (config.distance_m, config.tilt_deg, config.roll_deg)
         )
         row, column = rng.integers(lens.height), rng.integers(lens.width)
-        ray = np.append(rays[row, column], 1.0)
-        ray /= np.linalg.norm(ray)
+        ray = unit(np.append(rays[row, column], 1.0))
         R_K_P = facing(ray, np.radians(tilt), rng.uniform(0, 2 * np.pi), np.radians(roll))
         p_K_P = distance * ray - R_K_P @ middle
         seen = corners @ R_K_P.T + p_K_P
@@ -66,8 +77,7 @@ def facing(ray: FloatArray, tilt: float, towards: float, roll: float) -> FloatAr
 
     The tilt goes in the direction `towards`; `roll` turns the panel about its own normal. All in rad.
     """
-    right = np.cross(ray, [0.0, -1.0, 0.0])
-    right /= np.linalg.norm(right)
+    right = unit(np.cross(ray, [0.0, -1.0, 0.0]))
     down = np.cross(ray, right)
     facing_back = np.column_stack([right, -down, -ray])  # z to the camera, x right, y up in the image
     axis = np.array([np.cos(towards), np.sin(towards), 0.0])
@@ -99,8 +109,8 @@ def place_base(rng: np.random.Generator) -> FloatArray:
 
 def place_imu(off_deg: float, rng: np.random.Generator) -> FloatArray:
     """R_P_I (3, 3) of an IMU that was lined up with the panel by eye: off by `off_deg` about some axis."""
-    axis = rng.normal(size=3)
-    return np.asarray(Rotation.from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis)).as_matrix())
+    axis = unit(rng.normal(size=3))
+    return np.asarray(Rotation.from_rotvec(np.radians(off_deg) * axis).as_matrix())
 
 
 def place_mocap(R_W_K: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

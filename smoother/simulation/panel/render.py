@@ -24,15 +24,20 @@ _REFERENCE_M = 1.5
 
 @dataclass(frozen=True)
 class IdealImages:
-    """What a perfect sensor would measure; all (height, width).
+    """What a perfect sensor would measure; all of shape (height, width).
 
     Attributes
     ----------
-    z : depth, m; inf where nothing reflects.
-    spread : standard deviation of the depths that meet in a pixel, m.
-    infrared : in full scales of the sensor; beyond 1 where it saturates.
-    cosine : between normal and ray.
-    marker : part of the pixel that a marker fills.
+    z : ndarray, m
+        Depth; inf where nothing reflects.
+    spread : ndarray, m
+        Standard deviation of the depths that meet in a pixel.
+    infrared : ndarray
+        In full scales of the sensor; beyond 1 where it saturates.
+    cosine : ndarray
+        Between normal and ray.
+    marker : ndarray
+        Share of the pixel that a marker fills.
     """
 
     z: FloatArray
@@ -46,8 +51,7 @@ def render(scene: PanelScene, lens: RenderLens) -> IdealImages:
     """Cast a ray through every pixel, and many through those where surfaces meet."""
     rays = lens.rays()
     hits = scene.cast(rays.reshape(-1, 2))
-    images = _shade(scene, rays.reshape(-1, 2), hits)
-    z, infrared = hits.z.copy(), images
+    z, infrared = hits.z.copy(), _shade(scene, rays.reshape(-1, 2), hits)
     spread, marker = np.zeros(len(z)), hits.marker.astype(float)
     mixed = np.flatnonzero(_mixed(scene, lens, hits))
     inside = _fine_rays(rays, mixed)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...linalg import unit
 from ...recording import BoolArray, FloatArray
 from ...runtime.open3d_loader import load_open3d
 from .config import PanelSimulation
@@ -26,11 +27,16 @@ class Hits:
 
     Attributes
     ----------
-    z : (N,) depth along the optical axis, m; inf where there is nothing.
-    surface : (N,) number of the mesh; -1 where there is nothing.
-    cosine : (N,) between the surface's normal and the ray.
-    albedo : (N,) diffuse reflectance.
-    marker : (N,) True on a retroreflector.
+    z : ndarray, shape (N,), m
+        Depth along the optical axis; inf where there is nothing.
+    surface : ndarray, shape (N,)
+        Number of the mesh; -1 where there is nothing.
+    cosine : ndarray, shape (N,)
+        Between the surface's normal and the ray.
+    albedo : ndarray, shape (N,)
+        Diffuse reflectance.
+    marker : ndarray, shape (N,)
+        True on a retroreflector.
     """
 
     z: FloatArray
@@ -80,16 +86,14 @@ class PanelScene:
 
     def _on_a_disc(self, rays: FloatArray, z: FloatArray) -> BoolArray:
         """Which hits on the board lie on a flat marker: exact circles, not triangles."""
-        spots = [self.config.markers[i] for i in _shown(self.config)]
-        if self.config.marker_shape == "sphere":
-            spots = []
-        spots += list(self.config.extra_markers)
+        discs = _shown(self.config) if self.config.marker_shape == "disc" else []
+        spots = [*(self.config.markers[i] for i in discs), *self.config.extra_markers]
         on_board = (np.column_stack([rays * z[:, None], z]) - self.p_K_P) @ self.R_K_P
-        found = np.zeros(len(z), bool)
+        on_a_disc = np.zeros(len(z), bool)
         for spot in spots:
             away = on_board[:, :2] - spot
-            found |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
-        return found & (np.abs(on_board[:, 2]) < 1e-4)
+            on_a_disc |= (away**2).sum(axis=1) <= (self.config.marker_diameter_m / 2) ** 2
+        return on_a_disc & (np.abs(on_board[:, 2]) < 1e-4)
 
 
 def build_scene(
@@ -111,7 +115,7 @@ def build_scene(
     scene.add("floor", _plane(R_K_W @ [0, 0, 1.0], R_K_W @ [0, 0, FLOOR_M]))
     towards = R_K_W.T @ [0, 0, 1.0]
     wall = R_K_W @ np.array([towards[0], towards[1], 0.0])
-    scene.add("wall", _plane(-wall / np.linalg.norm(wall), np.array([0, 0, _WALL_M])))
+    scene.add("wall", _plane(-unit(wall), np.array([0, 0, _WALL_M])))
     if config.hand:
         _add_person(scene, R_K_W, rng)
     return scene
@@ -148,15 +152,14 @@ def _add_person(scene: PanelScene, R_K_W: FloatArray, rng: np.random.Generator) 
     # The body stands upright behind the panel.
     corners = panel_corners(scene.config) @ scene.R_K_P.T + scene.p_K_P
     middle, up = corners.mean(axis=0), R_K_W @ [0, 0, 1.0]
-    back = middle - up * (up @ middle)
-    back /= np.linalg.norm(back)
+    back = unit(middle - up * (up @ middle))
     chest = middle + back * (((corners - middle) @ back).max() + 0.17 + rng.uniform(0.08, 0.25))
     scene.add("clothes", _rod(chest - 0.9 * up, chest + 0.25 * up, 0.17))
     scene.add("hand", _sphere(0.11, chest + 0.42 * up, 20))
 
 
 def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """A place on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
+    """A point on the rim far enough from the markers, and the way inwards; both (3,) in {P}."""
     corners = panel_corners(config)
     spots = np.array([*config.markers, *config.extra_markers])
     best, farthest = (corners[2], np.array([-1.0, 0, 0])), -1.0
@@ -164,7 +167,7 @@ def _grip(config: PanelSimulation, rng: np.random.Generator) -> tuple[FloatArray
         i = rng.integers(4)
         edge = corners[(i + 1) % 4] - corners[i]
         rim = corners[i] + rng.uniform(0.15, 0.85) * edge
-        inward = np.cross([0, 0, 1.0], edge / np.linalg.norm(edge))
+        inward = np.cross([0, 0, 1.0], unit(edge))
         away = np.linalg.norm(spots - (rim + 0.02 * inward)[:2], axis=1).min()
         if away > farthest:
             best, farthest = (rim, inward), away
@@ -190,8 +193,7 @@ def _rod(start: FloatArray, stop: FloatArray, radius: float) -> Any:
     along = stop - start
     length = float(np.linalg.norm(along))
     z = along / length
-    x = np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0])
-    x /= np.linalg.norm(x)
+    x = unit(np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0]))
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), (start + stop) / 2
     rod = o3d.geometry.TriangleMesh.create_cylinder(radius, length, resolution=24, split=1).transform(T)
@@ -201,8 +203,7 @@ def _rod(start: FloatArray, stop: FloatArray, radius: float) -> Any:
 def _plane(normal: FloatArray, through: FloatArray, size: float = 30.0) -> Any:
     """Two triangles, wide enough to fill every image."""
     o3d = load_open3d()
-    x = np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.7 else [0, 1.0, 0])
-    x /= np.linalg.norm(x)
+    x = unit(np.cross(normal, [1.0, 0, 0] if abs(normal[0]) < 0.7 else [0, 1.0, 0]))
     y = np.cross(normal, x)
     corners = np.array([through + size * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     return o3d.geometry.TriangleMesh(

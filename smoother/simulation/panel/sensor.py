@@ -1,4 +1,4 @@
-"""What a camera like a Kinect v2 makes of ideal images: blur, saturation, noise, holes, flying pixels."""
+"""What a camera like a Kinect v2 makes of ideal images: blur, saturation, noise, flying pixels, no depth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def depth_image(
 ) -> NDArray[np.uint16] | FloatArray:
     """The depth image, mm, 0 where there is none (float where the simulation does not quantise).
 
-    Noise grows with distance squared and with the angle to the surface. Markers are holes, since their glare
+    Noise grows with distance squared and with the angle to the surface. Markers have none, since their glare
     saturates every phase image, and pull at the depths around them. Of the pixels on rims some show a depth
     in between, the others are dropped.
     """
@@ -46,12 +46,12 @@ def depth_image(
     rim = ideal.spread > _RIM_M
     valid = seen & ~(rim & (luck > config.flying))
     glare = _blurred(ideal.infrared, config.blur_px)
-    hole, beside = _around_markers(glare, ideal.marker)
+    no_depth, beside = _around_markers(glare, ideal.marker)
     if config.halo_m > 0:
         z = z + config.halo_m * beside
-        hole |= (beside > 0.6) & (luck < 0.5)
+        no_depth |= (beside > 0.6) & (luck < 0.5)
     z = z + sigma * noise + config.depth_offset_m
-    valid &= ~hole & (z > RANGE_M[0]) & (z < RANGE_M[1])
+    valid &= ~no_depth & (z > RANGE_M[0]) & (z < RANGE_M[1])
     millimetres = np.where(valid, z * 1000, 0.0)
     return np.rint(millimetres).astype(np.uint16) if config.quantised else millimetres
 
@@ -60,9 +60,9 @@ def _around_markers(glare: FloatArray, marker: FloatArray) -> tuple[NDArray[np.b
     """Pixels without depth, and how near (1 to 0) the others are to a marker."""
     import cv2
 
-    hole = (glare >= 1.0) | (marker > 0.02)
-    away = cv2.distanceTransform((~hole).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return hole, np.where(hole, 0.0, np.exp(-(away - 1.0) / _FADES_PX))
+    no_depth = (glare >= 1.0) | (marker > 0.02)
+    away = cv2.distanceTransform((~no_depth).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return no_depth, np.where(no_depth, 0.0, np.exp(-(away - 1.0) / _FADES_PX))
 
 
 def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:

@@ -34,15 +34,23 @@ class PanelPose:
 
     Attributes
     ----------
-    t_s : time of the images, in the middle of the hold; the clock is the IMUs'.
-    depth : (height, width) uint16, mm along the optical axis, 0 = none (float where not quantised).
-    infrared : (height, width) uint16.
-    marker_names : of the mocap markers, in the order they come in.
-    markers : (n, 3) m in {E}, with the mocap's noise, shuffled.
-    marker_order : (n,) which marker of the panel's definition each of them is.
-    R_K_P, p_K_P : (3, 3) and (3,) m, the panel in the camera.
-    marker_pixels : (n, 2) exact pixels of the markers' centres, in the order of the definition.
-    R_W_K : (3, 3) the camera in the world, z up.
+    t_s : float, s
+        Time of the images, in the middle of the hold; the clock is the IMUs'.
+    depth : ndarray of uint16, shape (height, width), mm
+        Along the optical axis, 0 = none (float where not quantised).
+    infrared : ndarray of uint16, shape (height, width)
+    marker_names : tuple of str
+        Of the mocap markers, in the order they come in.
+    markers : ndarray, shape (n, 3), m
+        In {E}, with the mocap's noise, shuffled.
+    marker_order : ndarray, shape (n,)
+        Which marker of the panel's definition each of them is.
+    R_K_P, p_K_P : ndarray, shape (3, 3) and (3,), m
+        The panel in the camera.
+    marker_pixels : ndarray, shape (n, 2), pixels
+        Exact pixels of the markers' centres, in the order of the definition.
+    R_W_K : ndarray, shape (3, 3)
+        The camera in the world, z up.
     """
 
     t_s: float
@@ -63,13 +71,18 @@ class SimulatedPanel:
 
     Attributes
     ----------
-    config, seed : what they were made of.
-    lens : the camera's intrinsics.
-    poses : the panel poses.
-    imu_panel, imu_base : the IMU on the panel and the one on the camera, over the whole session.
-    R_K_E, t_K_E : the answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E, m. Where the
-        camera is tilted between the poses, it holds for the first.
-    R_K_B, R_P_I : the answer of `calibrate world`: camera from base IMU, panel from its IMU.
+    config : PanelSimulation
+    seed : int
+    lens : RenderLens
+        The camera's intrinsics.
+    poses : tuple of PanelPose
+    imu_panel, imu_base : ImuStream
+        The IMU on the panel and the one on the camera, over the whole session.
+    R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
+        The answer of `calibrate panel`, camera from mocap: p_K = R_K_E p_E + t_K_E. Where the camera is
+        tilted between the poses, it holds for the first.
+    R_K_B, R_P_I : ndarray, shape (3, 3)
+        The answer of `calibrate world`: camera from base IMU, panel from its IMU.
     """
 
     config: PanelSimulation
@@ -88,6 +101,15 @@ def simulate_panel(config: PanelSimulation, seed: int = 0) -> SimulatedPanel:
     """Hold a panel before a depth camera, in as many poses as the settings say.
 
     The same settings and seed give the same values. Each pose draws from a stream of its own.
+
+    Parameters
+    ----------
+    config : PanelSimulation
+    seed : int
+
+    Returns
+    -------
+    simulated : SimulatedPanel
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`camera-only`, `hold`, `pchip` and every other peer where nothing is hidden and nothing is wrong."""
+"""`camera-only`, `hold`, `pchip` and every other baseline where nothing is hidden and nothing is wrong."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
-from told_scenes import Told, no_gaps, told
+from solved_arms import SolvedArm, solved_arm, without_gaps
 
-from smoother.baselines.camera import between
 from smoother.baselines.camera_only import camera_only
 from smoother.baselines.hold import hold
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.pchip import pchip
 from smoother.baselines.registry import recover
-from smoother.baselines.scene import Scene
+from smoother.baselines.scene import Scene, between
 from smoother.recording import JOINTS, FloatArray
 
 FRAME_S = 1.0 / 30.0
@@ -23,12 +22,12 @@ FRAME_S = 1.0 / 30.0
 
 @pytest.fixture(scope="module")
 def behind() -> Scene:
-    it = told("white", 3, protocol="behind", repetitions=1)
+    it = solved_arm("white", 3, protocol="behind", repetitions=1)
     (scene,) = scenes_of(it.recording, it.graph)
     return scene
 
 
-def acceleration_of(it: Told) -> float:
+def acceleration_of(it: SolvedArm) -> float:
     """Largest acceleration of the IMU and of elbow and wrist, m/s^2."""
     truth = it.made.recording.truth
     assert truth is not None
@@ -46,7 +45,7 @@ TILT_M = np.radians(1.5) * 0.06
 @pytest.mark.parametrize("seed", [21, 22])
 @pytest.mark.parametrize("method", ["linear-drift", "hold", "pchip"])
 def test_nothing_hidden_and_nothing_wrong(method: str, seed: int):
-    it = no_gaps(seed)
+    it = without_gaps(seed)
     assert it.graph.gaps == ()
     error = it.errors(recover(it.recording, it.graph, method))[4:-4]  # the camera starts a frame later
     limit = acceleration_of(it) * LINE + TILT_M
@@ -55,7 +54,7 @@ def test_nothing_hidden_and_nothing_wrong(method: str, seed: int):
 
 
 def test_camera_only_is_off_by_the_sensors_distance_from_the_axis():
-    it = no_gaps()
+    it = without_gaps()
     found = recover(it.recording, it.graph, "camera-only")
     levers = it.made.calibration.lever_arms
     along = it.made.calibration.forearm_direction
@@ -77,7 +76,7 @@ def test_camera_only_by_equation_16(behind: Scene):
     elbow, wrist = levers["elbow"].position_m, levers["wrist"].position_m
     along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
     d_se, d_sw = float(-elbow @ along), float(wrist @ along)
-    L, T = (behind.guessed[:, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
+    L, T = (behind.camera_joints[:, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
     D = L + d_se / (d_sw + d_se) * (T - L)
     known = np.isfinite(D).all(axis=1)
     frames = behind.frame_t[known]
@@ -88,23 +87,24 @@ def test_camera_only_by_equation_16(behind: Scene):
 def test_camera_only_takes_guesses_and_bridges_silence(behind: Scene):
     gap = behind.gaps[0]
     hidden = (behind.frame_t > gap.start_s) & (behind.frame_t < gap.end_s)
-    guessed = behind.guessed.copy()
-    guessed[hidden] = np.array([1.0, 2.0, 3.0])
+    camera_joints = behind.camera_joints.copy()
+    camera_joints[hidden] = np.array([1.0, 2.0, 3.0])
     inside = (behind.t > gap.start_s + FRAME_S) & (behind.t < gap.end_s - FRAME_S)
     np.testing.assert_allclose(
-        camera_only(replace(behind, guessed=guessed)).position[inside], [[1.0, 2.0, 3.0]] * inside.sum()
+        camera_only(replace(behind, camera_joints=camera_joints)).position[inside],
+        [[1.0, 2.0, 3.0]] * inside.sum(),
     )
-    guessed[hidden] = np.nan
-    line = camera_only(replace(behind, guessed=guessed)).position[inside]
+    camera_joints[hidden] = np.nan
+    line = camera_only(replace(behind, camera_joints=camera_joints)).position[inside]
     assert np.abs(np.diff(line, n=2, axis=0)).max() < 1e-9
 
 
 def test_camera_only_with_fewer_joints(behind: Scene):
-    strap = np.full_like(behind.guessed, np.nan)
+    strap = np.full_like(behind.camera_joints, np.nan)
     strap[:, JOINTS.index("strap")] = [0.1, 0.2, 2.0]
-    bare = replace(behind, guessed=strap, calibration=replace(behind.calibration, lever_arms={}))
+    bare = replace(behind, camera_joints=strap, calibration=replace(behind.calibration, lever_arms={}))
     np.testing.assert_allclose(camera_only(bare).position, np.tile([0.1, 0.2, 2.0], (len(behind.t), 1)))
-    nothing = replace(behind, guessed=np.full_like(strap, np.nan))
+    nothing = replace(behind, camera_joints=np.full_like(strap, np.nan))
     assert np.isnan(camera_only(nothing).position).all()
 
 
@@ -150,12 +150,12 @@ def test_pchip_is_the_librarys_on_every_track(behind: Scene):
     assert path.position.max() <= np.nanmax(behind.point) and path.position.min() >= np.nanmin(behind.point)
 
 
-@pytest.mark.parametrize("peer", [camera_only, hold, pchip])
-def test_nothing_seen_gives_no_answer(behind: Scene, peer):
+@pytest.mark.parametrize("baseline", [camera_only, hold, pchip])
+def test_nothing_seen_gives_no_answer(behind: Scene, baseline):
     blind = replace(
         behind,
         joints=np.full_like(behind.joints, np.nan),
-        guessed=np.full_like(behind.guessed, np.nan),
+        camera_joints=np.full_like(behind.camera_joints, np.nan),
         point=np.full_like(behind.point, np.nan),
     )
-    assert np.isnan(peer(blind).position).all()
+    assert np.isnan(baseline(blind).position).all()

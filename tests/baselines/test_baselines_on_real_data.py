@@ -1,14 +1,13 @@
-"""The simple peers on recordings of others: BROAD (optical truth) and UTD-MHAD (a Kinect, a wrist IMU)."""
+"""The simple baselines on the recordings of others: BROAD (optical truth), UTD-MHAD (Kinect, wrist IMU)."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from told_scenes import ALONE
+from scenes import there
+from solved_arms import ALONE
 
 from smoother import Recovery
 from smoother.baselines.registry import ORIENTATIONS, recover
@@ -20,16 +19,6 @@ from smoother.recording import Recording
 pytestmark = pytest.mark.real
 
 SIMPLE = ("graph", "linear-drift", "camera-only", "hold", "pchip")
-
-
-def there(*parts: str) -> Path:
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        pytest.skip("UNOCCLUDE_DATASETS names no folder with BROAD and UTD-MHAD")
-    path = Path(folder).joinpath(*parts)
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    return path
 
 
 def moving(name: str) -> Recording:
@@ -44,22 +33,22 @@ def moving(name: str) -> Recording:
 
 
 def rms_of(table: GapTable, length_s: float) -> dict[str, float]:
-    found = {}
+    rms = {}
     for name, result in table.lengths[length_s].items():
         assert result.failed == 0 and result.figures.position_rms_m is not None, name
-        found[name] = result.figures.position_rms_m
-    return found
+        rms[name] = result.figures.position_rms_m
+    return rms
 
 
 def test_a_strap_alone():
     """Slow translation, gaps of 1 s; measured 0.5, 7.5, 15, 24 and 11 cm over 80 s of the trial."""
     graph = SharedGraph(None, ALONE)
 
-    def peer(name: str, orientation: str = "vqf") -> Callable[[Recording], Recovery]:
+    def baseline(name: str, orientation: str = "vqf") -> Callable[[Recording], Recovery]:
         return lambda copy: recover(copy, graph(copy), name, orientation)
 
-    others = {name: peer(name) for name in ("camera-only", "hold", "pchip")}
-    drifts = {f"linear-drift, {name}": peer("linear-drift", name) for name in ORIENTATIONS}
+    others = {name: baseline(name) for name in ("camera-only", "hold", "pchip")}
+    drifts = {f"linear-drift, {name}": baseline("linear-drift", name) for name in ORIENTATIONS}
     recording = moving("11_undisturbed_slow_translation_B.mat")
     table = evaluate_gaps(recording, [1.0], {"graph": graph, **others, **drifts}, seed=1)
     rms = rms_of(table, 1.0)

@@ -1,4 +1,4 @@
-"""The peers `kalman` and `multirate-kalman`: their published figures, their order, gaps and ends."""
+"""The baselines `kalman` and `multirate-kalman`: their published figures, their order, gaps and ends."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_scenes import NO_GAPS, arm, errors, rms, scene_of
+from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.kalman import deviations_at_rest, kalman, low_pass, state_model
 from smoother.baselines.linear import kalman_filter
@@ -128,20 +128,20 @@ def scene_without_gaps(seed: int, **changes: object) -> tuple[Scene, SimulatedAr
 
 
 @pytest.mark.parametrize(
-    ("peer", "fast_m", "slow_m"), [(kalman, 0.02, 0.003), (multirate_kalman, 0.002, 0.0008)]
+    ("baseline", "fast_m", "slow_m"), [(kalman, 0.02, 0.003), (multirate_kalman, 0.002, 0.0008)]
 )
-def test_error_free_sensors_come_back_to_the_methods_order(peer: Baseline, fast_m: float, slow_m: float):
+def test_error_free_sensors_come_back_to_the_methods_order(baseline: Baseline, fast_m: float, slow_m: float):
     # measured: kalman 2.9-5.5 mm and 0.4-0.6, multirate 0.5-0.8 and 0.1-0.2; the docstrings' orders
     for speed, most in ((1.0, fast_m), (0.5, slow_m)):
         scene, made = scene_without_gaps(1, speed=speed)
-        assert rms(errors(made, peer(scene))[80:]) < most
+        assert rms(errors(made, baseline(scene))[80:]) < most
 
 
-@pytest.mark.parametrize("peer", [kalman, multirate_kalman])
-def test_filters_say_what_a_gap_costs(peer: Baseline):
+@pytest.mark.parametrize("baseline", [kalman, multirate_kalman])
+def test_filters_say_what_a_gap_costs(baseline: Baseline):
     made = arm("white", 1, occlusion_lengths_s=(1.0,))
     scene = scene_of(made, tilt_deg=1.0)
-    path = peer(scene)
+    path = baseline(scene)
     assert path.covariance is not None
     gap = next(gap for gap in scene.gaps if not gap.open_start and not gap.open_end)
     inside = np.flatnonzero((scene.t > gap.start_s) & (scene.t < gap.end_s))
@@ -156,17 +156,17 @@ def test_filters_say_what_a_gap_costs(peer: Baseline):
     assert rms(error[inside]) < 0.12
 
 
-@pytest.mark.parametrize("peer", [kalman, multirate_kalman])
-def test_filters_begin_with_the_first_frame_and_go_on_after_the_last(peer: Baseline):
+@pytest.mark.parametrize("baseline", [kalman, multirate_kalman])
+def test_filters_begin_with_the_first_frame_and_go_on_after_the_last(baseline: Baseline):
     made = arm("white", 2, occlusion_lengths_s=NO_GAPS, duration_s=12.0)
     scene = scene_of(made)
     point = scene.point.copy()
     point[(scene.frame_t < 2.0) | (scene.frame_t > 10.0)] = np.nan
-    path = peer(replace(scene, point=point))
+    path = baseline(replace(scene, point=point))
     assert path.covariance is not None
     answered = np.isfinite(path.position[:, 0])
     assert not answered[scene.t < 1.99].any() and answered[scene.t > 2.05].all()
     end = path.covariance[scene.t > 10.0, 0, 0]
     assert (np.diff(end) > 0).all()
-    nothing = peer(replace(scene, point=np.full_like(point, np.nan)))
+    nothing = baseline(replace(scene, point=np.full_like(point, np.nan)))
     assert not np.isfinite(nothing.position).any() and nothing.notes

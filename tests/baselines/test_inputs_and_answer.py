@@ -1,4 +1,4 @@
-"""What a peer is told, and how its path becomes a recovery."""
+"""What a baseline gets, and how its path becomes a recovery."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from told_scenes import ALONE, Told, no_gaps, told
+from solved_arms import ALONE, SolvedArm, solved_arm, without_gaps
 
-from smoother.baselines.answer import answer
+from smoother.baselines.answer import recovery_of
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Path, Scene
@@ -19,16 +19,16 @@ from smoother.recording import JOINTS, JointState
 
 
 @pytest.fixture(scope="module")
-def behind() -> Told:
-    return told("white", 3, protocol="behind", repetitions=1)
+def behind() -> SolvedArm:
+    return solved_arm("white", 3, protocol="behind", repetitions=1)
 
 
-def only(it: Told, orientation: str = "vqf") -> Scene:
+def only(it: SolvedArm, orientation: str = "vqf") -> Scene:
     (scene,) = scenes_of(it.recording, it.graph, orientation)
     return scene
 
 
-def test_a_scene_is_the_graphs_clock_and_samples(behind: Told):
+def test_a_scene_is_the_graphs_clock_and_samples(behind: SolvedArm):
     scene = only(behind)
     residuals = behind.graph.residuals
     assert residuals is not None
@@ -47,8 +47,8 @@ def test_a_scene_is_the_graphs_clock_and_samples(behind: Told):
 
 def test_a_scene_agrees_with_the_truth():
     """Without errors: orientation to the filter's 1.5 degrees, acceleration to what that tilts of gravity."""
-    it = no_gaps()
-    truth, scene = it.made.recording.truth, only(no_gaps())
+    it = without_gaps()
+    truth, scene = it.made.recording.truth, only(without_gaps())
     assert truth is not None
     true = Rotation.from_quat(truth.quaternion[scene.rows], scalar_first=True)
     off = (Rotation.from_matrix(scene.R_K_A) * true.inv()).magnitude()
@@ -61,7 +61,7 @@ def test_a_scene_agrees_with_the_truth():
     assert distance.max() < 0.003  # 1 degree over a lever of 0.1 m, and the truth between samples
 
 
-def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: Told):
+def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: SolvedArm):
     nonsense = np.where(np.isfinite(behind.graph.position), 7.0, np.nan)
     blind = replace(
         behind.graph,
@@ -85,7 +85,7 @@ def test_the_graphs_path_and_the_truth_are_not_looked_at(behind: Told):
                 np.testing.assert_array_equal(getattr(found, each.name), value, err_msg=each.name)
 
 
-def test_known_biases_are_taken_off(behind: Told):
+def test_known_biases_are_taken_off(behind: SolvedArm):
     calibration = behind.graph.calibration
     assert calibration is not None
     acc, gyro = np.array([0.1, -0.2, 0.3]), np.array([0.01, 0.02, -0.03])
@@ -96,17 +96,17 @@ def test_known_biases_are_taken_off(behind: Told):
 
 
 def test_guesses_are_kept_apart_from_what_is_believed():
-    it = told("white", 3, protocol="behind", repetitions=1, occluded_state="inferred")
+    it = solved_arm("white", 3, protocol="behind", repetitions=1, occluded_state="inferred")
     scene = only(it)
     wrist = JOINTS.index("wrist")
     inside = (it.graph.arm.t_s >= scene.t[0]) & (it.graph.arm.t_s <= scene.t[-1])
     inferred = it.recording.arm.state[inside, wrist] == JointState.INFERRED
     assert inferred.sum() > 30
-    assert np.isfinite(scene.guessed[inferred, wrist]).all()
+    assert np.isfinite(scene.camera_joints[inferred, wrist]).all()
     assert np.isnan(scene.joints[inferred, wrist]).all()
 
 
-def test_pauses_of_the_imu_split_the_scenes(behind: Told):
+def test_pauses_of_the_imu_split_the_scenes(behind: SolvedArm):
     from smoother import smooth
 
     imu = behind.recording.imu
@@ -118,7 +118,7 @@ def test_pauses_of_the_imu_split_the_scenes(behind: Told):
     assert (before.rows.stop, after.rows.stop) == (after.rows.start, len(recording.imu))
     answered = recover(recording, graph, "pchip")
     np.testing.assert_array_equal(np.isfinite(answered.position), np.isfinite(graph.position))
-    # each stretch by itself: nothing of the one comes into the other
+    # each segment by itself: nothing of the one comes into the other
     alone = recover(recording, graph, "linear-drift")
     truth = behind.made.recording.truth
     assert truth is not None
@@ -126,7 +126,7 @@ def test_pauses_of_the_imu_split_the_scenes(behind: Told):
     assert np.nanmax(error[~graph.occluded]) < 0.04
 
 
-def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: Told):
+def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: SolvedArm):
     from smoother import smooth
 
     rng = np.random.default_rng(5)
@@ -147,7 +147,7 @@ def test_stamps_that_a_radio_made_uneven_get_their_answers(behind: Told):
     assert np.allclose(np.linalg.norm(found.quaternion[~graph.occluded][known], axis=1), 1.0)
 
 
-def test_what_belongs_to_another_recording_is_refused(behind: Told):
+def test_what_belongs_to_another_recording_is_refused(behind: SolvedArm):
     short = replace(behind.recording, imu=behind.recording.imu.select(slice(0, 500)))
     with pytest.raises(SolveError, match="another recording"):
         scenes_of(short, behind.graph)
@@ -159,17 +159,17 @@ def test_what_belongs_to_another_recording_is_refused(behind: Told):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("magic",), "there is no method 'magic'; peers: rts"),
+        (("magic",), "there is no method 'magic'; baselines: rts"),
         (("hold", "compass"), "there is no orientation 'compass'; there are: vqf"),
         (("hold", "vqf", {"boundary_s": 1.0}), "hold has no option boundary_s"),
     ],
 )
-def test_wrong_names_are_told_in_a_sentence(behind: Told, arguments: tuple, text: str):
+def test_wrong_names_are_refused_in_a_sentence(behind: SolvedArm, arguments: tuple, text: str):
     with pytest.raises(UnoccludeError, match=text):
         recover(behind.recording, behind.graph, *arguments)
 
 
-def test_an_answer_takes_over_what_was_told(behind: Told):
+def test_an_answer_repeats_what_is_the_graphs(behind: SolvedArm):
     found = recover(behind.recording, behind.graph, "linear-drift", "comotti", {"boundary_s": 0.3})
     graph = behind.graph
     assert (found.method, found.gaps, found.clock_offset_s) == (
@@ -184,7 +184,7 @@ def test_an_answer_takes_over_what_was_told(behind: Told):
     assert np.isnan(found.pose_covariance).all() and np.isnan(found.joint_covariance["wrist"]).all()
 
 
-def test_an_answers_joints_and_covariances(behind: Told):
+def test_an_answers_joints_and_covariances(behind: SolvedArm):
     """Lever arms on the pose; a joint's covariance by finite differences through pose and lever arm."""
     scene = only(behind)
     count = len(scene.t)
@@ -196,7 +196,7 @@ def test_an_answers_joints_and_covariances(behind: Told):
         covariance=np.tile(np.diag(spread**2), (count, 1, 1)),
         attitude_covariance=np.tile(np.diag(turning**2), (count, 1, 1)),
     )
-    found = answer(behind.recording, behind.graph, [scene], [path], "made up")
+    found = recovery_of(behind.recording, behind.graph, [scene], [path], "made up")
     levers = scene.calibration.lever_arms
     row, lever = 700, levers["elbow"]
     R = scene.R_K_A[row]

@@ -21,7 +21,7 @@ def arm(preset: str, seed: int = 0, **changes: object) -> SimulatedArm:
 
 
 def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = None) -> Scene:
-    """What a peer would see of a simulated arm: true calibration and clock, orientation off by a tilt."""
+    """What a baseline would see of a simulated arm: true calibration and clock, orientation off by a tilt."""
     recording, truth = made.recording, made.recording.truth
     assert truth is not None
     imu = recording.imu
@@ -57,7 +57,7 @@ def scene_of(made: SimulatedArm, tilt_deg: float = 0.0, sigma_m: float | None = 
         acceleration=np.einsum("nij,nj->ni", R, imu.acc) + gravity,
         frame_t=frame_t,
         joints=joints,
-        guessed=tracks.position[inside],
+        camera_joints=tracks.position[inside],
         point=point,
         point_sigma_m=sigma_m,
         gaps=find_gaps(frame_t, visible, float(imu.t_s[0]), float(imu.t_s[-1])),

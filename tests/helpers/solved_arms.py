@@ -1,4 +1,4 @@
-"""Simulated recordings with what the graph finds in them, solved once a test run."""
+"""Simulated arms with the graph's recovery of them, solved once a test run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ALONE = Config.model_validate({"windows": {"processes": 1}})
 
 
 @dataclass(frozen=True)
-class Told:
+class SolvedArm:
     """A simulated arm, its recording without truth, and the graph's recovery of it."""
 
     made: SimulatedArm
@@ -34,12 +34,12 @@ class Told:
 
 
 @cache
-def told(preset: str = "white", seed: int = 0, calibrated: bool = True, **changes: object) -> Told:
+def solved_arm(preset: str = "white", seed: int = 0, calibrated: bool = True, **changes: object) -> SolvedArm:
     made = simulate_arm(ArmSimulation.preset(preset, **changes), seed=seed)
     recording = replace(made.recording, truth=None)
-    return Told(made, recording, smooth(recording, made.calibration if calibrated else None, ALONE))
+    return SolvedArm(made, recording, smooth(recording, made.calibration if calibrated else None, ALONE))
 
 
-def no_gaps(seed: int = 21) -> Told:
+def without_gaps(seed: int = 21) -> SolvedArm:
     """A recording without any error and without a gap."""
-    return told("clean", seed, protocol="random", duration_s=12.0, occlusion_lengths_s=())
+    return solved_arm("clean", seed, protocol="random", duration_s=12.0, occlusion_lengths_s=())
