@@ -114,12 +114,6 @@ def sensors_in(file: CalibrationFile) -> dict[str, Any]:
     return held
 
 
-def with_sensor(file: CalibrationFile, topic: str, parts: dict[str, dict[str, Any]]) -> CalibrationFile:
-    """A copy in which these tables of a sensor replace those that it has; its others are kept."""
-    name, held = sensor_name(topic), sensors_in(file)
-    return file.with_table("imu", {**held, name: {**held.get(name, {}), **parts}})
-
-
 def _table(held: dict[str, Any], name: str, where: str) -> dict[str, Any]:
     table = held.get(name, {})
     if not isinstance(table, dict):

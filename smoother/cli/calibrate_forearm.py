@@ -70,7 +70,8 @@ def forearm(
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
     check_outputs(True, [output], [recording_file, config_file])
     check_outputs(force, [json_file, report], [recording_file])
-    held = read_calibration(output) if output.exists() else CalibrationFile()
+    if output.exists():
+        read_calibration(output)  # before the work: what cannot be read cannot be added to
     config = with_processes(read_config(config_file), processes)
     recording, _ = load_arm(recording_file, None, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
     found = calibrate_forearm(
@@ -83,8 +84,7 @@ def forearm(
     )
     rows = compare(found)
     said, left_open = verdict(found, rows), open_questions(found)
-    table = held.tables.get("forearm", {})
-    table = {**(table if isinstance(table, dict) else {}), recording.side or "any": _table(found)}
+    table = {recording.side or "any": _table(found)}
     write_calibration(output, CalibrationFile().with_arm(found.calibration).with_table("forearm", table))
     write_json(json_file, _figures(found, rows, said, left_open), force)
     if report is not None:

@@ -130,14 +130,10 @@ def _load(
 
 def _write(output: Path, topic: str, parts: dict[str, dict[str, Any]]) -> None:
     """Merge a sensor's tables into the calibration file; what another recording told of it is kept."""
-    from calib.file import CalibrationFile, read_calibration, write_calibration
-    from calib.imu.sensor import sensor_name, sensors_in, with_sensor
+    from calib.file import CalibrationFile, write_calibration
+    from calib.imu.sensor import sensor_name
 
-    held = read_calibration(output) if output.exists() else CalibrationFile()
-    own = sensors_in(held).get(sensor_name(topic), {})
-    # noise comes from one recording and offsets from another: key by key
-    merged = {part: {**own.get(part, {}), **table} for part, table in parts.items()}
-    write_calibration(output, with_sensor(CalibrationFile(tables=held.tables), topic, merged))
+    write_calibration(output, CalibrationFile().with_table("imu", {sensor_name(topic): parts}))
 
 
 def _figures(found: ImuCalibration) -> dict[str, Any]:
