@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smoother.recording import FloatArray
 
-from .definition import Intrinsics
+from ..intrinsics import Intrinsics
 
 #: Brightness over the surroundings from which a spot counts, as fractions of the brightest; tried in turn.
 LEVELS = (0.5, 0.25, 0.12, 0.06)

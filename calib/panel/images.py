@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-from .definition import Intrinsics
+from ..intrinsics import Intrinsics
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 
 from smoother.recording import FloatArray
 
+from ..intrinsics import Intrinsics
 from .blobs import Blobs, find_blobs
-from .definition import Intrinsics, Panel
+from .definition import Panel
 from .frame import Frame, fit_frame, frame_of_markers, frame_of_points
 from .identify import (
     EDGE_ON_DEG,

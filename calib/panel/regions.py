@@ -8,8 +8,9 @@ import numpy as np
 
 from smoother.recording import BoolArray, FloatArray
 
+from ..intrinsics import Intrinsics
 from .blobs import Blobs
-from .definition import Intrinsics, Panel
+from .definition import Panel
 from .frame import Frame
 
 #: Left out along the rim, where pixels are mixed with what lies behind: pixels.

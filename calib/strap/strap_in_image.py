@@ -18,7 +18,8 @@ from scipy.ndimage import uniform_filter1d
 
 from smoother.recording import FloatArray
 
-from .strap_camera import Depth, Lens
+from ..intrinsics import PlacedCamera
+from .strap_camera import Depth
 from .strap_surface import across_arm, silhouette_axis, silhouette_middle, surface_at
 
 #: The strap is looked for between these parts of the way from elbow to wrist.
@@ -76,7 +77,7 @@ class Sighting:
 
 def find_strap(
     grey: NDArray[np.uint8],
-    lens: Lens,
+    camera: PlacedCamera,
     depth: Depth,
     elbow: FloatArray,
     wrist: FloatArray,
@@ -101,19 +102,19 @@ def find_strap(
     if not 0.1 < length < 0.5:
         return Sighting("elbow and wrist are not a forearm apart")
     y = (wrist - elbow) / length
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     ray = 0.5 * (elbow + wrist) - origin
     ray /= np.linalg.norm(ray)
     if abs(y @ ray) > np.cos(NEAR_RAY_RAD):
         return Sighting("the forearm points to the camera")
     told = elbow, wrist
-    axis = silhouette_axis(lens, depth, elbow, wrist, radius_m)
+    axis = silhouette_axis(camera, depth, elbow, wrist, radius_m)
     if axis is not None:
         elbow, wrist = axis
         length = float(np.linalg.norm(wrist - elbow))
         y = (wrist - elbow) / length
     part = np.linspace(*SEARCH, SAMPLES)
-    profile = _profile(grey, lens, elbow, wrist, part, np.cross(y, ray))
+    profile = _profile(grey, camera, elbow, wrist, part, np.cross(y, ray))
     if profile is None:
         return Sighting("the forearm is not inside the image")
     at, contrast, width = _dark_stretch(profile, part, strap_width_m / length)
@@ -129,14 +130,14 @@ def find_strap(
             profile=profile,
         )
     place = elbow + at * (wrist - elbow)
-    pixel, _ = lens.pixels(place[None])
-    surface = surface_at(lens, depth, elbow, wrist, at, BESIDE_M)
+    pixel, _ = camera.pixels(place[None])
+    surface = surface_at(camera, depth, elbow, wrist, at, BESIDE_M)
     if surface is None:
         return Sighting("no depth at the strap", pixel=pixel[0], along=at, contrast=contrast, profile=profile)
     along = float((surface - elbow) @ y)
     off, reason = _criteria(surface, *told)
     core, covariance = _core(
-        lens, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
+        camera, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
     )
     return Sighting(
         reason,
@@ -154,7 +155,7 @@ def find_strap(
 
 def _profile(
     grey: NDArray[np.uint8],
-    lens: Lens,
+    camera: PlacedCamera,
     elbow: FloatArray,
     wrist: FloatArray,
     part: FloatArray,
@@ -166,7 +167,7 @@ def _profile(
     across = across / np.linalg.norm(across)
     line = elbow + part[:, None] * (wrist - elbow)
     shifts = np.linspace(-BAND_M, BAND_M, LINES)
-    pixels, _ = lens.pixels((line[None] + shifts[:, None, None] * across).reshape(-1, 3))
+    pixels, _ = camera.pixels((line[None] + shifts[:, None, None] * across).reshape(-1, 3))
     inside = (pixels >= 0) & (pixels <= [grey.shape[1] - 1, grey.shape[0] - 1])
     if not inside.all():
         return None
@@ -231,7 +232,7 @@ def _criteria(surface: FloatArray, elbow: FloatArray, wrist: FloatArray) -> tupl
 
 
 def _core(
-    lens: Lens,
+    camera: PlacedCamera,
     depth: Depth,
     surface: FloatArray,
     elbow: FloatArray,
@@ -247,7 +248,7 @@ def _core(
     ----------
     is_axis : the line is the silhouette's own (`silhouette_axis`), not the joints'.
     """
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     length = float(np.linalg.norm(wrist - elbow))
     y, part = (wrist - elbow) / length, along / length
     z = float(np.linalg.norm(surface - origin))
@@ -256,7 +257,7 @@ def _core(
     line_sigma = SILHOUETTE_SIGMA_M if is_axis else joint_sigma_m * float(np.hypot(1 - part, part))
     # a line that is turned moves the foot of a surface point along the arm
     turned = radius_m * (SILHOUETTE_SIGMA_M if is_axis else 1.4 * joint_sigma_m) / length
-    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / lens.fx))
+    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / camera.lens.fx))
     weights = np.full(2, line_sigma**-2)  # across, into
     place = np.array([(own - surface) @ across, (own - surface) @ into])
     middle = silhouette_middle(depth, surface, across, into, radius_m)

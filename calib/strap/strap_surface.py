@@ -6,7 +6,8 @@ import numpy as np
 
 from smoother.recording import FloatArray
 
-from .strap_camera import Depth, Lens
+from ..intrinsics import PlacedCamera
+from .strap_camera import Depth
 
 #: The surface is looked for so far before and behind the line, m.
 BEFORE_M, BEHIND_M, STEP_M = 0.16, 0.10, 0.002
@@ -22,7 +23,7 @@ JUMP_M, REACH_M = 0.04, 0.07
 
 
 def silhouette_axis(
-    lens: Lens, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
+    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not.
 
@@ -31,10 +32,10 @@ def silhouette_axis(
     """
     length = float(np.linalg.norm(wrist - elbow))
     y = (wrist - elbow) / length
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     parts, points = [], []
     for at in STATIONS:
-        surface = surface_at(lens, depth, elbow, wrist, at, STATION_M)
+        surface = surface_at(camera, depth, elbow, wrist, at, STATION_M)
         if surface is None:
             continue
         into, across = across_arm(surface, origin, y)
@@ -72,7 +73,7 @@ def across_arm(surface: FloatArray, origin: FloatArray, y: FloatArray) -> tuple[
 
 
 def surface_at(
-    lens: Lens, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
+    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
 ) -> FloatArray | None:
     """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw.
 
@@ -82,10 +83,10 @@ def surface_at(
     length = float(np.linalg.norm(wrist - elbow))
     parts = at + np.linspace(-beside_m, beside_m, 13) / length
     line = elbow + parts[:, None] * (wrist - elbow)
-    pixels, z_line = lens.pixels(line)
+    pixels, z_line = camera.pixels(line)
     if not np.isfinite(pixels).all():
         return None
-    origin, directions = lens.rays(pixels)
+    origin, directions = camera.origin, camera.rays(pixels)
     offsets = np.arange(-BEFORE_M, BEHIND_M, STEP_M)
     z = z_line[:, None] + offsets
     points = origin + z[..., None] * directions[:, None, :]

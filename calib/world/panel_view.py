@@ -13,7 +13,8 @@ from smoother.recording import FloatArray, ImuStream
 
 from ..file import CalibrationFile
 from ..imu.correction import corrected_streams
-from ..panel.definition import Intrinsics, Panel
+from ..intrinsics import Intrinsics
+from ..panel.definition import Panel
 from ..panel.images import View
 from ..panel.panel_calibration import SeenPanel, see_panel
 from .chain import BIAS_M_S2, CORRECTED_M_S2

@@ -24,7 +24,7 @@ from .options import (
 from .output import print_table, say, say_written
 
 if TYPE_CHECKING:
-    from calib.panel.definition import Intrinsics
+    from calib.intrinsics import Intrinsics
     from calib.panel.images import View
     from calib.panel.panel_calibration import PanelCalibration
 

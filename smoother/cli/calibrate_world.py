@@ -13,7 +13,7 @@ from .options import CalibrationOutput, Depth, Files, Force, Infrared, Intrinsic
 from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
-    from calib.panel.definition import Intrinsics
+    from calib.intrinsics import Intrinsics
     from calib.panel.images import View
 
     from ..recording import ImuStream
