@@ -15,6 +15,7 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve, get_window
 
 from smoother.errors import CalibrationError
+from smoother.linalg import parabola_vertex, runs
 from smoother.recording import FloatArray
 
 from .beep_end import direct_end, fit_fall
@@ -158,18 +159,16 @@ def _runs(level: FloatArray) -> list[tuple[int, int]]:
     """First and last frame of every beep that also ends in the track."""
     top = float(np.percentile(level[level > level.max() - FALL_DB], 50))
     loud = level > max(top - FALL_DB, 0.5 * LOUD_DB)
-    edge = np.diff(np.concatenate(([0], loud.astype(int), [0])))
-    runs: list[tuple[int, int]] = []
-    for first, last in zip(
-        np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True
-    ):
-        if runs and (first - runs[-1][1]) * HOP_S < PAUSE_S:
-            runs[-1] = (runs[-1][0], last)
+    beeps: list[tuple[int, int]] = []
+    for frames in runs(loud):
+        first, last = frames.start, frames.stop - 1
+        if beeps and (first - beeps[-1][1]) * HOP_S < PAUSE_S:
+            beeps[-1] = (beeps[-1][0], last)
         else:
-            runs.append((first, last))
+            beeps.append((first, last))
     return [
         (first, last)
-        for first, last in runs
+        for first, last in beeps
         if (last - first) * HOP_S >= SHORTEST_S - FRAME_S and last < len(level) - 2
     ]
 
@@ -181,14 +180,7 @@ def _tone(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, nea
     spectrum = np.abs(np.fft.rfft(part * np.hanning(len(part)), size))
     frequency = np.fft.rfftfreq(size, 1 / rate_hz)
     near = np.flatnonzero(np.abs(frequency - near_hz) < 1.5 / FRAME_S)
-    k = int(near[np.argmax(spectrum[near])])
-    if not 0 < k < len(spectrum) - 1:
-        return float(frequency[k])
-    left, mid, right = np.log(spectrum[k - 1 : k + 2] + 1e-300)
-    bend = left - 2 * mid + right
-    return float(
-        frequency[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0) * (frequency[1] - frequency[0])
-    )
+    return parabola_vertex(np.asarray(frequency[near], dtype=np.float64), -np.log(spectrum[near] + 1e-300))
 
 
 def _fit_end(

@@ -16,6 +16,7 @@ import numpy as np
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma
 from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
@@ -162,7 +163,7 @@ def _line(
         level, skew = np.linalg.solve(normal, basis.T @ (weight * offset))
         skew = skew if has_skew else 0.0
         left = offset - level - skew * (t - centre)
-        middling = 1.4826 * float(np.median(np.abs(left))) if len(t) >= 4 else 0.0
+        middling = float(robust_sigma(left)) if len(t) >= 4 else 0.0
         extra = float(np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
         spread = np.hypot(sigma, extra)
         weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma, unit
 from smoother.recording import JOINTS, BoolArray, CameraFrame, FloatArray, Recording
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
@@ -108,9 +109,7 @@ def _held(recording: Recording, offset_s: float) -> BoolArray:
     arm, imu = recording.arm, recording.imu
     shoulder, elbow, wrist = (arm.joint(joint) for joint in _NEEDED)
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = (wrist - elbow) / np.linalg.norm(wrist - elbow, axis=1, keepdims=True)
-        upper = (elbow - shoulder) / np.linalg.norm(elbow - shoulder, axis=1, keepdims=True)
-        ray = elbow / np.linalg.norm(elbow, axis=1, keepdims=True)
+        along, upper, ray = unit(wrist - elbow), unit(elbow - shoulder), unit(elbow)
         good = _turning(recording, arm.t_s + offset_s) < STILL_RAD_S
         up = upwards(recording)
         if up is not None:
@@ -150,7 +149,7 @@ def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str)
         if len(rows) < FEWEST_FRAMES:
             continue
         position[k] = np.median(rows, axis=0)
-        spread = 1.4826 * np.median(np.abs(rows - position[k]), axis=0)
+        spread = robust_sigma(rows - position[k], axis=0)
         worth = max(float(np.ptp(t)) / MEMORY_S, 1.0)
         sigma[k] = float(np.sqrt(np.mean(spread**2) / min(worth, len(rows)))) * 1.25  # of a median
     turning = float(np.sqrt(np.mean(_turning(recording, t + offset_s) ** 2)))

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.config import Config
 from smoother.errors import UnoccludeError
+from smoother.linalg import unit
 from smoother.recording import JOINTS, FloatArray, Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
@@ -176,10 +177,9 @@ def calibrate_forearm(
 
 def forearm_axes(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
     """`R_K_F` (3, 3) of a forearm whose palm faces the camera, the origin of {K}."""
-    y = (wrist - elbow) / np.linalg.norm(wrist - elbow)
+    y = unit(wrist - elbow)
     ray = 0.5 * (elbow + wrist)
-    x = ray - (ray @ y) * y
-    x /= np.linalg.norm(x)
+    x = unit(ray - (ray @ y) * y)
     return np.column_stack([x, y, np.cross(x, y)])
 
 

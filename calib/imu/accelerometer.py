@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from smoother.errors import CalibrationError
+from smoother.linalg import unit
 from smoother.recording import FloatArray
 
 from .rests import Rests
@@ -121,7 +122,7 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
     sigma = np.sqrt(np.einsum("ni,ij,nj->n", rows, covariance, rows))
     if np.linalg.matrix_rank(design / np.linalg.norm(design, axis=0), tol=1e-4) < 9:
         sigma = np.full(len(directions), np.inf)
-        weak = np.linalg.svd(rests.acc / np.linalg.norm(rests.acc, axis=1)[:, None])[2][2]
+        weak = np.linalg.svd(unit(rests.acc))[2][2]
     else:
         weak = directions[int(np.argmax(sigma))]
     worst = float(sigma.max())

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
+from smoother.linalg import runs, unit
 from smoother.recording import BoolArray, FloatArray, ImuStream
 
 #: Stillness is judged over so long, s, and a rest lasts so long at least.
@@ -82,8 +83,8 @@ def find_rests(imu: ImuStream) -> Rests:
     # less than half a look, so that two rests with nothing but a jump between them stay two
     let_go = max(width // 6, 1)
     still = binary_dilation(still, iterations=width // 2 - let_go)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    edges = _joined(edges.reshape(-1, 2), imu.acc, width // 2)
+    edges = np.array([(rows.start, rows.stop) for rows in runs(still)], dtype=int).reshape(-1, 2)
+    edges = _joined(edges, imu.acc, width // 2)
     gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
     spans = [
         (a, b)
@@ -147,11 +148,11 @@ def _pooled(variances: list[FloatArray], length: FloatArray) -> FloatArray:
 
 def _poses(acc: FloatArray) -> np.ndarray:
     """Number the directions (n, 3): one within `SAME_POSE_RAD` of an earlier one has its number."""
-    unit = acc / np.linalg.norm(acc, axis=1)[:, None]
+    up = unit(acc)
     first: list[int] = []
     pose = np.zeros(len(acc), int)
-    for k, direction in enumerate(unit):
-        angle = np.arccos(np.clip(unit[first] @ direction, -1.0, 1.0)) if first else np.empty(0)
+    for k, direction in enumerate(up):
+        angle = np.arccos(np.clip(up[first] @ direction, -1.0, 1.0)) if first else np.empty(0)
         if len(angle) and angle.min() < SAME_POSE_RAD:
             pose[k] = int(np.argmin(angle))
         else:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smoother.linalg import robust_sigma
 from smoother.recording import FloatArray
 
 from ..intrinsics import Intrinsics
@@ -65,7 +66,7 @@ def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
     """
     surroundings = _surroundings(infrared)
     over = infrared - surroundings
-    noise = 1.4826 * float(np.median(np.abs(over)))
+    noise = float(robust_sigma(over))
     brightest = float(np.percentile(over, 100 * (1 - 5 / over.size)))
     count = -1
     for level in LEVELS:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from smoother.linalg import skew
 from smoother.recording import FloatArray
 
 from ..verdict import Verdict
@@ -191,7 +192,6 @@ def _published_apart(calibration: PanelCalibration) -> tuple[float, float] | Non
 
 def _moved(covariance: FloatArray, point: FloatArray) -> FloatArray:
     """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
-    x, y, z = point
     J = np.eye(6)
-    J[3:, :3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    J[3:, :3] = -skew(point)
     return np.asarray(J @ covariance @ J.T)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.linalg import nearest_rotation
 from smoother.recording import FloatArray
 
 from ..intrinsics import Intrinsics
@@ -228,8 +229,6 @@ def _on_panel(plane: Plane, rays: FloatArray, height_m: float) -> FloatArray:
 
 def _mean(frames: list[Frame], markers_E: list[FloatArray]) -> Frame:
     """Mean of transforms: rotation by chordal mean, shift at the markers' middle."""
-    from .frame import nearest_rotation
-
     R = nearest_rotation(np.mean([each.R for each in frames], axis=0))
     middle = np.mean(np.concatenate(markers_E), axis=0)
     at = np.mean([each.R @ middle + each.origin for each in frames], axis=0)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma
 from smoother.recording import BoolArray, FloatArray
 
 #: A pixel farther from the plane than this many sigmas does not take part.
@@ -103,7 +104,7 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
     inliers = np.ones(len(depth_m), dtype=bool)
     for _ in range(6):
         residuals = depth_m - 1 / (full @ theta)
-        noise = 1.4826 * float(np.median(np.abs(residuals[inliers] - np.median(residuals[inliers]))))
+        noise = float(robust_sigma(residuals[inliers] - np.median(residuals[inliers])))
         within = np.abs(residuals) <= max(OUTLIER * noise, LEAST_OUTLIER_M)
         within &= ~_beside(~within, pixels)
         rough = noise > LARGEST_NOISE * float(np.median(depth_m))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from smoother.linalg import unit
 from smoother.recording import FloatArray
 
 from ..intrinsics import PlacedCamera
@@ -67,8 +68,7 @@ def silhouette_axis(
 def across_arm(surface: FloatArray, origin: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit vectors into the arm (away from the camera) and across it, both at right angles to y."""
     into = surface - origin
-    into = into - (into @ y) * y
-    into /= np.linalg.norm(into)
+    into = unit(into - (into @ y) * y)
     return into, np.cross(y, into)
 
 

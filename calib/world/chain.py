@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.linalg import skew
 from smoother.recording import FloatArray
 
 from .still_pose import Rest, Turn
@@ -166,10 +167,10 @@ class Problem:
         bias = slice(3 * imu, 3 * imu + 3)
         up, by_force = _direction(rest.acc - at.rest[bias])
         noise = rest.acc_sigma.mean() / np.linalg.norm(rest.acc)
-        level = _cross(_UP) / np.hypot(noise, TILT_RAD)
+        level = skew(_UP) / np.hypot(noise, TILT_RAD)
         rows.add(
             -level @ R @ up,
-            {self._attitude(i, imu): level @ R @ _cross(up), self._bias + 3 * imu: -level @ R @ by_force},
+            {self._attitude(i, imu): level @ R @ skew(up), self._bias + 3 * imu: -level @ R @ by_force},
         )
 
     def _field(self, rows: _Rows, at: Attitudes, i: int, imu: int) -> None:
@@ -181,7 +182,7 @@ class Problem:
         rows.add(
             (R @ field - [np.cos(dip), 0.0, -np.sin(dip)]) / ROOM_RAD,
             {
-                self._attitude(i, imu): -R @ _cross(field) / ROOM_RAD,
+                self._attitude(i, imu): -R @ skew(field) / ROOM_RAD,
                 self._bias + 6 + 3 * imu: R @ by_field / ROOM_RAD,
                 self._bias + 12 + imu: np.array([[np.sin(dip)], [0.0], [np.cos(dip)]]) / ROOM_RAD,
             },
@@ -251,15 +252,11 @@ def _direction(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     return unit, -(np.eye(3) - np.outer(unit, unit)) / size
 
 
-def _cross(v: FloatArray) -> FloatArray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
 def _left_inverse(phi: FloatArray) -> FloatArray:
     """Inverse left Jacobian of the rotation group: how log(Exp(d) Exp(phi)) grows with d."""
     angle = float(np.linalg.norm(phi))
-    skew = _cross(phi)
+    cross = skew(phi)
     if angle < 1e-4:
-        return np.eye(3) - 0.5 * skew + skew @ skew / 12
+        return np.eye(3) - 0.5 * cross + cross @ cross / 12
     share = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
-    return np.asarray(np.eye(3) - 0.5 * skew + share * skew @ skew)
+    return np.asarray(np.eye(3) - 0.5 * cross + share * cross @ cross)
