@@ -44,8 +44,8 @@ MODEL_SIGMA_S = 0.00015
 TAIL_PART = 0.03
 #: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
 LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
-#: Blocks of a long track, s.
-BLOCK_S = 60.0
+#: Batches of a long track, s.
+BATCH_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,20 @@ class Beep:
 
     Attributes
     ----------
-    start_s, end_s, sigma_s : s after the track's first sample; sigma is of the end.
-    frequency_hz : its tone.
-    above_quiet_db : how far it stands above the quiet.
-    decay_s : time constant of its tail.
-    loud_room : the room's answer is about as loud as the beep, so that its end is hard to tell.
-    t_s, envelope, fitted : (n,) the envelope about its end, and what was fitted to it.
+    start_s, end_s, sigma_s : float, s
+        After the track's first sample; sigma is of the end.
+    frequency_hz : float, Hz
+        Its tone.
+    above_quiet_db : float, dB
+        How far it stands above the quiet.
+    decay_s : float, s
+        Time constant of its tail.
+    loud_room : bool
+        The room's answer is about as loud as the beep, so that its end is hard to tell.
+    t_s : ndarray, shape (n,), s
+        Times about its end.
+    envelope, fitted : ndarray, shape (n,)
+        The envelope there, and what was fitted to it.
     """
 
     start_s: float
@@ -79,9 +87,16 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
 
     Parameters
     ----------
-    samples : (N,) sound pressure in any unit.
-    rate_hz : samples a second.
-    tone_hz : the buzzer's tone, where it is known; else the clearest tone is taken.
+    samples : ndarray, shape (N,)
+        Sound pressure in any unit.
+    rate_hz : float, Hz
+        Samples a second.
+    tone_hz : float, Hz, optional
+        The buzzer's tone, where it is known; else the clearest tone is taken.
+
+    Returns
+    -------
+    list of Beep
 
     Raises
     ------
@@ -103,19 +118,19 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
             " dB above"
             f" the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
         )
-    found = []
+    beeps = []
     for first, last in _runs(level):
         # the room's answer may be loud for long: the beep ends where its own level is left
         plateau = float(np.median(level[first : last + 1]))
         held = first + int(np.flatnonzero(level[first : last + 1] > plateau - KNEE_DB)[-1])
         start, end = float(frames_t[first]), float(frames_t[held])
         tone = _tone(samples, rate_hz, start, end, float(frequency[at]))
-        found.append(_fit_end(samples, rate_hz, start, end, tone, above))
-    if not found:
+        beeps.append(_fit_end(samples, rate_hz, start, end, tone, above))
+    if not beeps:
         raise CalibrationError(
             "a tone was heard that does not end in the sound; record the quiet after it too"
         )
-    return found
+    return beeps
 
 
 def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -126,7 +141,7 @@ def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, Float
     window = get_window("hann", size)
     starts = np.arange(0, len(samples) - size + 1, hop)
     views = np.lib.stride_tricks.sliding_window_view(samples, size)
-    step = max(int(BLOCK_S / HOP_S), 1)
+    step = max(int(BATCH_S / HOP_S), 1)
     parts = [
         (np.abs(np.fft.rfft(views[starts[k : k + step]] * window, axis=1))[:, band] ** 2).astype(np.float32)
         for k in range(0, len(starts), step)
@@ -142,7 +157,7 @@ def _clearest(
     # of a track that is nearly all beep, the quiet is what little there is beside it
     lasting = uniform_filter1d(power, QUIET_FRAMES, axis=0)
     quiet = np.minimum(np.percentile(power, 10, axis=0), np.percentile(lasting, 1, axis=0))
-    # a tone has its power in one place, a voice or a knock has it everywhere
+    # a tone has its power in one place, a voice or an impact has it everywhere
     share = power / power.sum(axis=1, keepdims=True)
     level = 10 * np.log10(power / quiet)
     frames = max(round((SHORTEST_S - FRAME_S) / HOP_S), 1)
@@ -232,7 +247,7 @@ def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, t
         return tone_hz
     t = np.arange(first, first + 4 * count) / rate_hz
     mixed = samples[first : first + 4 * count] * np.exp(-2j * np.pi * tone_hz * t)
-    blocks = mixed.reshape(4, count).sum(axis=1)
-    turn = float(np.angle(np.sum(blocks[1:] * np.conj(blocks[:-1]))))
+    quarters = mixed.reshape(4, count).sum(axis=1)
+    turn = float(np.angle(np.sum(quarters[1:] * np.conj(quarters[:-1]))))
     found = turn * rate_hz / (2 * np.pi * count)
     return tone_hz + (found if abs(turn) < 1.0 else 0.0)

@@ -202,13 +202,13 @@ def disagreements(network: ClockNetwork) -> list[str]:
 
 def open_questions(
     network: ClockNetwork,
-    heard: Sequence[Receptions],
+    receptions: Sequence[Receptions],
     beeps: Sequence[Beep] = (),
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What the data left open, one sentence each."""
     said = []
-    for each in heard:
+    for each in receptions:
         lost = sorted(set(each.node) - set(network.nodes))
         said += [f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost]
     parts = [
@@ -224,12 +224,12 @@ def open_questions(
     for left in network.leftovers:
         dropped = int((~left.used).sum())
         if dropped:
-            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were set aside")
+            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were rejected")
     for link in network.links():
         pair = f"{link.from_clock} and {link.to_clock}"
         if link.sigma_s > WEAK_S:
             said.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
-        common = _common(heard, link)
+        common = _common(receptions, link)
         if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
             said.append(f"{pair} heard {common} rounds together: a late reception would not show")
     weak = [link for link in network.links() if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
@@ -250,22 +250,23 @@ def open_questions(
     ]
     if motion is not None and not motion.used.all():
         said.append(
-            f"{int((~motion.used).sum())} of {len(motion.used)} stretches of the motion did not fit the line"
+            f"{int((~motion.used).sum())} of {len(motion.used)} excerpts of the motion did not fit the line"
         )
     return said
 
 
 def next_time(
     network: ClockNetwork,
-    heard: Sequence[Receptions],
+    receptions: Sequence[Receptions],
     beeps: Sequence[Beep] = (),
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What to record next, one sentence each."""
     said = []
-    if heard and any(0 < _common(heard, link) < 2 * FEW_ROUNDS for link in network.links()) and not beeps:
+    links = network.links()
+    if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
         said.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
-    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in network.links()):
+    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):
         said.append("measure once at the start and once at the end of the session: the two give the skew")
     if any(beep.loud_room for beep in beeps):
         said.append("hold the buzzer right in front of the microphone, so that it is louder than its echo")
@@ -274,10 +275,10 @@ def next_time(
     return said or ["the same again: nothing is missing"]
 
 
-def _common(heard: Sequence[Receptions], link: ClockLink) -> int:
+def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:
     """Rounds that both clocks of a link heard; 0 where a broadcast is not what links them."""
     count = 0
-    for each in heard:
+    for each in receptions:
         if not each.estimate_noise:
             continue
         node = np.asarray(each.node)

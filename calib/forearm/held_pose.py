@@ -32,12 +32,17 @@ class HeldPose:
 
     Attributes
     ----------
-    start_s, end_s : s.
-    frames : (F,) the camera's frames in it with shoulder, elbow and wrist tracked.
-    position : (5, 3) mean of the joints, m in {K}; nan where a joint is not tracked.
-    sigma_m : (5,) of the mean, m an axis: noise that lasts some tenths of a second.
-    turning_rad_s : rms of the sensor's angular velocity.
-    chosen : "found" or "given".
+    start_s, end_s : float, s
+    frames : ndarray of bool, shape (F,)
+        The camera's frames in it with shoulder, elbow and wrist tracked.
+    position : ndarray, shape (5, 3), m
+        Mean of the joints in {K}; nan where a joint is not tracked.
+    sigma_m : ndarray, shape (5,), m
+        Of the mean, an axis: noise that lasts some tenths of a second.
+    turning_rad_s : float, rad/s
+        Rms of the sensor's angular velocity.
+    chosen : str
+        "found" or "given".
     """
 
     start_s: float
@@ -61,9 +66,16 @@ def find_held_pose(
 
     Parameters
     ----------
-    recording : arm with shoulder, elbow and wrist.
-    from_s, to_s : s on the camera's clock after the recording's origin; None to search.
-    offset_s : t_imu = t_camera + offset, as far as it is known.
+    recording : Recording
+        Arm with shoulder, elbow and wrist.
+    from_s, to_s : float, s, optional
+        On the camera's clock after the recording's origin; None to search.
+    offset_s : float, s
+        t_imu = t_camera + offset, as far as it is known.
+
+    Returns
+    -------
+    HeldPose
 
     Raises
     ------
@@ -130,7 +142,7 @@ def _turning(recording: Recording, t: FloatArray) -> FloatArray:
 
 
 def _runs(t: FloatArray, good: BoolArray) -> list[tuple[int, int]]:
-    """First and last frame of runs of good frames; short holes are bridged."""
+    """First and last frame of runs of good frames; short gaps are bridged."""
     rows = np.flatnonzero(good)
     if not len(rows):
         return []

@@ -220,14 +220,14 @@ def magnetometer_verdict(found: MagnetometerCalibration) -> list[str]:
     """What was found and whether it serves."""
     mean = float(np.mean(found.radii))
     shift = float(np.linalg.norm(found.offset)) / mean
-    stretch = float(found.radii[2] / found.radii[0]) - 1.0
+    longer = float(found.radii[2] / found.radii[0]) - 1.0
     word = "well" if not found.remarks else "roughly"
     return [
         f"{found.samples} samples determine the magnetometer {word}: they lie {100 * found.residual:.1f} %"
         " off"
         " the ellipsoid (root mean square)",
         f"hard iron shifts the field by {100 * shift:.0f} % of its strength, soft iron makes it"
-        f" {100 * stretch:.0f} % longer in one direction than in another",
+        f" {100 * longer:.0f} % longer in one direction than in another",
         f"{100 * found.coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
         f" {np.degrees(found.coverage.hole_rad):.0f} degrees",
     ]

@@ -46,13 +46,20 @@ class MagnetometerCalibration:
 
     Attributes
     ----------
-    offset : (3,) hard iron, in the sensor's unit.
-    matrix : (3, 3) symmetric, one over the sensor's unit.
-    residual : root mean square departure of the corrected length from 1.
-    radii : (3,) the ellipsoid's radii, in the sensor's unit, ascending.
-    samples : how many were used.
-    coverage : of the sphere by the corrected samples.
-    remarks : what is worth a word, one sentence each.
+    offset : ndarray, shape (3,)
+        Hard iron, in the sensor's unit.
+    matrix : ndarray, shape (3, 3)
+        Symmetric, one over the sensor's unit.
+    residual : float
+        Root mean square departure of the corrected length from 1.
+    radii : ndarray, shape (3,)
+        The ellipsoid's radii, in the sensor's unit, ascending.
+    samples : int
+        How many were used.
+    coverage : Coverage
+        Of the sphere by the corrected samples.
+    remarks : tuple of str
+        What is worth a word, one sentence each.
     """
 
     offset: FloatArray

@@ -5,7 +5,7 @@
     [imu.forearm_right.accelerometer]    # corrected = matrix @ (raw - offset), m/s^2
     offset = [0.12, -0.31, 0.05]
     matrix = [[1.002, 0.001, 0.0], [0.001, 0.998, 0.0], [0.0, 0.0, 1.01]]
-    noise_density = 0.0012               # m/s^2/sqrt(Hz), where a long rest told
+    noise_density = 0.0012               # m/s^2/sqrt(Hz), from a long rest
 
     [imu.forearm_right.gyroscope]        # corrected = raw - offset, rad/s
     offset = [0.01, 0.0, -0.003]
@@ -38,10 +38,14 @@ class SensorCalibration:
 
     Attributes
     ----------
-    accelerometer : offset (3,) and matrix (3, 3).
-    gyroscope : offset (3,).
-    magnetometer : offset (3,) and matrix (3, 3).
-    accelerometer_density, gyroscope_density : white noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
+    accelerometer : tuple of ndarray, optional
+        Offset (3,) and matrix (3, 3).
+    gyroscope : ndarray, optional
+        Offset (3,).
+    magnetometer : tuple of ndarray, optional
+        Offset (3,) and matrix (3, 3).
+    accelerometer_density, gyroscope_density : float, optional
+        White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
     """
 
     accelerometer: tuple[FloatArray, FloatArray] | None = None

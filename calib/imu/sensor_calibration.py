@@ -15,14 +15,14 @@ from .allan import SensorNoise, allan_noise
 from .gyroscope import GyroscopeCalibration, calibrate_gyroscope
 from .rests import Rests, find_rests
 
-#: Of a recording that rests for so much of its time and so long at a stretch, noise is all that is asked.
+#: Of a recording that rests for so much of its time and so long without a pause, noise is all that is asked.
 _MOSTLY = 0.8
 LONG_REST_S = 20.0
 
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """What a recording told of accelerometer and gyroscope.
+    """What a recording gave of accelerometer and gyroscope.
 
     Attributes
     ----------

@@ -35,11 +35,16 @@ class Blobs:
 
     Attributes
     ----------
-    pixels : (N, 2) centroids.
-    rays : (N, 2) undistorted, x/z and y/z.
-    sigmas_px : (N,) of a centroid, an axis.
-    radii_px : (N,) of a disc of the same area.
-    heights : (N,) peak over the surroundings.
+    pixels : ndarray, shape (N, 2)
+        Centroids.
+    rays : ndarray, shape (N, 2)
+        Undistorted, x/z and y/z.
+    sigmas_px : ndarray, shape (N,), pixels
+        Of a centroid, an axis.
+    radii_px : ndarray, shape (N,), pixels
+        Of a disc of the same area.
+    heights : ndarray, shape (N,)
+        Peak over the surroundings.
     """
 
     pixels: FloatArray
@@ -57,8 +62,10 @@ def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
 
     Parameters
     ----------
-    infrared : (height, width) in any unit.
-    lens : for the undistorted rays.
+    infrared : ndarray, shape (height, width)
+        In any unit.
+    lens : Intrinsics
+        For the undistorted rays.
 
     Yields
     ------

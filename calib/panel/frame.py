@@ -42,9 +42,12 @@ def frame_of_points(
 
     Parameters
     ----------
-    points_K : (N, 3) m, those of the plane group.
-    along_x, along_y : (N,) those of the strips along the arms.
-    about_R : (3, 3) the axes roughly, for the components' signs.
+    points_K : ndarray, shape (N, 3), m
+        Those of the plane group.
+    along_x, along_y : ndarray of bool, shape (N,)
+        Those of the strips along the arms.
+    about_R : ndarray, shape (3, 3)
+        The axes roughly, for the components' signs.
 
     Returns
     -------

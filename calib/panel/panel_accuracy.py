@@ -36,11 +36,16 @@ class PanelAccuracy:
 
     Attributes
     ----------
-    rotation_deg : (3,) about the camera's axes.
-    translation_m : (3,) of the mocap's origin in the camera frame.
-    at_panel_m : (3,) of a point in the middle of the panel's places.
-    within_m : square root of the trace for the worst point `WITHIN_M` away from there.
-    covariance : (6, 6) of a small rotation about the camera's axes (rad) and of the translation (m).
+    rotation_deg : ndarray, shape (3,), degrees
+        About the camera's axes.
+    translation_m : ndarray, shape (3,), m
+        Of the mocap's origin in the camera frame.
+    at_panel_m : ndarray, shape (3,), m
+        Of a point in the middle of the panel's places.
+    within_m : float, m
+        Square root of the trace for the worst point `WITHIN_M` away from there.
+    covariance : ndarray, shape (6, 6)
+        Of a small rotation about the camera's axes (rad) and of the translation (m).
     """
 
     rotation_deg: FloatArray

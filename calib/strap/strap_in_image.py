@@ -48,14 +48,22 @@ class Sighting:
 
     Attributes
     ----------
-    reason : why it was rejected; "" where it was found.
-    core : (3,) arm's core under the strap (origin of {F}), m in {K}; nan where rejected.
-    covariance : (3, 3) of the core, m^2 in {K}.
-    surface : (3,) seen point of the strap, m in {K}.
-    pixel : (2,) of the strap in the image.
-    along : part of the way from elbow to wrist.
-    contrast, width_m, off_line_m : how dark, how wide, how far from the elbow-wrist line.
-    profile : (SAMPLES,) brightness along the line.
+    reason : str
+        Why it was rejected; "" where it was found.
+    core : ndarray, shape (3,), m
+        Arm's core under the strap (origin of {F}) in {K}; nan where rejected.
+    covariance : ndarray, shape (3, 3), m^2
+        Of the core in {K}.
+    surface : ndarray, shape (3,), m
+        Seen point of the strap in {K}.
+    pixel : ndarray, shape (2,)
+        Of the strap in the image.
+    along : float
+        Part of the way from elbow to wrist.
+    contrast, width_m, off_line_m : float
+        How dark, how wide, how far from the elbow-wrist line.
+    profile : ndarray, shape (SAMPLES,)
+        Brightness along the line.
     """
 
     reason: str
@@ -90,13 +98,24 @@ def find_strap(
 
     Parameters
     ----------
-    grey : (height, width) brightness.
-    lens : of the image.
-    depth : depth image of the same moment.
-    elbow, wrist : (3,) m in {K}.
-    radius_m : core to the strap's surface (r).
-    strap_width_m : along the arm.
-    joint_sigma_m : of elbow and wrist, m an axis.
+    grey : ndarray, shape (height, width)
+        Brightness.
+    camera : PlacedCamera
+        That took the image.
+    depth : Depth
+        Depth image of the same moment.
+    elbow, wrist : ndarray, shape (3,), m
+        In {K}.
+    radius_m : float, m
+        Core to the strap's surface (r).
+    strap_width_m : float, m
+        Along the arm.
+    joint_sigma_m : float, m
+        Of elbow and wrist, an axis.
+
+    Returns
+    -------
+    Sighting
     """
     length = float(np.linalg.norm(wrist - elbow))
     if not 0.1 < length < 0.5:
@@ -107,7 +126,7 @@ def find_strap(
     ray /= np.linalg.norm(ray)
     if abs(y @ ray) > np.cos(NEAR_RAY_RAD):
         return Sighting("the forearm points to the camera")
-    told = elbow, wrist
+    joints = elbow, wrist
     axis = silhouette_axis(camera, depth, elbow, wrist, radius_m)
     if axis is not None:
         elbow, wrist = axis
@@ -135,7 +154,7 @@ def find_strap(
     if surface is None:
         return Sighting("no depth at the strap", pixel=pixel[0], along=at, contrast=contrast, profile=profile)
     along = float((surface - elbow) @ y)
-    off, reason = _criteria(surface, *told)
+    off, reason = _criteria(surface, *joints)
     core, covariance = _core(
         camera, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
     )
@@ -246,7 +265,8 @@ def _core(
 
     Parameters
     ----------
-    is_axis : the line is the silhouette's own (`silhouette_axis`), not the joints'.
+    is_axis : bool
+        The line is the silhouette's own (`silhouette_axis`), not the joints'.
     """
     origin = camera.origin
     length = float(np.linalg.norm(wrist - elbow))

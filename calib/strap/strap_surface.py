@@ -78,7 +78,7 @@ def surface_at(
     """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw.
 
     Black straps swallow infrared light and reflective markers blind it: depth is the median, against the
-    elbow-wrist line, of a stretch of the arm about the place.
+    elbow-wrist line, of the arm about that point.
     """
     length = float(np.linalg.norm(wrist - elbow))
     parts = at + np.linspace(-beside_m, beside_m, 13) / length
@@ -112,11 +112,11 @@ def silhouette_middle(
     seen, own = depth.at(surface + steps[:, None] * across)
     arm = np.abs(seen - own) < JUMP_M
     centre = len(steps) // 2
-    hole = ~np.isfinite(seen)
+    missing = ~np.isfinite(seen)
     ends = []
     for way in (-1, 1):
         k = centre
-        while 0 < k < len(steps) - 1 and (arm[k] or (hole[k] and abs(steps[k]) < 0.6 * radius_m)):
+        while 0 < k < len(steps) - 1 and (arm[k] or (missing[k] and abs(steps[k]) < 0.6 * radius_m)):
             k += way
         if not 0 < k < len(steps) - 1:
             return None

@@ -42,11 +42,16 @@ class WorldPose:
 
     Attributes
     ----------
-    name : for messages.
-    R_K_P : (3, 3) the panel in the camera, from its images.
-    covariance : (3, 3) of its rotation vector, rad^2 in {K}.
-    panel, base : the IMUs at rest.
-    panel_turn, base_turn : their rotation since the pose before, or None.
+    name : str
+        For messages.
+    R_K_P : ndarray, shape (3, 3)
+        The panel in the camera, from its images.
+    covariance : ndarray, shape (3, 3)
+        Of its rotation vector, rad^2 in {K}.
+    panel, base : Rest
+        The IMUs at rest.
+    panel_turn, base_turn : Turn, optional
+        Their rotation since the pose before, or None.
     """
 
     name: str
@@ -69,10 +74,13 @@ class Attitudes:
 
     Attributes
     ----------
-    R_K_B, R_P_I : camera from base IMU, panel from its IMU.
-    R_W_B, R_W_I : the IMUs in the world (z up), one a pose.
-    rest : (14,) biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the
-        field), magnetic dip at both (rad).
+    R_K_B, R_P_I : Rotation
+        Camera from base IMU, panel from its IMU.
+    R_W_B, R_W_I : Rotation
+        The IMUs in the world (z up), one a pose.
+    rest : ndarray, shape (14,)
+        Biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the field),
+        magnetic dip at both (rad).
     """
 
     R_K_B: Rotation
@@ -231,11 +239,11 @@ class _Rows:
         self.values: list[FloatArray] = []
         self.slopes: list[FloatArray] = []
 
-    def add(self, value: FloatArray, blocks: dict[int, FloatArray]) -> None:
-        """Add rows; `blocks` by their first column."""
+    def add(self, value: FloatArray, parts: dict[int, FloatArray]) -> None:
+        """Add rows; `parts` by their first column."""
         slope = np.zeros((len(value), self._size))
-        for column, block in blocks.items():
-            slope[:, column : column + block.shape[1]] = block
+        for column, part in parts.items():
+            slope[:, column : column + part.shape[1]] = part
         self.values.append(value)
         self.slopes.append(slope)
 

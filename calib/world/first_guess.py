@@ -30,7 +30,12 @@ def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
 
     Parameters
     ----------
-    lined_up : the panel's IMU was lined up with the panel's axes, so that only that start is tried.
+    lined_up : bool
+        The panel's IMU was lined up with the panel's axes, so that only that start is tried.
+
+    Returns
+    -------
+    list of Attitudes
     """
     pairs = _Pairs(poses)
     if lined_up:

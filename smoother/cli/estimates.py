@@ -61,8 +61,8 @@ def print_camera(found: ArmEstimates) -> None:
     off = [f"{joint} {1e3 * each.bias_m:.1f}" for joint, each in found.camera.items() if each.bias_m > 0]
     if off:
         say(
-            f"constant errors of the joints against each other, mm: {', '.join(off)}; what they have in"
-            f" common is taken for {1e3 * found.joint_bias_sigma_m:.1f} an axis"
+            f"constant errors of the joints against each other, mm: {', '.join(off)}; their common part"
+            f" counts as {1e3 * found.joint_bias_sigma_m:.1f} an axis"
         )
 
 

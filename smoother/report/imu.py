@@ -136,7 +136,7 @@ def rests(imu: ImuStream, found: ImuCalibration) -> go.Figure:
     plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
     shapes = [
         {**plain, "fillcolor": SHADE, "line": {"width": 0}, "x0": imu.t_s[a], "x1": imu.t_s[b - 1]}
-        for a, b in found.rests.spans.tolist()
+        for a, b in found.rests.ranges.tolist()
     ]
     return dress(drawn, 340, shapes=shapes, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 
