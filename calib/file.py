@@ -17,13 +17,11 @@
     sigma_m = [0.005, 0.005, 0.005]
 
 Every key of an arm may be absent. Other top-level tables belong to other steps of the calibration and are
-kept as they are. Format and version may be left out.
+kept as they are, and so are comments. Format and version may be left out.
 """
 
 from __future__ import annotations
 
-import datetime
-import json
 import os
 import re
 import shutil
@@ -44,6 +42,9 @@ FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
 #: Tables that tell a calibration without format and version, as people write it.
 TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock")
+#: Tables that are merged key by key, and how deep: an arm's lever arms by joint, a sensor's parts by key, the
+#: held poses by side. A table below that depth, or any other, replaces the one of its name.
+MERGED = {"arm": 3, "imu": 3, "forearm": 1}
 
 #: What to say instead of pydantic's own words, by its name of the error.
 _SAID = {
@@ -93,9 +94,12 @@ class CalibrationFile:
 
     Attributes
     ----------
-    arms : arm calibrations by section: "right", "left" or "any".
-    tables : the other top-level tables by name, as plain TOML values.
-    source : what to call the file in messages.
+    arms : dict of str to ArmCalibration
+        By section: "right", "left" or "any".
+    tables : dict
+        The other top-level tables by name, as plain TOML values.
+    source : str
+        What to call the file in messages.
     """
 
     arms: dict[str, ArmCalibration] = field(default_factory=dict)
@@ -107,13 +111,18 @@ class CalibrationFile:
 
         Parameters
         ----------
-        side : "right" or "left"; falls back to the section `any`. "" (a recording that does not say) takes
+        side : str
+            "right" or "left"; falls back to the section `any`. "" (a recording that does not say) takes
             `any`, or the only arm that there is.
+
+        Returns
+        -------
+        arm : ArmCalibration
 
         Raises
         ------
         CalibrationError
-            If the file has no arm, only the other one, or two for a recording that does not say.
+            The file has no arm, only the other one, or two for a recording that does not say.
         """
         if side not in ("", "any", "right", "left"):
             raise CalibrationError(f"The side of an arm is right, left or empty, not {side!r}.")
@@ -146,6 +155,15 @@ class CalibrationFile:
 def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
     """Read a calibration file.
 
+    Parameters
+    ----------
+    path : path-like
+        The TOML file.
+
+    Returns
+    -------
+    file : CalibrationFile
+
     Raises
     ------
     CalibrationError
@@ -171,30 +189,47 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
     """Write a calibration into a file, or merge it into the one that exists.
 
     Of an arm, what `calibration` states replaces what the file holds, lever arms joint by joint, and what it
-    leaves open (None) is kept; so are other arms. Another table replaces the one of its name. Comments are
-    not kept. The file is replaced in one step: it is never seen half written.
+    leaves open (None) is kept; so are other arms. A sensor's table is merged key by key, held poses side by
+    side. Another table replaces the one of its name. Comments and what is not touched stay as they are. The
+    file is replaced in one step: it is never seen half written.
+
+    Parameters
+    ----------
+    path : path-like
+        The TOML file.
+    calibration : CalibrationFile
+        What to write into it.
 
     Raises
     ------
     CalibrationError
-        If the existing file is not a calibration that can be read, a value is wrong, or the file cannot be
+        The existing file is not a calibration that can be read, a value is wrong, or the file cannot be
         written.
     """
     path = Path(path)
-    held = read_calibration(path) if path.exists() else CalibrationFile()
-    arms = {side: held.arms[side] for side in SIDES if side in held.arms}
-    for side, arm in calibration.arms.items():
+    text = ""
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    if path.exists():
+        read_calibration(path)
+        text = path.read_text(encoding="utf-8")
+        document |= tomllib.loads(text)
+    for name in {"format", "version", "arm"} & set(calibration.tables):
+        raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
+    sections = {side: _to_section(arm) for side, arm in calibration.arms.items()}
+    for side, section in sections.items():
         if side not in SIDES:
             raise CalibrationError(f"Calibration {path}: arm.{side} is not one of {', '.join(SIDES)}.")
-        arms[side] = _merge(arms[side], arm) if side in arms else arm
-    sections = {side: _to_section(arm) for side, arm in arms.items()}
-    for side, section in sections.items():
         _check(section, f"arm.{side}", path)
-    tables = {**held.tables, **calibration.tables}
-    for name in {"format", "version", "arm"} & set(tables):
-        raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
-    document = {"format": FORMAT, "version": VERSION} | ({"arm": sections} if sections else {}) | tables
-    _replace(path, to_toml(document))
+    for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
+        document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
+    _replace(path, to_toml(document, text))
+
+
+def _merged(held: Any, new: Any, depth: int) -> Any:
+    """What a table holds once another is merged into it, key by key to some depth."""
+    if depth == 0 or not isinstance(held, dict) or not isinstance(new, dict):
+        return new
+    return {**held, **{key: _merged(held.get(key), value, depth - 1) for key, value in new.items()}}
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -278,15 +313,6 @@ def _to_section(arm: ArmCalibration) -> dict[str, Any]:
     return section
 
 
-def _merge(held: ArmCalibration, new: ArmCalibration) -> ArmCalibration:
-    stated = {
-        name: value
-        for name in ("upper_arm", "R_F_A", "accelerometer_bias", "gyroscope_bias")
-        if (value := getattr(new, name)) is not None
-    }
-    return replace(held, lever_arms={**held.lever_arms, **new.lever_arms}, **stated)
-
-
 def _replace(path: Path, text: str) -> None:
     """Write beside the file, then put it in its place; a link stays a link."""
     target = path.resolve()
@@ -306,45 +332,50 @@ def _replace(path: Path, text: str) -> None:
         raise CalibrationError(f"Calibration {path} cannot be written: {error.strerror or error}.") from error
 
 
-def to_toml(document: dict[str, Any]) -> str:
-    """TOML text of plain values: str, bool, int, float, dates, lists, and dicts (tables, nested at will)."""
-    lines: list[str] = []
-    _emit(document, (), lines)
-    return "\n".join(lines).strip() + "\n"
+def to_toml(document: dict[str, Any], text: str = "") -> str:
+    """TOML text of plain values.
+
+    Parameters
+    ----------
+    document : dict
+        Of str, bool, int, float, dates, lists, and dicts (tables, nested at will).
+    text : str
+        TOML that the document was changed from: comments in it, and how its values are written, are kept.
+
+    Returns
+    -------
+    text : str
+
+    Raises
+    ------
+    CalibrationError
+        TOML has no such value.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    reason: Exception | None = None
+    for start in (text, ""):  # where tables in an odd order cannot be edited, values count, not comments
+        tree = tomlkit.parse(start)
+        try:
+            _update(tree, document)
+            changed = tomlkit.dumps(tree)
+        except (TOMLKitError, KeyError, TypeError, ValueError) as error:
+            reason = error
+            continue
+        if not start or tomllib.loads(changed) == document:
+            return changed
+    raise CalibrationError(f"A calibration file cannot hold such a value: {reason}.") from reason
 
 
-def _emit(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
-    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
-    plain = {key: value for key, value in table.items() if key not in inner}
-    if path and (plain or not inner):  # a table of tables needs no header of its own
-        lines.extend(["", f"[{'.'.join(map(_key, path))}]"])
-    lines.extend(f"{_key(key)} = {_value(value)}" for key, value in plain.items())
-    for key, value in inner.items():
-        _emit(value, (*path, key), lines)
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _string(key)
-
-
-def _string(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _value(value: Any) -> str:
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case int():
-            return str(value)
-        case float():
-            return repr(float(value))
-        case str():
-            return _string(value)
-        case datetime.datetime() | datetime.date() | datetime.time():
-            return value.isoformat()
-        case list() | tuple():
-            return f"[{', '.join(map(_value, value))}]"
-        case dict():
-            return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
-    raise CalibrationError(f"A calibration file cannot hold a value of type {type(value).__name__}.")
+def _update(table: Any, values: dict[str, Any]) -> None:
+    """Give a table of tomlkit these values; what is equal is not touched."""
+    for key in [key for key in table if key not in values]:
+        del table[key]
+    for key, value in values.items():
+        if key not in table:
+            table[key] = value
+        elif isinstance(value, dict) and isinstance(table[key], dict):
+            _update(table[key], value)
+        elif table[key] != value:
+            table[key] = value

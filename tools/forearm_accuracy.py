@@ -13,15 +13,16 @@ import numpy as np
 
 from calib.forearm.forearm_summary import compare
 from calib.forearm.held_pose_fit import calibrate_forearm
-from calib.strap.strap_camera import Depth, Lens
+from calib.intrinsics import Intrinsics, PlacedCamera
+from calib.strap.strap_camera import Depth
 from calib.strap.strap_in_image import find_strap
 from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
-COLOUR = Lens(600.0, 600.0, 480.0, 270.0, 960, 540, t_C_K=np.array([0.05, 0.0, 0.0]))
-INFRARED = Lens(366.0, 366.0, 256.0, 212.0, 512, 424)
+COLOUR = PlacedCamera(Intrinsics(960, 540, 600.0, 600.0, 480.0, 270.0), t_C_K=np.array([0.05, 0.0, 0.0]))
+INFRARED = PlacedCamera(Intrinsics(512, 424, 366.0, 366.0, 256.0, 212.0))
 
 
 def pose(seeds: int) -> None:

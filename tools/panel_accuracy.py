@@ -20,7 +20,8 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from calib.panel.definition import Intrinsics, Panel
+from calib.intrinsics import Intrinsics
+from calib.panel.definition import Panel
 from calib.panel.frame import Frame, principal
 from calib.panel.images import view
 from calib.panel.panel_accuracy import accuracy

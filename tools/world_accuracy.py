@@ -11,7 +11,8 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.panel.definition import Panel, intrinsics
+from calib.intrinsics import Intrinsics
+from calib.panel.definition import Panel
 from calib.panel.images import view
 from calib.world.panel_view import view_panel
 from calib.world.world_calibration import WorldCalibration, calibrate_world, world_poses
@@ -31,7 +32,7 @@ def calibrated(panel: SimulatedPanel) -> WorldCalibration:
     """The whole method on images and samples, as the command does it from a recording."""
     config, lens = panel.config, panel.lens
     known = Panel(np.array(config.markers), np.array(config.extent))
-    camera = intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, list(lens.distortion))
+    camera = Intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion)
     seen = [
         view_panel(view(pose.depth, pose.infrared, f"pose {number}"), pose.t_s, known, camera)
         for number, pose in enumerate(panel.poses, 1)

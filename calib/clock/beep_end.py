@@ -33,8 +33,10 @@ class Step:
 
     Attributes
     ----------
-    t_s : where it is, to about a millisecond.
-    doubt_s : how far away an earlier step lies that is about as large; 0 where there is none.
+    t_s : float, s
+        Where it is, to about a millisecond.
+    doubt_s : float, s
+        How far away an earlier step lies that is about as large; 0 where there is none.
     """
 
     t_s: float
@@ -46,9 +48,16 @@ def direct_end(samples: FloatArray, rate_hz: float, tone_hz: float, start_s: flo
 
     Parameters
     ----------
-    samples : (N,) the track.
-    tone_hz : the beep's tone.
-    start_s, end_s : of all that sounds at that tone, to some 10 ms.
+    samples : ndarray, shape (N,)
+        The track.
+    tone_hz : float, Hz
+        The beep's tone.
+    start_s, end_s : float, s
+        Of all that sounds at that tone, to some 10 ms.
+
+    Returns
+    -------
+    Step
     """
     low = max(start_s + ONSET_S, end_s - LOOK_BACK_S)
     first = max(int((low - 2 * STEP_S) * rate_hz), 0)
@@ -79,10 +88,18 @@ class Fall:
 
     Attributes
     ----------
-    end_s, variance_s2 : the step, and the variance of it that the residuals leave.
-    tail, decay_s : size of the tail against the beep, and its time constant.
-    drop : what stops at once, against the beep; 1 without a tail.
-    fitted : (n,) the envelope's size as fitted.
+    end_s : float, s
+        The step.
+    variance_s2 : float, s^2
+        The variance of it that the residuals leave.
+    tail : float
+        Size of the tail against the beep.
+    decay_s : float, s
+        Its time constant.
+    drop : float
+        What stops at once, against the beep; 1 without a tail.
+    fitted : ndarray, shape (n,)
+        The envelope's size as fitted.
     """
 
     end_s: float
@@ -103,10 +120,17 @@ def fit_fall(
 
     Parameters
     ----------
-    envelope : (n,) complex, the tone brought to zero frequency and low-passed with `kernel` (symmetric,
-        m samples, sum 1); it begins m // 2 samples after `t` does and ends as much before.
-    t : (n + 2 (m // 2),) s.
-    near_s, slack_s : the end lies so near to this.
+    envelope : ndarray, shape (n,)
+        Complex, the tone brought to zero frequency and low-passed with `kernel` (symmetric, m samples,
+        sum 1); it begins m // 2 samples after `t` does and ends as much before.
+    t : ndarray, shape (n + 2 (m // 2),), s
+        Times of the samples that the envelope was made of.
+    near_s, slack_s : float, s
+        The end lies so near to this.
+
+    Returns
+    -------
+    Fall
     """
     half = len(kernel) // 2
     inside = slice(half, len(t) - half)

@@ -15,6 +15,7 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve, get_window
 
 from smoother.errors import CalibrationError
+from smoother.linalg import parabola_vertex, runs
 from smoother.recording import FloatArray
 
 from .beep_end import direct_end, fit_fall
@@ -43,8 +44,8 @@ MODEL_SIGMA_S = 0.00015
 TAIL_PART = 0.03
 #: A tail as loud as this part of the beep, and so long, s, is the room's: its knee may hide the end.
 LOUD_TAIL, LONG_TAIL_S = 0.45, 0.015
-#: Blocks of a long track, s.
-BLOCK_S = 60.0
+#: Batches of a long track, s.
+BATCH_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,20 @@ class Beep:
 
     Attributes
     ----------
-    start_s, end_s, sigma_s : s after the track's first sample; sigma is of the end.
-    frequency_hz : its tone.
-    above_quiet_db : how far it stands above the quiet.
-    decay_s : time constant of its tail.
-    loud_room : the room's answer is about as loud as the beep, so that its end is hard to tell.
-    t_s, envelope, fitted : (n,) the envelope about its end, and what was fitted to it.
+    start_s, end_s, sigma_s : float, s
+        After the track's first sample; sigma is of the end.
+    frequency_hz : float, Hz
+        Its tone.
+    above_quiet_db : float, dB
+        How far it stands above the quiet.
+    decay_s : float, s
+        Time constant of its tail.
+    loud_room : bool
+        The room's answer is about as loud as the beep, so that its end is hard to tell.
+    t_s : ndarray, shape (n,), s
+        Times about its end.
+    envelope, fitted : ndarray, shape (n,)
+        The envelope there, and what was fitted to it.
     """
 
     start_s: float
@@ -78,9 +87,16 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
 
     Parameters
     ----------
-    samples : (N,) sound pressure in any unit.
-    rate_hz : samples a second.
-    tone_hz : the buzzer's tone, where it is known; else the clearest tone is taken.
+    samples : ndarray, shape (N,)
+        Sound pressure in any unit.
+    rate_hz : float, Hz
+        Samples a second.
+    tone_hz : float, Hz, optional
+        The buzzer's tone, where it is known; else the clearest tone is taken.
+
+    Returns
+    -------
+    list of Beep
 
     Raises
     ------
@@ -102,19 +118,19 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
             " dB above"
             f" the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
         )
-    found = []
+    beeps = []
     for first, last in _runs(level):
         # the room's answer may be loud for long: the beep ends where its own level is left
         plateau = float(np.median(level[first : last + 1]))
         held = first + int(np.flatnonzero(level[first : last + 1] > plateau - KNEE_DB)[-1])
         start, end = float(frames_t[first]), float(frames_t[held])
         tone = _tone(samples, rate_hz, start, end, float(frequency[at]))
-        found.append(_fit_end(samples, rate_hz, start, end, tone, above))
-    if not found:
+        beeps.append(_fit_end(samples, rate_hz, start, end, tone, above))
+    if not beeps:
         raise CalibrationError(
             "a tone was heard that does not end in the sound; record the quiet after it too"
         )
-    return found
+    return beeps
 
 
 def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -125,7 +141,7 @@ def _spectrogram(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, Float
     window = get_window("hann", size)
     starts = np.arange(0, len(samples) - size + 1, hop)
     views = np.lib.stride_tricks.sliding_window_view(samples, size)
-    step = max(int(BLOCK_S / HOP_S), 1)
+    step = max(int(BATCH_S / HOP_S), 1)
     parts = [
         (np.abs(np.fft.rfft(views[starts[k : k + step]] * window, axis=1))[:, band] ** 2).astype(np.float32)
         for k in range(0, len(starts), step)
@@ -141,7 +157,7 @@ def _clearest(
     # of a track that is nearly all beep, the quiet is what little there is beside it
     lasting = uniform_filter1d(power, QUIET_FRAMES, axis=0)
     quiet = np.minimum(np.percentile(power, 10, axis=0), np.percentile(lasting, 1, axis=0))
-    # a tone has its power in one place, a voice or a knock has it everywhere
+    # a tone has its power in one place, a voice or an impact has it everywhere
     share = power / power.sum(axis=1, keepdims=True)
     level = 10 * np.log10(power / quiet)
     frames = max(round((SHORTEST_S - FRAME_S) / HOP_S), 1)
@@ -158,18 +174,16 @@ def _runs(level: FloatArray) -> list[tuple[int, int]]:
     """First and last frame of every beep that also ends in the track."""
     top = float(np.percentile(level[level > level.max() - FALL_DB], 50))
     loud = level > max(top - FALL_DB, 0.5 * LOUD_DB)
-    edge = np.diff(np.concatenate(([0], loud.astype(int), [0])))
-    runs: list[tuple[int, int]] = []
-    for first, last in zip(
-        np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True
-    ):
-        if runs and (first - runs[-1][1]) * HOP_S < PAUSE_S:
-            runs[-1] = (runs[-1][0], last)
+    beeps: list[tuple[int, int]] = []
+    for frames in runs(loud):
+        first, last = frames.start, frames.stop - 1
+        if beeps and (first - beeps[-1][1]) * HOP_S < PAUSE_S:
+            beeps[-1] = (beeps[-1][0], last)
         else:
-            runs.append((first, last))
+            beeps.append((first, last))
     return [
         (first, last)
-        for first, last in runs
+        for first, last in beeps
         if (last - first) * HOP_S >= SHORTEST_S - FRAME_S and last < len(level) - 2
     ]
 
@@ -181,14 +195,7 @@ def _tone(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, nea
     spectrum = np.abs(np.fft.rfft(part * np.hanning(len(part)), size))
     frequency = np.fft.rfftfreq(size, 1 / rate_hz)
     near = np.flatnonzero(np.abs(frequency - near_hz) < 1.5 / FRAME_S)
-    k = int(near[np.argmax(spectrum[near])])
-    if not 0 < k < len(spectrum) - 1:
-        return float(frequency[k])
-    left, mid, right = np.log(spectrum[k - 1 : k + 2] + 1e-300)
-    bend = left - 2 * mid + right
-    return float(
-        frequency[k] + (0.5 * (left - right) / bend if bend < 0 else 0.0) * (frequency[1] - frequency[0])
-    )
+    return parabola_vertex(np.asarray(frequency[near], dtype=np.float64), -np.log(spectrum[near] + 1e-300))
 
 
 def _fit_end(
@@ -240,7 +247,7 @@ def _steady(samples: FloatArray, rate_hz: float, start_s: float, end_s: float, t
         return tone_hz
     t = np.arange(first, first + 4 * count) / rate_hz
     mixed = samples[first : first + 4 * count] * np.exp(-2j * np.pi * tone_hz * t)
-    blocks = mixed.reshape(4, count).sum(axis=1)
-    turn = float(np.angle(np.sum(blocks[1:] * np.conj(blocks[:-1]))))
+    quarters = mixed.reshape(4, count).sum(axis=1)
+    turn = float(np.angle(np.sum(quarters[1:] * np.conj(quarters[:-1]))))
     found = turn * rate_hz / (2 * np.pi * count)
     return tone_hz + (found if abs(turn) < 1.0 else 0.0)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from ..file import CalibrationFile
+from ..protocol import Answer
+from ..verdict import Verdict
 from .beeps import Beep
 from .links import ClockLink, ClockNetwork, Receptions
 from .motion_clock import MotionClock
+from .network import solve_clocks
 
 #: A link no better than this is said to be weak, s: at 1 m/s it is 5 mm.
 WEAK_S = 0.005
@@ -17,6 +23,138 @@ DISAGREE = 4.0
 #: One late reception among fewer rounds than this cannot be told.
 FEW_ROUNDS = 4
 SKEW_KNOWN_PPM = 20.0
+
+
+@dataclass(frozen=True)
+class ClockCalibration:
+    """The clocks of one session, and what they were solved from.
+
+    Attributes
+    ----------
+    session : str
+        Its name.
+    network : ClockNetwork
+        Every clock against every other.
+    receptions : tuple of Receptions
+        What several clocks heard.
+    beeps : tuple of Beep
+        Of the camera's sound.
+    motion : MotionClock, optional
+        The clock in a recording's motion.
+    """
+
+    session: str
+    network: ClockNetwork
+    receptions: tuple[Receptions, ...] = ()
+    beeps: tuple[Beep, ...] = ()
+    motion: MotionClock | None = None
+
+
+def calibrate_clocks(
+    session: str,
+    receptions: Sequence[Receptions] = (),
+    beeps: Sequence[Beep] = (),
+    motion: MotionClock | None = None,
+    origin_ns: int = 0,
+) -> ClockCalibration:
+    """Offsets and skews of all clocks of a session, from sound, broadcasts and motion together.
+
+    Parameters
+    ----------
+    session : str
+        Its name.
+    receptions : sequence of Receptions
+        See `beep_receptions`; broadcasts likewise.
+    beeps : sequence of Beep
+        That some of the receptions are made of.
+    motion : MotionClock, optional
+        See `clock_from_motion`.
+    origin_ns : int, ns
+        Of the recording of the motion, whose times count from there; the other sources' count from zero.
+
+    Returns
+    -------
+    found : ClockCalibration
+        See `clock_answer` for what belongs into a file.
+
+    Raises
+    ------
+    CalibrationError
+        No two clocks are linked by anything.
+    """
+    links = [] if motion is None else [replace(motion.link, at_s=motion.link.at_s + 1e-9 * origin_ns)]
+    network = solve_clocks(receptions, links)
+    return ClockCalibration(session, network, tuple(receptions), tuple(beeps), motion)
+
+
+def clock_answer(found: ClockCalibration) -> Answer:
+    """The clocks in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    found : ClockCalibration
+        See `calibrate_clocks`.
+
+    Returns
+    -------
+    answer : Answer
+        Its table `clock` is a note of this session, which recovering does not read.
+    """
+    network, beeps = found.network, found.beeps
+    links = network.links()
+    apart = disagreements(network)
+    left_open = [*apart, *open_questions(network, found.receptions, beeps, found.motion)]
+    sentence, *findings = [text for text in verdict(network) if text not in apart]
+    grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
+    if apart or len(set(network.group.tolist())) > 1:
+        grade = "not good enough"
+    advice = next_time(network, found.receptions, beeps, found.motion)
+    rows = [
+        {
+            "from": link.from_clock,
+            "to": link.to_clock,
+            "offset_s": float(link.offset_s),
+            "sigma_s": float(link.sigma_s),
+            "skew_ppm": float(link.skew_ppm),
+            "skew_sigma_ppm": float(link.skew_sigma_ppm),
+            "at_s": float(link.at_s),
+        }
+        for link in links
+    ]
+    table = {"session": found.session, "valid_for": "this session alone", "links": rows}
+    figures: dict[str, Any] = {
+        "session": found.session,
+        "links": rows,
+        "sources": [
+            {
+                "source": left.source,
+                "sigma_s": left.sigma_s,
+                "used": int(left.used.sum()),
+                "set_aside": int((~left.used).sum()),
+                "largest_residual_s": float(abs(left.residual_s[left.used]).max(initial=0.0)),
+            }
+            for left in network.leftovers
+        ],
+        "beeps": [
+            {
+                "end_s": beep.end_s,
+                "sigma_s": beep.sigma_s,
+                "frequency_hz": beep.frequency_hz,
+                "above_quiet_db": beep.above_quiet_db,
+            }
+            for beep in beeps
+        ],
+        "not_determined": left_open,
+    }
+    pairs = {f"{link.from_clock}-{link.to_clock}": link for link in links}
+    return Answer(
+        {name: link.offset_s for name, link in pairs.items()},
+        {name: link.sigma_s for name, link in pairs.items()},
+        Verdict(grade, sentence, tuple(findings), tuple(advice)),
+        tuple(left_open),
+        CalibrationFile().with_table("clock", table),
+        figures,
+    )
 
 
 def link_words(link: ClockLink) -> str:
@@ -45,7 +183,9 @@ def verdict(network: ClockNetwork) -> list[str]:
         ]
         said.append(f"nothing links these groups of clocks with each other: {'; '.join(groups)}")
     said += disagreements(network)
-    said.append("a clock offset belongs to this session: measure it anew for every recording")
+    said.append(
+        "a clock offset belongs to its recording: measure it anew for every session, it is never carried over"
+    )
     return said
 
 
@@ -62,13 +202,13 @@ def disagreements(network: ClockNetwork) -> list[str]:
 
 def open_questions(
     network: ClockNetwork,
-    heard: Sequence[Receptions],
+    receptions: Sequence[Receptions],
     beeps: Sequence[Beep] = (),
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What the data left open, one sentence each."""
     said = []
-    for each in heard:
+    for each in receptions:
         lost = sorted(set(each.node) - set(network.nodes))
         said += [f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost]
     parts = [
@@ -84,12 +224,12 @@ def open_questions(
     for left in network.leftovers:
         dropped = int((~left.used).sum())
         if dropped:
-            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were set aside")
+            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were rejected")
     for link in network.links():
         pair = f"{link.from_clock} and {link.to_clock}"
         if link.sigma_s > WEAK_S:
             said.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
-        common = _common(heard, link)
+        common = _common(receptions, link)
         if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
             said.append(f"{pair} heard {common} rounds together: a late reception would not show")
     weak = [link for link in network.links() if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
@@ -110,22 +250,23 @@ def open_questions(
     ]
     if motion is not None and not motion.used.all():
         said.append(
-            f"{int((~motion.used).sum())} of {len(motion.used)} stretches of the motion did not fit the line"
+            f"{int((~motion.used).sum())} of {len(motion.used)} excerpts of the motion did not fit the line"
         )
     return said
 
 
 def next_time(
     network: ClockNetwork,
-    heard: Sequence[Receptions],
+    receptions: Sequence[Receptions],
     beeps: Sequence[Beep] = (),
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What to record next, one sentence each."""
     said = []
-    if heard and any(0 < _common(heard, link) < 2 * FEW_ROUNDS for link in network.links()) and not beeps:
+    links = network.links()
+    if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
         said.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
-    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in network.links()):
+    if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):
         said.append("measure once at the start and once at the end of the session: the two give the skew")
     if any(beep.loud_room for beep in beeps):
         said.append("hold the buzzer right in front of the microphone, so that it is louder than its echo")
@@ -134,10 +275,10 @@ def next_time(
     return said or ["the same again: nothing is missing"]
 
 
-def _common(heard: Sequence[Receptions], link: ClockLink) -> int:
+def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:
     """Rounds that both clocks of a link heard; 0 where a broadcast is not what links them."""
     count = 0
-    for each in heard:
+    for each in receptions:
         if not each.estimate_noise:
             continue
         node = np.asarray(each.node)

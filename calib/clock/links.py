@@ -20,12 +20,18 @@ class Receptions:
 
     Attributes
     ----------
-    event : (M,) number of the event; rows of one event were heard at the same instant.
-    node : (M,) names.
-    t_s : (M,) on the node's clock.
-    sigma_s : (M,) noise of a stamp, one standard deviation.
-    source : what it is called in messages and reports.
-    estimate_noise : whether the noise may turn out larger than stated (several events of one kind).
+    event : ndarray of int, shape (M,)
+        Number of the event; rows of one event were heard at the same instant.
+    node : sequence of str
+        (M,) names, one a row.
+    t_s : ndarray, shape (M,), s
+        On the node's clock.
+    sigma_s : ndarray, shape (M,), s
+        Noise of a stamp, one standard deviation.
+    source : str
+        What it is called in messages and reports.
+    estimate_noise : bool
+        Whether the noise may turn out larger than stated (several events of one kind).
     """
 
     event: IntArray
@@ -42,11 +48,16 @@ class ClockLink:
 
     Attributes
     ----------
-    from_clock, to_clock : names of the nodes.
-    offset_s, sigma_s : offset at `at_s` with its standard deviation.
-    skew_ppm, skew_sigma_ppm : how fast it grows; sigma is 500 where nothing was measured.
-    at_s : time on `from_clock` for which the offset is stated.
-    source : what it comes from.
+    from_clock, to_clock : str
+        Names of the nodes.
+    offset_s, sigma_s : float, s
+        Offset at `at_s` with its standard deviation.
+    skew_ppm, skew_sigma_ppm : float, parts in a million
+        How fast it grows; sigma is 500 where nothing was measured.
+    at_s : float, s
+        Time on `from_clock` for which the offset is stated.
+    source : str
+        What it comes from.
     """
 
     from_clock: str
@@ -70,12 +81,18 @@ class Leftover:
 
     Attributes
     ----------
-    source : its name.
-    node : (n,) who heard it, or the link's pair.
-    t_s : (n,) on the clock of the group's first node.
-    residual_s : (n,) measured minus explained.
-    used : (n,) False where it was set aside.
-    sigma_s : noise found, one standard deviation of a stamp (of the offset for a link).
+    source : str
+        Its name.
+    node : tuple of str
+        (n,) who heard it, or the link's pair.
+    t_s : ndarray, shape (n,), s
+        On the clock of the group's first node.
+    residual_s : ndarray, shape (n,), s
+        Measured minus explained.
+    used : ndarray of bool, shape (n,)
+        False where it was rejected.
+    sigma_s : float, s
+        Noise found, one standard deviation of a stamp (of the offset for a link).
     """
 
     source: str
@@ -92,13 +109,20 @@ class ClockNetwork:
 
     Attributes
     ----------
-    nodes : names; the first of each group is that group's reference.
-    group : (n,) number of the group that a node belongs to.
-    value : (2 n,) offsets at tau0 (s), then skews (s/s), against the group's reference.
-    covariance : (2 n, 2 n) of the same.
-    tau0_s : (n,) time on the group's reference that the offsets are stated for.
-    span_s : (n, 2) first and last time on the reference at which the group was measured.
-    leftovers : residuals, a source each.
+    nodes : tuple of str
+        Names; the first of each group is that group's reference.
+    group : ndarray of int, shape (n,)
+        Number of the group that a node belongs to.
+    value : ndarray, shape (2 n,)
+        Offsets at tau0 (s), then skews (s/s), against the group's reference.
+    covariance : ndarray, shape (2 n, 2 n)
+        Of the same.
+    tau0_s : ndarray, shape (n,), s
+        Time on the group's reference that the offsets are stated for.
+    span_s : ndarray, shape (n, 2), s
+        First and last time on the reference at which the group was measured.
+    leftovers : tuple of Leftover
+        Residuals, a source each.
     """
 
     nodes: tuple[str, ...]

@@ -1,9 +1,9 @@
 """A recording's camera clock against its IMU's, from the motion alone: no equipment.
 
-The recording is cut into stretches. On each the smoother's own self-calibration finds the clock offset (the
+The recording is cut into excerpts. On each the smoother's own self-calibration finds the clock offset (the
 residuals of the camera's joints along their velocity); how the IMU sits on the arm is found once, from the
-stretches that tell most, and kept for all. A robust line through the offsets gives offset and skew, and how
-far the stretches scatter about it gives sigma, whatever each of them claims.
+excerpts that say most, and kept for all. A robust line through the offsets gives offset and skew, and how
+far the excerpts scatter about it gives sigma, whatever each of them claims.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ import numpy as np
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma
 from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.runtime.pool import Pool
 from smoother.selfcal.coarse_clock import coarse_offset
-from smoother.selfcal.rounds import SelfCalibration, self_calibrate
+from smoother.selfcal.rounds import self_calibrate
 
 from .links import SKEW_SIGMA, ClockLink
 
 #: Beyond this the offset is looked for coarsely first, s: the self-calibration's reach, with room.
 COARSE_S = 0.75 * LARGEST_OFFSET_S
-#: Length of a stretch, s, and at most so many of them.
-STRETCH_S = 20.0
+#: Length of an excerpt, s, and at most so many of them.
+EXCERPT_S = 20.0
 MOST = 24
-#: A stretch needs so many frames with a visible forearm.
+#: An excerpt needs so many frames with a visible forearm.
 FEWEST_FRAMES = 60
-#: What no stretch is better than, s: frames are stamped that well at most.
+#: What no excerpt is better than, s: frames are stamped that well at most.
 FLOOR_S = 0.0005
 #: With a longer recording the skew is looked for, s.
 SKEW_SPAN_S = 60.0
@@ -46,10 +47,14 @@ class MotionClock:
 
     Attributes
     ----------
-    link : camera to IMU; t_imu = t_camera + offset.
-    t_s, offset_s, sigma_s : (k,) of each stretch: its middle on the camera's clock, what it found.
-    used : (k,) stretches that agree.
-    calibration : how the IMU sits, as found on the way.
+    link : ClockLink
+        Camera to IMU; t_imu = t_camera + offset.
+    t_s, offset_s, sigma_s : ndarray, shape (k,), s
+        Of each excerpt: its middle on the camera's clock, what it found.
+    used : ndarray of bool, shape (k,)
+        Excerpts that agree.
+    calibration : ArmCalibration
+        How the IMU sits, as found on the way.
     """
 
     link: ClockLink
@@ -70,9 +75,16 @@ def clock_from_motion(
 
     Parameters
     ----------
-    recording : one arm and its IMU.
-    known : how the IMU sits on the arm, where it is known.
-    names : of the camera's clock and the IMU's.
+    recording : Recording
+        One arm and its IMU.
+    known : ArmCalibration, optional
+        How the IMU sits on the arm, where it is known.
+    names : tuple of str
+        Of the camera's clock and the IMU's.
+
+    Returns
+    -------
+    MotionClock
 
     Raises
     ------
@@ -86,19 +98,19 @@ def clock_from_motion(
     if coarse:
         recording = replace(recording, imu=replace(recording.imu, t_s=recording.imu.t_s - coarse))
     segments = [reject_by_camera(segment) for segment in split_into_segments(recording, LARGEST_OFFSET_S)]
-    stretches = _stretches(segments)
-    if not stretches:
+    excerpts = _excerpts(segments)
+    if not excerpts:
         raise CalibrationError(
             f"{recording.name}: the forearm was visible too shortly to find the clock; record 20 s of"
             " motion in view"
         )
     with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
-        arm = _mounting(stretches, known, config, pool)
-        found = [_one(stretch, arm, config, pool) for stretch in stretches]
-    rows = [(t, clock) for t, clock in found if clock is not None]
+        arm = _mounting(excerpts, known, config, pool)
+        clocks = [_one(excerpt, arm, config, pool) for excerpt in excerpts]
+    rows = [(t, clock) for t, clock in clocks if clock is not None]
     if not rows:
         raise CalibrationError(
-            f"{recording.name}: in no stretch could the clock be found; move more and faster"
+            f"{recording.name}: in no excerpt could the clock be found; move more and faster"
         )
     t = np.array([t for t, _ in rows])
     offset = coarse + np.array([each[0] for _, each in rows])
@@ -107,11 +119,11 @@ def clock_from_motion(
     return MotionClock(link, t, offset, sigma, used, arm)
 
 
-def _stretches(segments: list[Segment]) -> list[Segment]:
+def _excerpts(segments: list[Segment]) -> list[Segment]:
     """Parts of equal length with a visible forearm, spread over the recording."""
     parts = []
     for segment in segments:
-        count = max(round((segment.end_s - segment.start_s) / STRETCH_S), 1)
+        count = max(round((segment.end_s - segment.start_s) / EXCERPT_S), 1)
         edges = np.linspace(segment.start_s, segment.end_s, count + 1)
         parts += [segment.between(a, b) for a, b in pairwise(edges)]
     enough = [part for part in parts if _visible(part) >= FEWEST_FRAMES]
@@ -126,23 +138,23 @@ def _visible(segment: Segment) -> int:
     return int((segment.accepted[inside][:, 1:].sum(axis=1) >= segment.needed).sum())
 
 
-def _mounting(stretches: list[Segment], known: ArmCalibration, config: Config, pool: Pool) -> ArmCalibration:
-    """How the IMU sits, from a few stretches that may each have a clock of their own."""
-    chosen = [stretches[k] for k in np.unique(np.linspace(0, len(stretches) - 1, 4).astype(int))]
+def _mounting(excerpts: list[Segment], known: ArmCalibration, config: Config, pool: Pool) -> ArmCalibration:
+    """How the IMU sits, from a few excerpts that may each have a clock of their own."""
+    chosen = [excerpts[k] for k in np.unique(np.linspace(0, len(excerpts) - 1, 4).astype(int))]
     numbered = [replace(segment, recording=k) for k, segment in enumerate(chosen)]
     return self_calibrate(numbered, known, config, pool).estimate
 
 
 def _one(
-    stretch: Segment, arm: ArmCalibration, config: Config, pool: Pool
+    excerpt: Segment, arm: ArmCalibration, config: Config, pool: Pool
 ) -> tuple[float, tuple[float, float] | None]:
-    """Middle of a stretch on the camera's clock, and the offset with its sigma; None where it fails."""
-    middle = 0.5 * (stretch.start_s + stretch.end_s)
+    """Middle of an excerpt on the camera's clock, and the offset with its sigma; None where it fails."""
+    middle = 0.5 * (excerpt.start_s + excerpt.end_s)
     try:
-        knowledge: SelfCalibration = self_calibrate([stretch], arm, config, pool)
+        solved = self_calibrate([excerpt], arm, config, pool)
     except CalibrationError:
         return middle, None
-    clock = knowledge.clocks[0]
+    clock = solved.clocks[0]
     at = float(clock.at(np.array([middle - clock.mean_s]))[0])
     return middle - at, (at, float(np.hypot(clock.sigma_s, FLOOR_S)))
 
@@ -150,7 +162,7 @@ def _one(
 def _line(
     t: FloatArray, offset: FloatArray, sigma: FloatArray, names: tuple[str, str], source: str
 ) -> tuple[ClockLink, BoolArray]:
-    """A robust line through the stretches' offsets, and which of them it rests on."""
+    """A robust line through the excerpts' offsets, and which of them it rests on."""
     weight = sigma**-2
     has_skew = len(t) >= 3 and np.ptp(t) >= SKEW_SPAN_S
     used = np.ones(len(t), dtype=bool)
@@ -162,7 +174,7 @@ def _line(
         level, skew = np.linalg.solve(normal, basis.T @ (weight * offset))
         skew = skew if has_skew else 0.0
         left = offset - level - skew * (t - centre)
-        middling = 1.4826 * float(np.median(np.abs(left))) if len(t) >= 4 else 0.0
+        middling = float(robust_sigma(left)) if len(t) >= 4 else 0.0
         extra = float(np.sqrt(max(middling**2 - float(np.median(sigma)) ** 2, 0.0)))
         spread = np.hypot(sigma, extra)
         weight = spread**-2 / (1 + (left / (2 * spread)) ** 2)

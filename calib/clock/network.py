@@ -23,7 +23,7 @@ from .network_start import start_values
 
 #: The stated noise of a source counts as so many samples when its noise is measured.
 PRIOR_SAMPLES = 4.0
-#: What is farther off than so many sigmas is set aside.
+#: What is farther off than so many sigmas is rejected.
 OUTLIER = 5.0
 ROUNDS = 40
 #: No crystal is off by more, s/s.
@@ -32,20 +32,26 @@ LARGEST_SKEW = 3.0 * SKEW_SIGMA
 TOO_GOOD = 0.5
 
 
-def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
+def solve_clocks(receptions: Sequence[Receptions], links: Sequence[ClockLink] = ()) -> ClockNetwork:
     """Offsets and skews of all clocks from what was heard together and from measured links.
 
     Parameters
     ----------
-    heard : receptions; an event that one node alone heard says nothing and is passed over.
-    links : measured in another way (motion).
+    receptions : sequence of Receptions
+        An event that one node alone heard says nothing and is passed over.
+    links : sequence of ClockLink
+        Measured in another way (motion).
+
+    Returns
+    -------
+    ClockNetwork
 
     Raises
     ------
     CalibrationError
         No two clocks are linked by anything.
     """
-    rows = _Rows.of(heard)
+    rows = _Rows.of(receptions)
     if not len(rows.t) and not links:
         raise CalibrationError("no event was heard by two clocks, so nothing links them; broadcast again")
     nodes = list(
@@ -75,7 +81,7 @@ def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -
         weight = used.astype(float) / scale**2
         a, b, left, covariance = system.solve(a, b, weight)
         scale = system.noise(left, used.astype(float), robust=False)
-    left = system.apart(a, b, np.maximum(weight, 1e-6))  # of the rows set aside too
+    left = system.apart(a, b, np.maximum(weight, 1e-6))  # of the rejected rows too
     covariance = covariance + system.outvoted(left, used)
     spans = system.spans(a, b)
     covariance = covariance + system.shared_rounding(left, used) + _no_crystal(b, np.ptp(spans, axis=1))
@@ -91,8 +97,8 @@ def solve_clocks(heard: Sequence[Receptions], links: Sequence[ClockLink] = ()) -
 
 
 def _no_crystal(skew: FloatArray, span_s: FloatArray) -> FloatArray:
-    """Covariance to add where a skew is larger than any crystal's: times contradict each other and few"
-    " rounds hide it.
+    """Covariance to add where a skew is larger than any crystal's: times contradict each other and few
+    rounds hide it.
     """
     wrong = np.where(np.abs(skew) > LARGEST_SKEW, skew, 0.0)
     return np.diag(np.concatenate([(wrong * span_s) ** 2, wrong**2]))
@@ -111,9 +117,9 @@ class _Rows:
     estimated: BoolArray
 
     @classmethod
-    def of(cls, heard: Sequence[Receptions]) -> _Rows:
+    def of(cls, receptions: Sequence[Receptions]) -> _Rows:
         event, nodes, t, sigma, source, first = [], [], [], [], [], 0
-        for k, each in enumerate(heard):
+        for k, each in enumerate(receptions):
             names, number = np.unique(np.asarray(each.event), return_inverse=True)
             keep = np.bincount(number, minlength=len(names))[number] > 1
             event.append(number[keep] + first)
@@ -129,8 +135,8 @@ class _Rows:
             join(t, float),
             join(sigma, float),
             join(source, np.int64),
-            tuple(each.source for each in heard),
-            np.array([each.estimate_noise for each in heard], dtype=bool),
+            tuple(each.source for each in receptions),
+            np.array([each.estimate_noise for each in receptions], dtype=bool),
         )
 
 
@@ -223,8 +229,8 @@ class _System:
         return used & ~alone[self.rows.event]
 
     def cut_off(self, used: BoolArray) -> BoolArray:
-        """(M,) all rows of nodes that the rows in use no longer link to their group: their scatter is"
-        " their noise.
+        """(M,) all rows of nodes that the rows in use no longer link to their group: their scatter is
+        their noise.
         """
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
@@ -256,13 +262,13 @@ class _System:
         return scale
 
     def outvoted(self, left: FloatArray, used: BoolArray) -> FloatArray:
-        """Covariance to add to nodes of which no more times agree than were set aside."""
+        """Covariance to add to nodes of which no more times agree than were rejected."""
         extra = np.zeros(2 * self.count)
         for node in self.free.tolist():
             mine = self.node == node
-            aside = np.abs(left[mine & ~used])
-            if len(aside) and int((mine & used).sum()) <= len(aside):
-                extra[node] = float(np.median(aside)) ** 2
+            rejected = np.abs(left[mine & ~used])
+            if len(rejected) and int((mine & used).sum()) <= len(rejected):
+                extra[node] = float(np.median(rejected)) ** 2
         return np.diag(extra)
 
     def shared_rounding(self, left: FloatArray, used: BoolArray) -> FloatArray:

@@ -35,10 +35,14 @@ def start_values(
 
     Parameters
     ----------
-    event, node, t : (M,) receptions: event, node, time on the node's clock.
-    ends : (L, 2) nodes of each link.
-    links : measured in another way.
-    count : number of nodes.
+    event, node, t : ndarray of int and ndarray, shape (M,)
+        Receptions: event, node, time on the node's clock.
+    ends : ndarray of int, shape (L, 2)
+        Nodes of each link.
+    links : sequence of ClockLink
+        Measured in another way.
+    count : int
+        Number of nodes.
 
     Returns
     -------

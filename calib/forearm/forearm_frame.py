@@ -31,12 +31,18 @@ class ForearmFrame:
 
     Attributes
     ----------
-    direction : (3,) unit vector elbow to wrist in {A}.
-    direction_sigma_rad : its standard deviation.
-    length_m, length_sigma_m : elbow to wrist.
-    distance_m, distance_sigma_m : of the IMU from the elbow-wrist line.
-    roll_sigma_rad : of the angle about the forearm's axis; inf where the IMU is too near to the line.
-    R_F_A : (3, 3), or None where the roll or the direction is not known well enough.
+    direction : ndarray, shape (3,)
+        Unit vector elbow to wrist in {A}.
+    direction_sigma_rad : float, rad
+        Its standard deviation.
+    length_m, length_sigma_m : float, m
+        Elbow to wrist.
+    distance_m, distance_sigma_m : float, m
+        Of the IMU from the elbow-wrist line.
+    roll_sigma_rad : float, rad
+        Of the angle about the forearm's axis; inf where the IMU is too near to the line.
+    R_F_A : ndarray, shape (3, 3), optional
+        None where the roll or the direction is not known well enough.
     """
 
     direction: FloatArray
@@ -54,7 +60,12 @@ def forearm_frame(calibration: ArmCalibration) -> ForearmFrame | None:
 
     Parameters
     ----------
-    calibration : lever arms with sigmas; `R_F_A` in it is not looked at.
+    calibration : ArmCalibration
+        Lever arms with sigmas; `R_F_A` in it is not looked at.
+
+    Returns
+    -------
+    ForearmFrame or None
     """
     along = calibration.forearm_direction
     if along is None:

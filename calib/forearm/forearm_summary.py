@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from smoother.calibration import Length
 
+from ..file import CalibrationFile
+from ..protocol import Answer
+from ..verdict import Verdict
 from .forearm_frame import forearm_frame
 from .held_pose_fit import PLACED_SIGMA_RAD, ForearmCalibration
 
@@ -38,7 +42,17 @@ _BROKEN = {
 
 @dataclass(frozen=True)
 class Compared:
-    """One measure by the pose and by the motion, in `unit`; sigmas are standard deviations."""
+    """One measure by the pose and by the motion.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is, and the unit of the numbers.
+    pose, motion : float
+        Its value by either.
+    pose_sigma, motion_sigma : float
+        Their standard deviations.
+    """
 
     name: str
     unit: str
@@ -94,6 +108,67 @@ def compare(found: ForearmCalibration) -> list[Compared]:
         own = float(np.degrees(np.hypot(frame.roll_sigma_rad, PLACED_SIGMA_RAD)))
         rows.append(Compared("roll", "degrees", 0.0, float(np.degrees(found.roll_sigma_rad)), roll, own))
     return rows
+
+
+def forearm_answer(found: ForearmCalibration) -> Answer:
+    """Lever arms, measures and mounting in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    found : ForearmCalibration
+        See `calibrate_forearm`.
+
+    Returns
+    -------
+    answer : Answer
+        Its table holds the arm, and under `forearm` what an arm has no key for.
+    """
+    arm, measures, rows = found.calibration, found.measured.lengths, compare(found)
+    sentences, left_open = verdict(found, rows), open_questions(found)
+    sigma_deg = {
+        "direction": float(np.degrees(found.direction_sigma_rad)),
+        "roll": float(np.degrees(found.roll_sigma_rad)),
+    }
+    table: dict[str, Any] = {"strap_from": found.measured.strap_from}
+    for name, length in measures.items():
+        table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
+    if arm.R_F_A is not None:
+        table |= {f"R_F_A_{name}_sigma_deg": value for name, value in sigma_deg.items()}
+    levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
+    estimate = {name: length.value_m for name, length in measures.items()}
+    grade = "not good enough" if arm.R_F_A is None else "usable"
+    if rows and all(row.agrees for row in rows):
+        grade = "good"
+    return Answer(
+        estimate=estimate
+        | {name: lever.position_m for name, lever in levers.items()}
+        | ({"R_F_A": arm.R_F_A} if arm.R_F_A is not None else {}),
+        sigma={name: length.sigma_m for name, length in measures.items()}
+        | {name: lever.sigma_m for name, lever in levers.items()},
+        verdict=Verdict(grade, sentences[1], (sentences[0], *sentences[2:]), tuple(next_time(found, rows))),
+        open_questions=tuple(left_open),
+        table=CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table}),
+        figures={
+            "side": arm.side,
+            "pose": {"from_s": found.pose.start_s, "to_s": found.pose.end_s, "chosen": found.pose.chosen},
+            "measures": {name: asdict(length) for name, length in measures.items()},
+            "strap_from": found.measured.strap_from,
+            "lever_arms": {joint: asdict(lever) for joint, lever in arm.lever_arms.items()},
+            "R_F_A": arm.R_F_A,
+            "R_F_A_sigma_deg": sigma_deg,
+            "against_motion": [
+                {
+                    "measure": row.name,
+                    **{key: value for key, value in asdict(row).items() if key != "name"},
+                    "sigmas_apart": row.apart,
+                    "agrees": row.agrees,
+                }
+                for row in rows
+            ],
+            "verdict": sentences,
+            "not_determined": left_open,
+        },
+    )
 
 
 def verdict(found: ForearmCalibration, rows: list[Compared]) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma, unit
 from smoother.recording import JOINTS, BoolArray, CameraFrame, FloatArray, Recording
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
@@ -31,12 +32,17 @@ class HeldPose:
 
     Attributes
     ----------
-    start_s, end_s : s.
-    frames : (F,) the camera's frames in it with shoulder, elbow and wrist tracked.
-    position : (5, 3) mean of the joints, m in {K}; nan where a joint is not tracked.
-    sigma_m : (5,) of the mean, m an axis: noise that lasts some tenths of a second.
-    turning_rad_s : rms of the sensor's angular velocity.
-    chosen : "found" or "given".
+    start_s, end_s : float, s
+    frames : ndarray of bool, shape (F,)
+        The camera's frames in it with shoulder, elbow and wrist tracked.
+    position : ndarray, shape (5, 3), m
+        Mean of the joints in {K}; nan where a joint is not tracked.
+    sigma_m : ndarray, shape (5,), m
+        Of the mean, an axis: noise that lasts some tenths of a second.
+    turning_rad_s : float, rad/s
+        Rms of the sensor's angular velocity.
+    chosen : str
+        "found" or "given".
     """
 
     start_s: float
@@ -60,9 +66,16 @@ def find_held_pose(
 
     Parameters
     ----------
-    recording : arm with shoulder, elbow and wrist.
-    from_s, to_s : s on the camera's clock after the recording's origin; None to search.
-    offset_s : t_imu = t_camera + offset, as far as it is known.
+    recording : Recording
+        Arm with shoulder, elbow and wrist.
+    from_s, to_s : float, s, optional
+        On the camera's clock after the recording's origin; None to search.
+    offset_s : float, s
+        t_imu = t_camera + offset, as far as it is known.
+
+    Returns
+    -------
+    HeldPose
 
     Raises
     ------
@@ -108,9 +121,7 @@ def _held(recording: Recording, offset_s: float) -> BoolArray:
     arm, imu = recording.arm, recording.imu
     shoulder, elbow, wrist = (arm.joint(joint) for joint in _NEEDED)
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = (wrist - elbow) / np.linalg.norm(wrist - elbow, axis=1, keepdims=True)
-        upper = (elbow - shoulder) / np.linalg.norm(elbow - shoulder, axis=1, keepdims=True)
-        ray = elbow / np.linalg.norm(elbow, axis=1, keepdims=True)
+        along, upper, ray = unit(wrist - elbow), unit(elbow - shoulder), unit(elbow)
         good = _turning(recording, arm.t_s + offset_s) < STILL_RAD_S
         up = upwards(recording)
         if up is not None:
@@ -131,7 +142,7 @@ def _turning(recording: Recording, t: FloatArray) -> FloatArray:
 
 
 def _runs(t: FloatArray, good: BoolArray) -> list[tuple[int, int]]:
-    """First and last frame of runs of good frames; short holes are bridged."""
+    """First and last frame of runs of good frames; short gaps are bridged."""
     rows = np.flatnonzero(good)
     if not len(rows):
         return []
@@ -150,7 +161,7 @@ def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str)
         if len(rows) < FEWEST_FRAMES:
             continue
         position[k] = np.median(rows, axis=0)
-        spread = 1.4826 * np.median(np.abs(rows - position[k]), axis=0)
+        spread = robust_sigma(rows - position[k], axis=0)
         worth = max(float(np.ptp(t)) / MEMORY_S, 1.0)
         sigma[k] = float(np.sqrt(np.mean(spread**2) / min(worth, len(rows)))) * 1.25  # of a median
     turning = float(np.sqrt(np.mean(_turning(recording, t + offset_s) ** 2)))

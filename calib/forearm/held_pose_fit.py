@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.config import Config
 from smoother.errors import UnoccludeError
+from smoother.linalg import unit
 from smoother.recording import JOINTS, FloatArray, Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
@@ -46,10 +47,14 @@ class Measured:
 
     Attributes
     ----------
-    radius : r, from the forearm's core to the sensor.
-    strap_to_elbow, strap_to_wrist : d_se, d_sw, along the forearm.
-    upper_arm, forearm : d_ul, and elbow to wrist.
-    strap_from : "seen", "ruler" or "usual": where the strap's place comes from.
+    radius : Length
+        r, from the forearm's core to the sensor.
+    strap_to_elbow, strap_to_wrist : Length
+        d_se and d_sw, along the forearm.
+    upper_arm, forearm : Length
+        d_ul, and elbow to wrist.
+    strap_from : str
+        "seen", "ruler" or "usual": where the strap's place comes from.
     """
 
     radius: Length
@@ -59,6 +64,17 @@ class Measured:
     forearm: Length
     strap_from: str
 
+    @property
+    def lengths(self) -> dict[str, Length]:
+        """The measures by the names that the calibration file has for them."""
+        return {
+            "r": self.radius,
+            "d_se": self.strap_to_elbow,
+            "d_sw": self.strap_to_wrist,
+            "d_ul": self.upper_arm,
+            "forearm": self.forearm,
+        }
+
 
 @dataclass(frozen=True)
 class ForearmCalibration:
@@ -66,14 +82,22 @@ class ForearmCalibration:
 
     Attributes
     ----------
-    calibration : lever arms, upper arm and R_F_A; without the sensor's orientation the upper arm alone.
-    pose : the stretch.
-    measured : r, d_se, d_sw, d_ul and the forearm's length.
-    R_K_F : (3, 3) the forearm in the pose.
-    direction_sigma_rad, roll_sigma_rad : of R_F_A; nan without it.
-    motion : what the motion of the same recording told; None where it told nothing.
-    recovery : the recording solved without the pose; None where that failed.
-    why_not : why there is no R_F_A, "" where there is.
+    calibration : ArmCalibration
+        Lever arms, upper arm and R_F_A; without the sensor's orientation the upper arm alone.
+    pose : HeldPose
+        When the pose was held, and where the joints were.
+    measured : Measured
+        r, d_se, d_sw, d_ul and the forearm's length.
+    R_K_F : ndarray, shape (3, 3)
+        The forearm in the pose: maps a vector from the forearm's axes {F} to the camera's {K}.
+    direction_sigma_rad, roll_sigma_rad : float, rad
+        Of R_F_A; nan without it.
+    motion : ArmCalibration, optional
+        What the motion of the same recording gave; None where it gave nothing.
+    recovery : Recovery, optional
+        The recording solved without the pose; None where that failed.
+    why_not : str
+        Why there is no R_F_A, "" where there is.
     """
 
     calibration: ArmCalibration
@@ -100,10 +124,18 @@ def calibrate_forearm(
 
     Parameters
     ----------
-    recording : with shoulder, elbow and wrist; with `strap` where an image showed it.
-    from_s, to_s : the pose's times on the camera's clock, s after the recording's origin; None to find it.
-    radius_m, strap_to_wrist_m : measured by ruler, where the strap is not seen.
-    config : settings; the defaults where None.
+    recording : Recording
+        With shoulder, elbow and wrist; with `strap` where an image showed it.
+    from_s, to_s : float, s, optional
+        The pose's times on the camera's clock, after the recording's origin; None to find it.
+    radius_m, strap_to_wrist_m : float, m, optional
+        Measured by ruler, where the strap is not seen.
+    config : Config, optional
+        Settings; the defaults where None.
+
+    Returns
+    -------
+    found : ForearmCalibration
 
     Raises
     ------
@@ -145,10 +177,9 @@ def calibrate_forearm(
 
 def forearm_axes(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
     """`R_K_F` (3, 3) of a forearm whose palm faces the camera, the origin of {K}."""
-    y = (wrist - elbow) / np.linalg.norm(wrist - elbow)
+    y = unit(wrist - elbow)
     ray = 0.5 * (elbow + wrist)
-    x = ray - (ray @ y) * y
-    x /= np.linalg.norm(x)
+    x = unit(ray - (ray @ y) * y)
     return np.column_stack([x, y, np.cross(x, y)])
 
 

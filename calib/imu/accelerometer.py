@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from smoother.errors import CalibrationError
+from smoother.linalg import unit
 from smoother.recording import FloatArray
 
 from .rests import Rests
@@ -21,7 +22,7 @@ from .sphere_coverage import axis_words, sphere_points
 
 #: Unknowns, and so many different poses at least.
 FEWEST_POSES = 9
-#: What a pose's mean is believed to be worth at best, m/s^2: a table that gives, a breath of air.
+#: What a pose's mean is worth at best, m/s^2: a table that gives, a breath of air.
 POSE_SIGMA = 0.002
 #: What is less certain than this in some direction is refused, or deserves a word, m/s^2.
 REFUSED_SIGMA = 0.15
@@ -38,14 +39,23 @@ class AccelerometerCalibration:
 
     Attributes
     ----------
-    offset : (3,) m/s^2.
-    matrix : (3, 3) symmetric.
-    covariance : (9, 9) of offset and the matrix' upper triangle (xx, xy, xz, yy, yz, zz).
-    poses : different directions that gravity was seen from.
-    residual : (n,) corrected length less gravity, a rest each, m/s^2.
-    sigma : root mean square over all directions of the corrected length's standard deviation, m/s^2.
-    worst_sigma, worst_direction : its largest, and where (3,).
-    remarks : what is worth a word, one sentence each.
+    offset : ndarray, shape (3,), m/s^2
+    matrix : ndarray, shape (3, 3)
+        Symmetric.
+    covariance : ndarray, shape (9, 9)
+        Of offset and the matrix' upper triangle (xx, xy, xz, yy, yz, zz).
+    poses : int
+        Different directions that gravity was seen from.
+    residual : ndarray, shape (n,), m/s^2
+        Corrected length less gravity, a rest each.
+    sigma : float, m/s^2
+        Root mean square over all directions of the corrected length's standard deviation.
+    worst_sigma : float, m/s^2
+        Its largest.
+    worst_direction : ndarray, shape (3,)
+        Where that is.
+    remarks : tuple of str
+        What is worth a word, one sentence each.
     """
 
     offset: FloatArray
@@ -80,7 +90,11 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
 
     Parameters
     ----------
-    gravity : m/s^2.
+    gravity : float, m/s^2
+
+    Returns
+    -------
+    AccelerometerCalibration
 
     Raises
     ------
@@ -109,7 +123,7 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
         )
     residual = np.linalg.norm((rests.acc - offset) @ matrix, axis=1) - gravity
     freedom = max(len(rests) - 9, 1)
-    length = (rests.spans[:, 1] - rests.spans[:, 0]).astype(float)
+    length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
     sampling = float(np.sqrt(np.mean(rests.acc_sigma**2) * np.mean(1.0 / length)))
     pose_sigma = max(float(np.sqrt(np.sum(residual**2) / freedom)), float(np.hypot(sampling, POSE_SIGMA)))
     # |S(V-O)|^2 - g^2 over 2g is the length's own error
@@ -121,7 +135,7 @@ def calibrate_accelerometer(rests: Rests, gravity: float) -> AccelerometerCalibr
     sigma = np.sqrt(np.einsum("ni,ij,nj->n", rows, covariance, rows))
     if np.linalg.matrix_rank(design / np.linalg.norm(design, axis=0), tol=1e-4) < 9:
         sigma = np.full(len(directions), np.inf)
-        weak = np.linalg.svd(rests.acc / np.linalg.norm(rests.acc, axis=1)[:, None])[2][2]
+        weak = np.linalg.svd(unit(rests.acc))[2][2]
     else:
         weak = directions[int(np.argmax(sigma))]
     worst = float(sigma.max())

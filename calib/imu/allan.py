@@ -32,12 +32,18 @@ class SensorNoise:
 
     Attributes
     ----------
-    tau_s : (k,) averaging times.
-    deviation : (k, 3) Allan deviation, x.
-    density : (3,) white noise N, x/sqrt(Hz).
-    instability : (3,) bias instability B, x; nan where the rest was too short to show it.
-    walk : (3,) random walk K, x/sqrt(s); nan likewise.
-    duration_s : of the rest.
+    tau_s : ndarray, shape (k,), s
+        Averaging times.
+    deviation : ndarray, shape (k, 3)
+        Allan deviation, x.
+    density : ndarray, shape (3,)
+        White noise N, x/sqrt(Hz).
+    instability : ndarray, shape (3,)
+        Bias instability B, x; nan where the rest was too short to show it.
+    walk : ndarray, shape (3,)
+        Random walk K, x/sqrt(s); nan likewise.
+    duration_s : float, s
+        Of the rest.
     """
 
     tau_s: FloatArray

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from smoother.recording import ImuStream, Recording
@@ -17,7 +18,18 @@ _SAMPLES = 65536
 def corrected(recording: Recording, calibration: CalibrationFile, store: Store | None = None) -> Recording:
     """The recording with its IMUs corrected where the file knows them, and a note of it.
 
-    `store` is where the corrected samples lie; in memory where None.
+    Parameters
+    ----------
+    recording : Recording
+        As read.
+    calibration : CalibrationFile
+        Its tables `imu` are looked at.
+    store : Store, optional
+        Where the corrected samples lie; in memory where None.
+
+    Returns
+    -------
+    recording : Recording
     """
     store = store or Store()
     imu, notes = _corrected(recording.imu, calibration, store)
@@ -32,6 +44,28 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
             f" {recording.imu.name} and was taken as it is"
         )
     return replace(recording, imu=imu, base_imu=base, notes=(*recording.notes, *notes))
+
+
+def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:
+    """Streams of one IMU with what the file knows of it taken off, and whether its accelerometer is known.
+
+    Parameters
+    ----------
+    streams : sequence of ImuStream
+        One a pose; one that stands there several times is corrected once and stays one.
+    file : CalibrationFile
+        Its tables `imu` are looked at.
+
+    Returns
+    -------
+    streams : list of ImuStream
+    accelerometer_known : bool
+    """
+    sensor = sensor_of(file, streams[0].name)
+    if sensor is None:
+        return list(streams), False
+    once = {id(stream): sensor.apply(stream) for stream in streams}
+    return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
 
 
 def _corrected(imu: ImuStream, calibration: CalibrationFile, store: Store) -> tuple[ImuStream, list[str]]:

@@ -1,4 +1,4 @@
-"""Gyroscope: its bias, from a rest or, where there is none, from every quiet pair of samples."""
+"""Gyroscope: its bias, from a rest or, where there is none, from every still pair of samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STILL_SAMPLES = 200
 STABLE_RAD_S = np.radians(3.0)
 #: The running mean forgets over so many stable samples.
 RUNNING_SAMPLES = 500
-#: Largest bias that a turning sensor's running mean is believed in, rad/s.
+#: Largest bias that a turning sensor's running mean counts, rad/s.
 _LARGEST_BIAS = np.radians(15.0)
 
 
@@ -27,10 +27,13 @@ class GyroscopeCalibration:
 
     Attributes
     ----------
-    offset : (3,) rad/s.
-    sigma : (3,) its standard deviation, rad/s.
-    samples : how many it is the mean of.
-    rule : "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s).
+    offset : ndarray, shape (3,), rad/s
+    sigma : ndarray, shape (3,)
+        Its standard deviation, rad/s.
+    samples : int
+        How many it is the mean of.
+    rule : str
+        "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s).
     """
 
     offset: FloatArray
@@ -49,10 +52,10 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     Raises
     ------
     CalibrationError
-        The sensor was never quiet.
+        The sensor was never still.
     """
     if rests.samples >= STILL_SAMPLES:
-        length = (rests.spans[:, 1] - rests.spans[:, 0]).astype(float)
+        length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
         offset = np.average(rests.gyro, axis=0, weights=length)
         # rests differ by more than their noise where the bias wandered
         effective = length.sum() ** 2 / np.sum(length**2)
@@ -62,7 +65,7 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
     path, stable = running_bias(imu.gyro)
     if stable.sum() < STILL_SAMPLES or np.abs(path[-1]).max() > _LARGEST_BIAS:
         raise CalibrationError(
-            f"the gyroscope was quiet for {rests.samples} samples only and its bias needs {STILL_SAMPLES};"
+            f"the gyroscope was still for {rests.samples} samples only and its bias needs {STILL_SAMPLES};"
             " leave the sensor lying for some seconds while it records."
         )
     used = imu.gyro[1:][stable]
@@ -73,13 +76,15 @@ def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
 def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample.
 
-    Two consecutive samples that differ by less than 3 degrees/s on every axis are taken for a sensor that is
+    Two consecutive samples that differ by less than 3 degrees/s on every axis count as a sensor that is
     considerably stable: the later one goes into the mean, which changes slowly.
 
     Returns
     -------
-    path : (k, 3) the mean after each stable sample, rad/s.
-    stable : (N - 1,) which of the samples from the second on are stable.
+    path : ndarray, shape (k, 3)
+        The mean after each stable sample, rad/s.
+    stable : ndarray, shape (N - 1,)
+        Which of the samples from the second on are stable.
     """
     stable = np.asarray((np.abs(np.diff(gyro, axis=0)) < STABLE_RAD_S).all(axis=1))
     values = gyro[1:][stable]

@@ -2,19 +2,123 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from smoother.recording import FloatArray
+from smoother.units import STANDARD_GRAVITY
 
+from ..file import CalibrationFile
+from ..protocol import Answer
+from ..verdict import Verdict
 from .accelerometer import DOUBTED_SIGMA
 from .allan import SLOW_S, WHITE_S, SensorNoise
 from .magnetometer import LARGE_RESIDUAL, MagnetometerCalibration
+from .sensor import sensor_name
 from .sensor_calibration import ImuCalibration
 
-#: m/s^2 that a datasheet calls g.
-STANDARD_GRAVITY = 9.80665
 #: A better calibration than this is wasted on a wrist: half a milliradian of gravity, m/s^2.
 GOOD_SIGMA = 0.005
+
+
+def imu_answer(found: ImuCalibration) -> Answer:
+    """Accelerometer and gyroscope in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    found : ImuCalibration
+        See `calibrate_imu`.
+
+    Returns
+    -------
+    answer : Answer
+        Its table is `imu.NAME`.
+    """
+    acc, gyro, tables = found.accelerometer, found.gyroscope, found.tables()
+    sentences, remarks = imu_verdict(found), acc.remarks if acc is not None else ()
+    estimate, sigma = {"gyroscope_offset": gyro.offset}, {"gyroscope_offset": gyro.sigma}
+    figures: dict[str, Any] = {
+        "imu": found.name,
+        "rests": len(found.rests),
+        "poses": found.rests.poses,
+        "gravity": found.gravity,
+        "accelerometer": {**tables.get("accelerometer", {})},
+        "gyroscope": {**tables["gyroscope"], "rule": gyro.rule, "samples": gyro.samples},
+    }
+    if acc is not None:
+        triangle = np.triu_indices(3)
+        own = np.sqrt(np.diag(acc.covariance))
+        matrix_sigma = np.zeros((3, 3))
+        matrix_sigma[triangle] = matrix_sigma.T[triangle] = own[3:]
+        estimate |= {"accelerometer_offset": acc.offset, "accelerometer_matrix": acc.matrix}
+        sigma |= {"accelerometer_offset": own[:3], "accelerometer_matrix": matrix_sigma}
+        figures["accelerometer"] |= {
+            "covariance": acc.covariance,
+            "worst_direction": acc.worst_direction,
+            "residual": acc.residual,
+            "remarks": acc.remarks,
+        }
+    for name, noise in (("accelerometer", found.accelerometer_noise), ("gyroscope", found.gyroscope_noise)):
+        if noise is not None:
+            figures[name]["allan"] = {
+                "tau_s": noise.tau_s,
+                "deviation": noise.deviation,
+                "noise_density": noise.density,
+                "bias_instability": noise.instability,
+                "random_walk": noise.walk,
+            }
+    advice = [sentence for sentence in imu_next(found) if sentence not in remarks]
+    good = acc is not None and acc.worst_sigma < DOUBTED_SIGMA
+    return Answer(
+        estimate,
+        sigma,
+        Verdict("good" if good else "usable", sentences[0], tuple(sentences[1:]), tuple(advice)),
+        tuple(remarks),
+        CalibrationFile().with_table("imu", {sensor_name(found.name): tables}),
+        figures,
+    )
+
+
+def magnetometer_answer(found: MagnetometerCalibration, imu_name: str) -> Answer:
+    """Hard and soft iron in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    found : MagnetometerCalibration
+        See `calibrate_magnetometer`.
+    imu_name : str
+        Of the stream.
+
+    Returns
+    -------
+    answer : Answer
+        Its table is `imu.NAME.magnetometer`.
+    """
+    sentences = magnetometer_verdict(found)
+    table = {
+        "offset": found.offset.tolist(),
+        "matrix": found.matrix.tolist(),
+        "residual_rms": found.residual,
+        "samples": found.samples,
+    }
+    figures = {
+        **table,
+        "radii": found.radii,
+        "largest_hole_rad": found.coverage.hole_rad,
+        "covered_share": found.coverage.share,
+        "remarks": found.remarks,
+    }
+    advice = [sentence for sentence in magnetometer_next(found) if sentence not in found.remarks]
+    grade = "usable" if found.remarks else "good"
+    return Answer(
+        {"magnetometer_offset": found.offset, "magnetometer_matrix": found.matrix},
+        {},
+        Verdict(grade, sentences[0], tuple(sentences[1:]), tuple(advice)),
+        found.remarks,
+        CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}}),
+        {"imu": imu_name, "magnetometer": figures},
+    )
 
 
 def imu_verdict(found: ImuCalibration) -> list[str]:
@@ -116,14 +220,14 @@ def magnetometer_verdict(found: MagnetometerCalibration) -> list[str]:
     """What was found and whether it serves."""
     mean = float(np.mean(found.radii))
     shift = float(np.linalg.norm(found.offset)) / mean
-    stretch = float(found.radii[2] / found.radii[0]) - 1.0
+    longer = float(found.radii[2] / found.radii[0]) - 1.0
     word = "well" if not found.remarks else "roughly"
     return [
         f"{found.samples} samples determine the magnetometer {word}: they lie {100 * found.residual:.1f} %"
         " off"
         " the ellipsoid (root mean square)",
         f"hard iron shifts the field by {100 * shift:.0f} % of its strength, soft iron makes it"
-        f" {100 * stretch:.0f} % longer in one direction than in another",
+        f" {100 * longer:.0f} % longer in one direction than in another",
         f"{100 * found.coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
         f" {np.degrees(found.coverage.hole_rad):.0f} degrees",
     ]

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma, unit
 from smoother.recording import FloatArray
 
 from .sphere_coverage import Coverage, axis_words, cover
@@ -45,13 +46,20 @@ class MagnetometerCalibration:
 
     Attributes
     ----------
-    offset : (3,) hard iron, in the sensor's unit.
-    matrix : (3, 3) symmetric, one over the sensor's unit.
-    residual : root mean square departure of the corrected length from 1.
-    radii : (3,) the ellipsoid's radii, in the sensor's unit, ascending.
-    samples : how many were used.
-    coverage : of the sphere by the corrected samples.
-    remarks : what is worth a word, one sentence each.
+    offset : ndarray, shape (3,)
+        Hard iron, in the sensor's unit.
+    matrix : ndarray, shape (3, 3)
+        Symmetric, one over the sensor's unit.
+    residual : float
+        Root mean square departure of the corrected length from 1.
+    radii : ndarray, shape (3,)
+        The ellipsoid's radii, in the sensor's unit, ascending.
+    samples : int
+        How many were used.
+    coverage : Coverage
+        Of the sphere by the corrected samples.
+    remarks : tuple of str
+        What is worth a word, one sentence each.
     """
 
     offset: FloatArray
@@ -160,14 +168,14 @@ def refine(points: FloatArray, centre: FloatArray, matrix: FloatArray) -> tuple[
         o, S = unpack(p)
         v = points - o
         mapped = v @ S
-        unit = mapped / np.linalg.norm(mapped, axis=1)[:, None]
-        by_matrix = unit[:, rows] * v[:, columns] + np.where(
-            rows == columns, 0.0, unit[:, columns] * v[:, rows]
+        away = unit(mapped)
+        by_matrix = away[:, rows] * v[:, columns] + np.where(
+            rows == columns, 0.0, away[:, columns] * v[:, rows]
         )
-        return np.hstack([-unit @ S, by_matrix])
+        return np.hstack([-away @ S, by_matrix])
 
     start = np.concatenate([centre, matrix[rows, columns]])
-    spread = 1.4826 * float(np.median(np.abs(residual(start))))
+    spread = float(robust_sigma(residual(start)))
     answer = least_squares(
         residual,
         start,
@@ -219,7 +227,7 @@ def _check_residual(residual: float) -> None:
 
 def _remarks(off: FloatArray, residual: float, coverage: Coverage) -> list[str]:
     said = []
-    spread = 1.4826 * float(np.median(np.abs(off)))
+    spread = float(robust_sigma(off))
     stray = float(np.mean(np.abs(off) > max(_STRAY * spread, LARGE_RESIDUAL)))
     if stray > STRAY_SHARE:
         said.append(

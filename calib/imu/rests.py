@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
+from smoother.linalg import runs, unit
 from smoother.recording import BoolArray, FloatArray, ImuStream
 
 #: Stillness is judged over so long, s, and a rest lasts so long at least.
@@ -22,7 +23,7 @@ STILL_ACC, STILL_GYRO = 0.04, 0.015
 MOVING_ACC, MOVING_GYRO = 1.0, 0.15
 #: A slow turn: the means of a look's two halves differ by more than their noise and this.
 CREEP_ACC, CREEP_GYRO = 0.03, 0.01
-#: A rest that a knock interrupts goes on if the acceleration is the same after it, m/s^2.
+#: A rest that an impact interrupts goes on if the acceleration is the same after it, m/s^2.
 KNOCKED_ACC = 0.2
 #: A rest that goes on in the same direction is the same pose, rad.
 SAME_POSE_RAD = np.radians(8.0)
@@ -30,17 +31,21 @@ SAME_POSE_RAD = np.radians(8.0)
 
 @dataclass(frozen=True)
 class Rests:
-    """Stretches in which a sensor lay still.
+    """Times in which a sensor lay still.
 
     Attributes
     ----------
-    spans : (n, 2) first sample of each, and the one after the last.
-    acc, gyro : (n, 3) means, m/s^2 and rad/s.
-    acc_sigma, gyro_sigma : (3,) standard deviation of a sample at rest.
-    pose : (n,) number of the pose; rests in the same direction share one.
+    ranges : ndarray, shape (n, 2)
+        First sample of each, and the one after the last.
+    acc, gyro : ndarray, shape (n, 3)
+        Means, m/s^2 and rad/s.
+    acc_sigma, gyro_sigma : ndarray, shape (3,)
+        Standard deviation of a sample at rest.
+    pose : ndarray, shape (n,)
+        Number of the pose; rests in the same direction share one.
     """
 
-    spans: np.ndarray
+    ranges: np.ndarray
     acc: FloatArray
     gyro: FloatArray
     acc_sigma: FloatArray
@@ -48,7 +53,7 @@ class Rests:
     pose: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.spans)
+        return len(self.ranges)
 
     @property
     def poses(self) -> int:
@@ -58,12 +63,12 @@ class Rests:
     @property
     def samples(self) -> int:
         """Still samples in all."""
-        return int(np.sum(self.spans[:, 1] - self.spans[:, 0])) if len(self) else 0
+        return int(np.sum(self.ranges[:, 1] - self.ranges[:, 0])) if len(self) else 0
 
     def longest(self) -> slice:
         """Samples of the longest rest."""
-        k = int(np.argmax(self.spans[:, 1] - self.spans[:, 0]))
-        return slice(int(self.spans[k, 0]), int(self.spans[k, 1]))
+        k = int(np.argmax(self.ranges[:, 1] - self.ranges[:, 0]))
+        return slice(int(self.ranges[k, 0]), int(self.ranges[k, 1]))
 
 
 def find_rests(imu: ImuStream) -> Rests:
@@ -82,26 +87,26 @@ def find_rests(imu: ImuStream) -> Rests:
     # less than half a look, so that two rests with nothing but a jump between them stay two
     let_go = max(width // 6, 1)
     still = binary_dilation(still, iterations=width // 2 - let_go)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    edges = _joined(edges.reshape(-1, 2), imu.acc, width // 2)
+    edges = np.array([(rows.start, rows.stop) for rows in runs(still)], dtype=int).reshape(-1, 2)
+    edges = _joined(edges, imu.acc, width // 2)
     gaps = np.flatnonzero(np.diff(imu.t_s) > max(5.0 / rate, 0.1)) + 1
-    spans = [
+    ranges = [
         (a, b)
         for first, last in edges.reshape(-1, 2).tolist()
         for a, b in _between(first, last, gaps)
         if imu.t_s[b - 1] - imu.t_s[a] >= SHORTEST_S
     ]
-    if not spans:
+    if not ranges:
         return _none()
-    acc = np.array([imu.acc[a:b].mean(axis=0) for a, b in spans])
-    gyro = np.array([imu.gyro[a:b].mean(axis=0) for a, b in spans])
-    length = np.array([b - a for a, b in spans], float)
+    acc = np.array([imu.acc[a:b].mean(axis=0) for a, b in ranges])
+    gyro = np.array([imu.gyro[a:b].mean(axis=0) for a, b in ranges])
+    length = np.array([b - a for a, b in ranges], float)
     return Rests(
-        spans=np.array(spans),
+        ranges=np.array(ranges),
         acc=acc,
         gyro=gyro,
-        acc_sigma=_pooled([imu.acc[a:b].var(axis=0) for a, b in spans], length),
-        gyro_sigma=_pooled([imu.gyro[a:b].var(axis=0) for a, b in spans], length),
+        acc_sigma=_pooled([imu.acc[a:b].var(axis=0) for a, b in ranges], length),
+        gyro_sigma=_pooled([imu.gyro[a:b].var(axis=0) for a, b in ranges], length),
         pose=_poses(acc),
     )
 
@@ -124,15 +129,15 @@ def _still(values: FloatArray, width: int, floor: float, moving: float, creep: f
     return np.asarray((deviation <= limit) & (drift <= creep + 3.0 * noise))
 
 
-def _joined(spans: np.ndarray, acc: FloatArray, half: int) -> np.ndarray:
-    """Spans (n, 2) of which neighbours are one where a knock parts them and the pose is the same after it."""
-    if len(spans) < 2:
-        return spans
+def _joined(ranges: np.ndarray, acc: FloatArray, half: int) -> np.ndarray:
+    """Ranges (n, 2), neighbours as one where an impact parts them and the pose is the same after it."""
+    if len(ranges) < 2:
+        return ranges
     apart = []
-    for last, first in zip(spans[:-1, 1].tolist(), spans[1:, 0].tolist(), strict=True):
+    for last, first in zip(ranges[:-1, 1].tolist(), ranges[1:, 0].tolist(), strict=True):
         before, after = (np.median(acc[a:b], axis=0) for a, b in ((last - half, last), (first, first + half)))
         apart.append(first - last > half or float(np.linalg.norm(after - before)) > KNOCKED_ACC)
-    return np.column_stack([spans[np.r_[True, apart], 0], spans[np.r_[apart, True], 1]])
+    return np.column_stack([ranges[np.r_[True, apart], 0], ranges[np.r_[apart, True], 1]])
 
 
 def _between(first: int, last: int, cuts: np.ndarray) -> list[tuple[int, int]]:
@@ -147,11 +152,11 @@ def _pooled(variances: list[FloatArray], length: FloatArray) -> FloatArray:
 
 def _poses(acc: FloatArray) -> np.ndarray:
     """Number the directions (n, 3): one within `SAME_POSE_RAD` of an earlier one has its number."""
-    unit = acc / np.linalg.norm(acc, axis=1)[:, None]
+    up = unit(acc)
     first: list[int] = []
     pose = np.zeros(len(acc), int)
-    for k, direction in enumerate(unit):
-        angle = np.arccos(np.clip(unit[first] @ direction, -1.0, 1.0)) if first else np.empty(0)
+    for k, direction in enumerate(up):
+        angle = np.arccos(np.clip(up[first] @ direction, -1.0, 1.0)) if first else np.empty(0)
         if len(angle) and angle.min() < SAME_POSE_RAD:
             pose[k] = int(np.argmin(angle))
         else:

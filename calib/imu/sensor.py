@@ -5,7 +5,7 @@
     [imu.forearm_right.accelerometer]    # corrected = matrix @ (raw - offset), m/s^2
     offset = [0.12, -0.31, 0.05]
     matrix = [[1.002, 0.001, 0.0], [0.001, 0.998, 0.0], [0.0, 0.0, 1.01]]
-    noise_density = 0.0012               # m/s^2/sqrt(Hz), where a long rest told
+    noise_density = 0.0012               # m/s^2/sqrt(Hz), from a long rest
 
     [imu.forearm_right.gyroscope]        # corrected = raw - offset, rad/s
     offset = [0.01, 0.0, -0.003]
@@ -38,10 +38,14 @@ class SensorCalibration:
 
     Attributes
     ----------
-    accelerometer : offset (3,) and matrix (3, 3).
-    gyroscope : offset (3,).
-    magnetometer : offset (3,) and matrix (3, 3).
-    accelerometer_density, gyroscope_density : white noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
+    accelerometer : tuple of ndarray, optional
+        Offset (3,) and matrix (3, 3).
+    gyroscope : ndarray, optional
+        Offset (3,).
+    magnetometer : tuple of ndarray, optional
+        Offset (3,) and matrix (3, 3).
+    accelerometer_density, gyroscope_density : float, optional
+        White noise, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz).
     """
 
     accelerometer: tuple[FloatArray, FloatArray] | None = None
@@ -112,12 +116,6 @@ def sensors_in(file: CalibrationFile) -> dict[str, Any]:
     if not isinstance(held, dict) or not all(isinstance(table, dict) for table in held.values()):
         raise CalibrationError(f"{file.source}: imu must hold a table for each sensor, [imu.NAME].")
     return held
-
-
-def with_sensor(file: CalibrationFile, topic: str, parts: dict[str, dict[str, Any]]) -> CalibrationFile:
-    """A copy in which these tables of a sensor replace those that it has; its others are kept."""
-    name, held = sensor_name(topic), sensors_in(file)
-    return file.with_table("imu", {**held, name: {**held.get(name, {}), **parts}})
 
 
 def _table(held: dict[str, Any], name: str, where: str) -> dict[str, Any]:

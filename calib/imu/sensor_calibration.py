@@ -8,31 +8,36 @@ from typing import Any
 import numpy as np
 
 from smoother.recording import FloatArray, ImuStream
+from smoother.units import GRAVITY
 
 from .accelerometer import AccelerometerCalibration, calibrate_accelerometer
 from .allan import SensorNoise, allan_noise
 from .gyroscope import GyroscopeCalibration, calibrate_gyroscope
 from .rests import Rests, find_rests
 
-#: Gravity that the smoother reckons with, m/s^2.
-GRAVITY = 9.81
-#: Of a recording that rests for so much of its time and so long at a stretch, noise is all that is asked.
+#: Of a recording that rests for so much of its time and so long without a pause, noise is all that is asked.
 _MOSTLY = 0.8
 LONG_REST_S = 20.0
 
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """What a recording told of accelerometer and gyroscope.
+    """What a recording gave of accelerometer and gyroscope.
 
     Attributes
     ----------
-    name : of the stream.
-    rests : where the sensor lay still.
-    gyroscope : its bias.
-    accelerometer : None where the recording is one long rest, which tells the noise only.
-    gravity : m/s^2, that the accelerometer was fitted to.
-    accelerometer_noise, gyroscope_noise : from the longest rest; None where it is too short.
+    name : str
+        Of the stream.
+    rests : Rests
+        Where the sensor lay still.
+    gyroscope : GyroscopeCalibration
+        Its bias.
+    accelerometer : AccelerometerCalibration, optional
+        None where the recording is one long rest, which gives the noise only.
+    accelerometer_noise, gyroscope_noise : SensorNoise, optional
+        From the longest rest; None where it is too short.
+    gravity : float, m/s^2
+        That the accelerometer was fitted to.
     """
 
     name: str
@@ -74,8 +79,15 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
 
     Parameters
     ----------
-    imu : raw stream.
-    gravity : m/s^2, where the recording was made.
+    imu : ImuStream
+        As recorded.
+    gravity : float, m/s^2
+        Where the recording was made.
+
+    Returns
+    -------
+    found : ImuCalibration
+        See `imu_answer` for what belongs into a file.
 
     Raises
     ------
@@ -86,10 +98,10 @@ def calibrate_imu(imu: ImuStream, gravity: float = GRAVITY) -> ImuCalibration:
     noise: tuple[SensorNoise | None, SensorNoise | None] = (None, None)
     long_rest = False
     if len(rests):
-        span = rests.longest()
-        noise = allan_noise(imu.acc[span], imu.rate_hz), allan_noise(imu.gyro[span], imu.rate_hz)
-        lasts = (span.stop - span.start) / imu.rate_hz
-        long_rest = lasts >= LONG_REST_S and span.stop - span.start >= _MOSTLY * len(imu)
+        rest = rests.longest()
+        noise = allan_noise(imu.acc[rest], imu.rate_hz), allan_noise(imu.gyro[rest], imu.rate_hz)
+        lasts = (rest.stop - rest.start) / imu.rate_hz
+        long_rest = lasts >= LONG_REST_S and rest.stop - rest.start >= _MOSTLY * len(imu)
     accelerometer = None
     if not (long_rest and rests.poses < 3):
         accelerometer = calibrate_accelerometer(rests, gravity)

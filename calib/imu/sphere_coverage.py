@@ -21,9 +21,12 @@ class Coverage:
 
     Attributes
     ----------
-    hole_rad : radius of the largest cap without a direction in it.
-    towards : (3,) unit vector, the middle of that cap.
-    share : part of the sphere's 100 cells that hold a direction, 0 to 1.
+    hole_rad : float, rad
+        Radius of the largest cap without a direction in it.
+    towards : ndarray, shape (3,)
+        Unit vector, the middle of that cap.
+    share : float
+        Part of the sphere's 100 cells that hold a direction, 0 to 1.
     """
 
     hole_rad: float

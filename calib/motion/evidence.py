@@ -11,8 +11,8 @@ from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, BoolArray, FloatArray
 from smoother.result import Recovery
 
-#: Turning about the forearm's axis is measured within stretches of this length: the gyro's sum drifts, s.
-STRETCH_S = 10.0
+#: Turning about the forearm's axis is measured within so much time: the gyro's sum drifts, s.
+AXIAL_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,15 @@ class Evidence:
 
     Attributes
     ----------
-    visible_s : time with the forearm visible.
-    frames : accepted samples by joint; `upper_arm` counts frames with shoulder and elbow.
-    turning_rad_s : rms of the IMU's angular velocity in that time; nan without any.
-    axial_rad : how far the forearm turned about its own axis within 10 s of it, at best; nan where its
-        direction is not known.
+    visible_s : float, s
+        Time with the forearm visible.
+    frames : dict of str to int
+        Accepted samples by joint; `upper_arm` counts frames with shoulder and elbow.
+    turning_rad_s : float, rad/s
+        Rms of the IMU's angular velocity in that time; nan without any.
+    axial_rad : float, rad
+        How far the forearm turned about its own axis within 10 s of it, at best; nan where its direction
+        is not known.
     """
 
     visible_s: float
@@ -40,9 +44,12 @@ class ClockOffset:
 
     Attributes
     ----------
-    recording : its name.
-    offset_s, sigma_s : mean offset and its standard deviation; nan where the recording told nothing.
-    drift_s : how far the offset wandered.
+    recording : str
+        Its name.
+    offset_s, sigma_s : float, s
+        Mean offset and its standard deviation; nan where the recording told nothing.
+    drift_s : float, s
+        How far the offset wandered.
     """
 
     recording: str
@@ -52,11 +59,16 @@ class ClockOffset:
 
 
 def gather(segments: Sequence[Segment], direction: FloatArray | None) -> Evidence:
-    """The evidence of the pieces of one or several recordings.
+    """The evidence of the segments of one or several recordings.
 
     Parameters
     ----------
-    direction : (3,) unit vector elbow to wrist in {A}, or None where it is not known.
+    direction : ndarray, shape (3,), optional
+        Unit vector elbow to wrist in {A}, or None where it is not known.
+
+    Returns
+    -------
+    Evidence
     """
     frames = {joint: sum(_count(segment, joint) for segment in segments) for joint in JOINTS}
     frames["upper_arm"] = sum(_count(segment, "shoulder", "elbow") for segment in segments)
@@ -161,12 +173,12 @@ def _visible(segment: Segment, t: FloatArray) -> BoolArray:
 
 
 def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:
-    """Largest range of an angle (n + 1,) over visible cells (n,) within one stretch, rad."""
+    """Largest range of an angle (n + 1,) over visible intervals (n,) within `AXIAL_S`, rad."""
     best = 0.0
-    for start in np.arange(t[0], t[-1], 0.5 * STRETCH_S):
-        end = start + STRETCH_S
+    for start in np.arange(t[0], t[-1], 0.5 * AXIAL_S):
+        end = start + AXIAL_S
         first, last = np.searchsorted(t, start) - 1, np.searchsorted(t, end) + 1
-        near = slice(max(int(first), 0), int(last))  # a cell more on either side
+        near = slice(max(int(first), 0), int(last))  # an interval more on either side
         when = 0.5 * (t[near][1:] + t[near][:-1])
         middle = 0.5 * (angle[near][1:] + angle[near][:-1])
         inside = seen[near.start : near.start + len(when)] & (when >= start) & (when < end)

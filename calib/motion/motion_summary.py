@@ -10,6 +10,7 @@ from smoother.calibration import ArmCalibration
 from smoother.recording import FloatArray
 
 from ..forearm.forearm_frame import ForearmFrame
+from ..verdict import Verdict
 from .evidence import ClockOffset, Evidence
 
 #: From here on something counts as not determined.
@@ -24,6 +25,7 @@ LITTLE_AXIAL_RAD = np.radians(60.0)
 LITTLE_TURNING_RAD_S = 0.2
 LITTLE_VISIBLE_S = 10.0
 FEW_FRAMES = 30
+MOVE = "record 20 s in view: bend and stretch the elbow, raise the arm, turn the palm up and down"
 
 
 def not_determined(
@@ -37,12 +39,21 @@ def not_determined(
 
     Parameters
     ----------
-    calibration : what was found, `R_F_A` included.
-    frame : the forearm's axes, None without both lever arms.
-    evidence : what the recordings showed.
-    known : what was given beforehand; nothing is said of it.
-    joint_bias_m : constant error of the camera's joints, m an axis, a part of every sigma; it is named
-        once, as it is no fault of the motion.
+    calibration : ArmCalibration
+        What was found, `R_F_A` included.
+    frame : ForearmFrame, optional
+        The forearm's axes, None without both lever arms.
+    evidence : Evidence
+        What the recordings showed.
+    known : ArmCalibration
+        What was given beforehand; nothing is said of it.
+    joint_bias_m : float, m
+        Constant error of the camera's joints, an axis, a part of every sigma; it is named once, as it is no
+        fault of the motion.
+
+    Returns
+    -------
+    sentences : list of str
     """
     if is_point(evidence):
         return _causes(evidence, "sensor")
@@ -54,6 +65,27 @@ def not_determined(
         *_roll(calibration, frame, evidence, known, joint_bias_m),
         *_upper_arm(calibration, evidence, known, joint_bias_m),
     ]
+
+
+def motion_verdict(calibration: ArmCalibration, left_open: Sequence[str]) -> Verdict:
+    """How well the arm is known now, and what to record next.
+
+    Parameters
+    ----------
+    calibration : ArmCalibration
+        What was found.
+    left_open : sequence of str
+        See `not_determined`.
+
+    Returns
+    -------
+    verdict : Verdict
+    """
+    if not calibration.lever_arms:
+        return Verdict("not good enough", "no lever arm was found", (), (MOVE,))
+    worst_m = max(float(np.max(lever.sigma_m)) for lever in calibration.lever_arms.values())
+    sentence = f"lever arms are known to {1e3 * worst_m:.0f} mm an axis at worst (one sigma)"
+    return Verdict("usable" if left_open else "good", sentence, (), (MOVE,) if left_open else ())
 
 
 def is_point(evidence: Evidence) -> bool:

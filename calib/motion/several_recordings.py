@@ -19,54 +19,23 @@ from smoother.selfcal.coarse_clock import synchronise_coarsely
 from smoother.selfcal.rounds import SelfCalibration, self_calibrate
 from smoother.window.priors import with_measured_noise
 
-from ..forearm.forearm_frame import ForearmFrame, forearm_frame
+from ..forearm.forearm_frame import forearm_frame
 from .estimates import ArmEstimates, JointError, names_given
-from .evidence import ClockOffset, Evidence, gather
+from .evidence import ClockOffset, gather
 from .motion_summary import clocks_not_determined, not_determined
 
 
-@dataclass(frozen=True)
-class MotionCalibration:
-    """What the recordings told.
+@dataclass(frozen=True, kw_only=True)
+class MotionCalibration(ArmEstimates):
+    """What the recordings told, and what it was solved from.
 
     Attributes
     ----------
-    calibration : lever arms, lengths and mounting with sigmas; carries over to other recordings.
-    knowledge : all that was found, clock offsets (one a recording, never carried over) included.
-    recordings : names in the order of the offsets.
-    offsets : clock offset of each recording.
-    frame : the forearm's axes in the IMU with their sigmas, None without elbow and wrist.
-    evidence : how long the forearm was seen, and how it moved.
-    not_determined : what the motion left open, one sentence each.
-    given : what was given beforehand, by name.
+    self_calibration : SelfCalibration
+        All that was solved for together, clocks included.
     """
 
-    calibration: ArmCalibration
-    knowledge: SelfCalibration
-    recordings: tuple[str, ...]
-    offsets: tuple[ClockOffset, ...]
-    frame: ForearmFrame | None
-    evidence: Evidence
-    not_determined: tuple[str, ...]
-    given: tuple[str, ...] = ()
-
-    @property
-    def found(self) -> ArmEstimates:
-        """The same in the form that recoveries share."""
-        bias = self.knowledge.joint_bias
-        return ArmEstimates(
-            calibration=self.calibration,
-            frame=self.frame,
-            offsets=self.offsets,
-            evidence=self.evidence,
-            not_determined=self.not_determined,
-            camera={
-                joint: JointError(noise.sample_m, float(np.linalg.norm(bias.error_m[JOINTS.index(joint)])))
-                for joint, noise in self.knowledge.joint_noise.items()
-            },
-            joint_bias_sigma_m=bias.sigma_m,
-            given=self.given,
-        )
+    self_calibration: SelfCalibration
 
 
 def calibrate_motion(
@@ -76,9 +45,17 @@ def calibrate_motion(
 
     Parameters
     ----------
-    recordings : of one person, arm and mounting; each keeps a clock offset and gravity of its own.
-    known : what is measured already; it is believed to its sigmas.
-    config : settings; the defaults where None.
+    recordings : sequence of Recording
+        Of one person, arm and mounting; each keeps a clock offset and gravity of its own.
+    known : ArmCalibration, optional
+        What is measured already, a prior with its sigmas.
+    config : Config, optional
+        Settings; the defaults where None.
+
+    Returns
+    -------
+    found : MotionCalibration
+        See `motion_answer` for what belongs into a file.
 
     Raises
     ------
@@ -101,28 +78,29 @@ def calibrate_motion(
     if not segments:
         raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
     with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
-        knowledge = self_calibrate(segments, known, config, pool)
-    calibration = knowledge.estimate
+        solved = self_calibrate(segments, known, config, pool)
+    calibration = solved.estimate
     frame = forearm_frame(calibration)
     if calibration.R_F_A is None and frame is not None:
         calibration = replace(calibration, R_F_A=frame.R_F_A)
     evidence = gather(segments, calibration.forearm_direction)
-    offsets = _offsets(
-        recordings, [coarse for _, coarse in moved], {p.recording for p in segments}, knowledge
-    )
-    left_open = [
-        *not_determined(calibration, frame, evidence, known, knowledge.joint_bias.sigma_m),
-        *clocks_not_determined(offsets),
-    ]
+    coarse = [clock for _, clock in moved]
+    offsets = _offsets(recordings, coarse, {segment.recording for segment in segments}, solved)
+    left_open = not_determined(calibration, frame, evidence, known, solved.joint_bias.sigma_m)
+    shifts_m = np.linalg.norm(solved.joint_bias.error_m, axis=1)
     return MotionCalibration(
         calibration=calibration,
-        knowledge=knowledge,
-        recordings=tuple(recording.name for recording in recordings),
-        offsets=offsets,
         frame=frame,
+        offsets=offsets,
         evidence=evidence,
-        not_determined=tuple(left_open),
+        not_determined=(*left_open, *clocks_not_determined(offsets)),
+        camera={
+            joint: JointError(noise.sample_m, float(shifts_m[JOINTS.index(joint)]))
+            for joint, noise in solved.joint_noise.items()
+        },
+        joint_bias_sigma_m=solved.joint_bias.sigma_m,
         given=names_given(known),
+        self_calibration=solved,
     )
 
 
@@ -130,13 +108,13 @@ def _offsets(
     recordings: Sequence[Recording],
     coarse: Sequence[Clock | None],
     used: set[int],
-    knowledge: SelfCalibration,
+    solved: SelfCalibration,
 ) -> tuple[ClockOffset, ...]:
     offsets = []
     for number, recording in enumerate(recordings):
         if number not in used:
             offsets.append(ClockOffset(recording.name))
             continue
-        clock = knowledge.clocks[number].after(coarse[number])
+        clock = solved.clocks[number].after(coarse[number])
         offsets.append(ClockOffset(recording.name, clock.mean_s, clock.sigma_s, clock.drift_s))
     return tuple(offsets)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smoother.linalg import robust_sigma
 from smoother.recording import FloatArray
 
-from .definition import Intrinsics
+from ..intrinsics import Intrinsics
 
 #: Brightness over the surroundings from which a spot counts, as fractions of the brightest; tried in turn.
 LEVELS = (0.5, 0.25, 0.12, 0.06)
@@ -34,11 +35,16 @@ class Blobs:
 
     Attributes
     ----------
-    pixels : (N, 2) centroids.
-    rays : (N, 2) undistorted, x/z and y/z.
-    sigmas_px : (N,) of a centroid, an axis.
-    radii_px : (N,) of a disc of the same area.
-    heights : (N,) peak over the surroundings.
+    pixels : ndarray, shape (N, 2)
+        Centroids.
+    rays : ndarray, shape (N, 2)
+        Undistorted, x/z and y/z.
+    sigmas_px : ndarray, shape (N,), pixels
+        Of a centroid, an axis.
+    radii_px : ndarray, shape (N,), pixels
+        Of a disc of the same area.
+    heights : ndarray, shape (N,)
+        Peak over the surroundings.
     """
 
     pixels: FloatArray
@@ -56,8 +62,10 @@ def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
 
     Parameters
     ----------
-    infrared : (height, width) in any unit.
-    lens : for the undistorted rays.
+    infrared : ndarray, shape (height, width)
+        In any unit.
+    lens : Intrinsics
+        For the undistorted rays.
 
     Yields
     ------
@@ -65,7 +73,7 @@ def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
     """
     surroundings = _surroundings(infrared)
     over = infrared - surroundings
-    noise = 1.4826 * float(np.median(np.abs(over)))
+    noise = float(robust_sigma(over))
     brightest = float(np.percentile(over, 100 * (1 - 5 / over.size)))
     count = -1
     for level in LEVELS:

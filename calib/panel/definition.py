@@ -1,11 +1,10 @@
-"""What is known beforehand: the panel's markers and outline, the camera's lens."""
+"""What is known beforehand: the panel's markers and outline, and the camera's lens, from their files."""
 
 from __future__ import annotations
 
 import os
 import tomllib
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -14,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
+
+from ..intrinsics import Intrinsics
 
 #: A panel that is larger, or whose markers are nearer, was not measured in metres.
 LARGEST_M, NEAREST_M = 5.0, 0.02
@@ -29,9 +30,12 @@ class Panel:
 
     Attributes
     ----------
-    markers_P : (4, 2) m; the first is the corner of the L, the origin.
-    extent_P : (2, 2) m; lower and upper corner of the panel.
-    height_m : of the markers' centres above the panel; 0 for flat ones.
+    markers_P : ndarray, shape (4, 2), m
+        The first is the corner of the L, the origin.
+    extent_P : ndarray, shape (2, 2), m
+        Lower and upper corner of the panel.
+    height_m : float, m
+        Of the markers' centres above the panel; 0 for flat ones.
     """
 
     markers_P: FloatArray
@@ -47,71 +51,6 @@ class Panel:
         """Markers (n, 2) of the arm along x and of the arm along y, the corner in both."""
         away = np.abs(self.markers_P - self.markers_P[0])
         return self.markers_P[away[:, 1] < ON_A_LINE_M], self.markers_P[away[:, 0] < ON_A_LINE_M]
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """Lens of the depth and infrared camera; the centre of the first pixel is (0, 0).
-
-    Attributes
-    ----------
-    width, height : of the images, pixels.
-    fx, fy, cx, cy : focal lengths and principal point, pixels.
-    distortion : k1, k2, p1, p2, k3 (Brown-Conrady, as OpenCV has it).
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-    @property
-    def focal_px(self) -> float:
-        """Mean focal length."""
-        return 0.5 * (self.fx + self.fy)
-
-    def rays(self, pixels: FloatArray) -> FloatArray:
-        """Undistorted rays (N, 2), x/z and y/z, of pixels (N, 2)."""
-        import cv2
-
-        if len(pixels) == 0:
-            return np.empty((0, 2))
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        found = cv2.undistortPointsIter(
-            points, self._matrix(), np.array(self.distortion), np.eye(3), np.eye(3), stop
-        )
-        return np.asarray(found, dtype=np.float64).reshape(-1, 2)
-
-    def pixels(self, points_K: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of points (N, 3) in {K}, in front of the camera."""
-        import cv2
-
-        if len(points_K) == 0:
-            return np.empty((0, 2))
-        points = np.ascontiguousarray(points_K, dtype=np.float64).reshape(-1, 1, 3)
-        seen, _ = cv2.projectPoints(
-            points, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)
-        )
-        return np.asarray(seen, dtype=np.float64).reshape(-1, 2)
-
-    def ray_image(self) -> FloatArray:
-        """Undistorted rays (height, width, 2) of all pixels."""
-        return _ray_image(self)
-
-    def _matrix(self) -> FloatArray:
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
-
-@lru_cache(maxsize=4)
-def _ray_image(lens: Intrinsics) -> FloatArray:
-    u, v = np.meshgrid(np.arange(lens.width, dtype=float), np.arange(lens.height, dtype=float))
-    rays = lens.rays(np.column_stack([u.ravel(), v.ravel()])).reshape(lens.height, lens.width, 2)
-    rays.setflags(write=False)
-    return rays
 
 
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -157,6 +96,15 @@ class _LensSection(_Section):
 def read_panel(path: str | os.PathLike[str]) -> Panel:
     """Read the table `[panel]` of a TOML file: `markers`, `extent` and, if any, `marker_height` (m).
 
+    Parameters
+    ----------
+    path : path-like
+        The TOML file.
+
+    Returns
+    -------
+    panel : Panel
+
     Raises
     ------
     CalibrationError
@@ -172,23 +120,30 @@ def read_panel(path: str | os.PathLike[str]) -> Panel:
 def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     """Read a lens from TOML: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].
 
+    Parameters
+    ----------
+    path : path-like
+        The TOML file.
+
+    Returns
+    -------
+    lens : Intrinsics
+
     Raises
     ------
     CalibrationError
         The file or a key is missing, or a value is wrong.
     """
     section = _check(_LensSection, _load(Path(path)), str(path))
-    return intrinsics(
-        section.width, section.height, section.fx, section.fy, section.cx, section.cy, section.distortion
+    return Intrinsics(
+        section.width,
+        section.height,
+        section.fx,
+        section.fy,
+        section.cx,
+        section.cy,
+        tuple(section.distortion),
     )
-
-
-def intrinsics(
-    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: list[float]
-) -> Intrinsics:
-    """A lens whose distortion has up to five terms."""
-    k1, k2, p1, p2, k3 = [*map(float, distortion), 0.0, 0.0, 0.0, 0.0, 0.0][:5]
-    return Intrinsics(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
 def _load(path: Path) -> dict[str, Any]:

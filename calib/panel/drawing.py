@@ -20,9 +20,16 @@ def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = (
 
     Parameters
     ----------
-    infrared : (height, width) in any unit.
-    blobs : all bright spots.
-    markers : which of them are the panel's, in its order; empty where they could not be told.
+    infrared : ndarray, shape (height, width)
+        In any unit.
+    blobs : Blobs
+        All bright spots.
+    markers : tuple of int
+        Which of them are the panel's, in its order; empty where they could not be told.
+
+    Returns
+    -------
+    bytes
     """
     import cv2
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.linalg import nearest_rotation, unit
 from smoother.recording import BoolArray, FloatArray
 
 from .definition import Panel
@@ -41,9 +42,12 @@ def frame_of_points(
 
     Parameters
     ----------
-    points_K : (N, 3) m, those of the plane group.
-    along_x, along_y : (N,) those of the strips along the arms.
-    about_R : (3, 3) the axes roughly, for the components' signs.
+    points_K : ndarray, shape (N, 3), m
+        Those of the plane group.
+    along_x, along_y : ndarray of bool, shape (N,)
+        Those of the strips along the arms.
+    about_R : ndarray, shape (3, 3)
+        The axes roughly, for the components' signs.
 
     Returns
     -------
@@ -65,10 +69,8 @@ def frame_of_markers(markers: FloatArray, panel: Panel) -> Frame:
     for axis in (0, 1):
         along = np.abs(away[:, axis])
         end = np.argmax(np.where(along > 2 * np.abs(away[:, 1 - axis]), along, -1.0))
-        arm = (markers[end] - markers[0]) * np.sign(away[end, axis])
-        axes[:, axis] = arm / np.linalg.norm(arm)
-    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-    axes[:, 2] /= np.linalg.norm(axes[:, 2])
+        axes[:, axis] = unit((markers[end] - markers[0]) * np.sign(away[end, axis]))
+    axes[:, 2] = unit(np.cross(axes[:, 0], axes[:, 1]))
     return Frame(nearest_rotation(axes), markers[0])
 
 
@@ -80,8 +82,7 @@ def fit_frame(points: FloatArray, panel: Panel) -> Frame:
 def kabsch(source: FloatArray, target: FloatArray) -> Frame:
     """Rotation and shift that take points (N, 3) of one frame to those of another, by least squares."""
     a, b = source.mean(axis=0), target.mean(axis=0)
-    U, _, Vt = np.linalg.svd((target - b).T @ (source - a))
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    R = nearest_rotation((target - b).T @ (source - a))
     return Frame(R, b - R @ a)
 
 
@@ -97,12 +98,6 @@ def principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean, covariance = cloud.compute_mean_and_covariance()
     axes = np.linalg.eigh(np.asarray(covariance))[1][:, ::-1]
     return np.asarray(mean, dtype=np.float64), np.asarray(axes, dtype=np.float64)
-
-
-def nearest_rotation(axes: FloatArray) -> FloatArray:
-    """The rotation nearest to three axes that are not quite at right angles, (3, 3)."""
-    U, _, Vt = np.linalg.svd(axes)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
 def _meeting(a: FloatArray, x: FloatArray, b: FloatArray, y: FloatArray) -> FloatArray:

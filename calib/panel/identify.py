@@ -35,8 +35,10 @@ class NotSeen(CalibrationError):
 
     Attributes
     ----------
-    final : more spots, at a lower threshold, would not help.
-    view, blobs : what was looked at, for a picture; None where the camera is not to blame.
+    final : bool
+        More spots, at a lower threshold, would not help.
+    view, blobs : View and Blobs, optional
+        What was looked at, for a picture; None where the camera is not to blame.
     """
 
     def __init__(self, text: str, final: bool = False):
@@ -72,9 +74,12 @@ class Reading:
 
     Attributes
     ----------
-    index : (4,) which point is which marker.
-    misfit_m : rms of the distances' differences, after `scale`.
-    scale : distances over the panel's.
+    index : tuple of int
+        (4,) which point is which marker.
+    misfit_m : float, m
+        Rms of the distances' differences, after `scale`.
+    scale : float
+        Distances over the panel's.
     """
 
     index: tuple[int, ...]
@@ -92,9 +97,14 @@ def identify_spots(
 
     Parameters
     ----------
-    blobs : bright spots.
-    depth_m, rays : (height, width), (height, width, 2).
-    name : of the view, for messages.
+    blobs : Blobs
+        Bright spots.
+    depth_m : ndarray, shape (height, width), m
+        nan where there is none.
+    rays : ndarray, shape (height, width, 2)
+        Of every pixel, undistorted.
+    name : str
+        Of the view, for messages.
 
     Returns
     -------
@@ -148,7 +158,12 @@ def identify_markers(markers_E: FloatArray, panel: Panel, name: str) -> Reading:
 
     Parameters
     ----------
-    markers_E : (M, 3) m in the mocap frame, M >= 4.
+    markers_E : ndarray, shape (M, 3), m
+        In the mocap frame, M >= 4.
+
+    Returns
+    -------
+    Reading
 
     Raises
     ------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-from .definition import Intrinsics
+from ..intrinsics import Intrinsics
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,12 @@ class View:
 
     Attributes
     ----------
-    depth_m : (height, width) z of every pixel, m; nan where the camera has none.
-    infrared : (height, width) in the image's own unit.
-    name : what to call it in messages.
+    depth_m : ndarray, shape (height, width), m
+        z of every pixel, m; nan where the camera has none.
+    infrared : ndarray, shape (height, width)
+        In the image's own unit.
+    name : str
+        What to call it in messages.
     """
 
     depth_m: FloatArray

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from smoother.linalg import skew
 from smoother.recording import FloatArray
 
 from ..verdict import Verdict
@@ -35,11 +36,16 @@ class PanelAccuracy:
 
     Attributes
     ----------
-    rotation_deg : (3,) about the camera's axes.
-    translation_m : (3,) of the mocap's origin in the camera frame.
-    at_panel_m : (3,) of a point in the middle of the panel's places.
-    within_m : square root of the trace for the worst point `WITHIN_M` away from there.
-    covariance : (6, 6) of a small rotation about the camera's axes (rad) and of the translation (m).
+    rotation_deg : ndarray, shape (3,), degrees
+        About the camera's axes.
+    translation_m : ndarray, shape (3,), m
+        Of the mocap's origin in the camera frame.
+    at_panel_m : ndarray, shape (3,), m
+        Of a point in the middle of the panel's places.
+    within_m : float, m
+        Square root of the trace for the worst point `WITHIN_M` away from there.
+    covariance : ndarray, shape (6, 6)
+        Of a small rotation about the camera's axes (rad) and of the translation (m).
     """
 
     rotation_deg: FloatArray
@@ -191,7 +197,6 @@ def _published_apart(calibration: PanelCalibration) -> tuple[float, float] | Non
 
 def _moved(covariance: FloatArray, point: FloatArray) -> FloatArray:
     """Covariance (6, 6) of the small rotation and of what it and the shift do to a point in {K}."""
-    x, y, z = point
     J = np.eye(6)
-    J[3:, :3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    J[3:, :3] = -skew(point)
     return np.asarray(J @ covariance @ J.T)

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.linalg import nearest_rotation
 from smoother.recording import FloatArray
 
+from ..intrinsics import Intrinsics
 from .blobs import Blobs, find_blobs
-from .definition import Intrinsics, Panel
+from .definition import Panel
 from .frame import Frame, fit_frame, frame_of_markers, frame_of_points
 from .identify import (
     EDGE_ON_DEG,
@@ -40,15 +42,25 @@ class SeenPanel:
 
     Attributes
     ----------
-    blobs : all bright spots; spots : (4,) those of the markers, in the panel's order.
-    reading : how well their distances fit the panel's.
-    regions, plane : its depth pixels and the plane through them.
-    points_K : (4, 3) m, the markers in the camera frame.
-    frame : the panel's axes and {P}'s origin in the camera frame, by markers and plane.
-    published : the same as published, by principal components; its origin is the first marker. None where an
-        arm has too few depth points.
-    tilt_deg : between the panel's normal and the line of sight.
-    distance_m : of the markers' middle from the camera.
+    blobs : Blobs
+        All bright spots.
+    spots : tuple of int
+        Those of the four markers, in the panel's order.
+    reading : Reading
+        How well their distances fit the panel's.
+    regions, plane : Regions and Plane
+        Its depth pixels and the plane through them.
+    points_K : ndarray, shape (4, 3), m
+        The markers in the camera frame.
+    frame : Frame
+        The panel's axes and {P}'s origin in the camera frame, by markers and plane.
+    published : Frame, optional
+        The same as published, by principal components; its origin is the first marker. None where an arm
+        has too few depth points.
+    tilt_deg : float, degrees
+        Between the panel's normal and the line of sight.
+    distance_m : float, m
+        Of the markers' middle from the camera.
     """
 
     blobs: Blobs
@@ -74,11 +86,20 @@ class PanelCalibration:
 
     Attributes
     ----------
-    solution : the graph's answer.
-    published : camera from mocap as published (JA eq 4 and 5), the poses' mean; None where no pose has it.
-    seen, markers_E, labels : by pose: the view's panel, its four mocap markers (4, 3) and their names.
-    names : of the poses.
-    panel, lens : what was known beforehand.
+    solution : PanelSolution
+        The graph's answer.
+    published : Frame, optional
+        Camera from mocap as published (JA eq 4 and 5), the poses' mean; None where no pose has it.
+    seen : tuple of SeenPanel
+        By pose, the panel in the view.
+    markers_E : tuple of ndarray, shape (4, 3), m
+        By pose, the panel's mocap markers.
+    labels : tuple of tuple of str
+        By pose, their names.
+    names : tuple of str
+        Of the poses.
+    panel, lens : Panel and Intrinsics
+        What was known beforehand.
     """
 
     solution: PanelSolution
@@ -102,10 +123,18 @@ def calibrate_panel(
 
     Parameters
     ----------
-    views : one a pose of the panel.
-    markers : by pose, positions (3,) m in the mocap frame by name; any names, any order.
-    panel, lens : the panel's definition and the camera's lens.
-    mocap_sigma_m : noise of a mocap marker, an axis.
+    views : sequence of View
+        One a pose of the panel.
+    markers : sequence of dict of str to ndarray
+        By pose, positions (3,) m in the mocap frame by name; any names, any order.
+    panel, lens : Panel and Intrinsics
+        The panel's definition and the camera's lens.
+    mocap_sigma_m : float, m
+        Noise of a mocap marker, an axis.
+
+    Returns
+    -------
+    PanelCalibration
 
     Raises
     ------
@@ -227,8 +256,6 @@ def _on_panel(plane: Plane, rays: FloatArray, height_m: float) -> FloatArray:
 
 def _mean(frames: list[Frame], markers_E: list[FloatArray]) -> Frame:
     """Mean of transforms: rotation by chordal mean, shift at the markers' middle."""
-    from .frame import nearest_rotation
-
     R = nearest_rotation(np.mean([each.R for each in frames], axis=0))
     middle = np.mean(np.concatenate(markers_E), axis=0)
     at = np.mean([each.R @ middle + each.origin for each in frames], axis=0)

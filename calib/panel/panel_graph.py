@@ -38,12 +38,20 @@ class PoseData:
 
     Attributes
     ----------
-    rays : (4, 2) of the markers, undistorted; sigmas : (4,) of a ray, an axis.
-    plane : from the depth.
-    markers_E : (4, 3) m in the mocap frame.
-    sigma_E_m : of a marker, an axis.
-    height_m : of the markers over the plane.
-    name : in messages.
+    rays : ndarray, shape (4, 2)
+        Of the markers, undistorted.
+    sigmas : ndarray, shape (4,)
+        Of a ray, an axis.
+    plane : Plane
+        From the depth.
+    markers_E : ndarray, shape (4, 3), m
+        In the mocap frame.
+    sigma_E_m : float, m
+        Of a marker, an axis.
+    height_m : float, m
+        Of the markers over the plane.
+    name : str
+        In messages.
     """
 
     rays: FloatArray
@@ -72,18 +80,25 @@ class PanelSolution:
 
     Attributes
     ----------
-    camera_from_mocap : p_K = R p_E + origin.
-    covariance : (6, 6) of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m): a
-        point p in {K} errs by v + w x p.
-    depth_offset_m, depth_offset_sigma_m : the camera's depth is this much too long; 0 and inf where it was
-        not solved.
-    offset_apart_m, offset_apart_sigma_m : what the markers' spacing alone says of that error.
-    ray_residuals : (poses, 4) of a marker's ray from where the answer puts the mocap marker; times the
-        focal length in pixels.
-    marker_residuals_m : (poses, 4) distance between a marker in mocap and where the answer puts it.
-    plane_residuals_m : (poses, 4) mocap markers' distances from the depth's plane, signed, away positive.
-    misfit : squared residuals over what the stated noise makes expected.
-    residuals : number of independent residuals.
+    camera_from_mocap : Frame
+        p_K = R p_E + origin.
+    covariance : ndarray, shape (6, 6)
+        Of a small rotation about {K}'s axes at the camera's place (rad) and a shift (m): a point p in {K}
+        errs by v + w x p.
+    depth_offset_m, depth_offset_sigma_m : float, m
+        The camera's depth is this much too long; 0 and inf where it was not solved.
+    offset_apart_m, offset_apart_sigma_m : float, m
+        What the markers' spacing alone says of that error.
+    ray_residuals : ndarray, shape (poses, 4)
+        Of a marker's ray from where the answer puts the mocap marker; times the focal length in pixels.
+    marker_residuals_m : ndarray, shape (poses, 4), m
+        Distance between a marker in mocap and where the answer puts it.
+    plane_residuals_m : ndarray, shape (poses, 4), m
+        Mocap markers' distances from the depth's plane, signed, away positive.
+    misfit : float
+        Squared residuals over what the stated noise makes expected.
+    residuals : int
+        Number of independent residuals.
     """
 
     camera_from_mocap: Frame

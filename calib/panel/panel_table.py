@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..file import CalibrationFile
+from ..protocol import Answer
+from .frame import Frame
 from .panel_accuracy import accuracy, verdict
-
-if TYPE_CHECKING:
-    from .frame import Frame
-    from .panel_calibration import PanelCalibration
+from .panel_calibration import PanelCalibration
 
 NAME = "camera_from_mocap"
+
+
+def panel_answer(calibration: PanelCalibration) -> Answer:
+    """Camera from mocap in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    calibration : PanelCalibration
+        See `calibrate_panel`.
+
+    Returns
+    -------
+    answer : Answer
+        Its table is `camera_from_mocap`.
+    """
+    sigma, words, table = accuracy(calibration), verdict(calibration), calibration_table(calibration)
+    solution = calibration.solution
+    known = bool(np.isfinite(solution.depth_offset_sigma_m))
+    return Answer(
+        estimate={
+            "R_K_E": solution.camera_from_mocap.R,
+            "t_K_E": solution.camera_from_mocap.origin,
+            "depth_offset": solution.depth_offset_m,
+        },
+        sigma={
+            "R_K_E": np.radians(sigma.rotation_deg),
+            "t_K_E": sigma.translation_m,
+            "depth_offset": solution.depth_offset_sigma_m,
+        },
+        verdict=words,
+        open_questions=() if known else ("a constant error of the camera's depth",),
+        table=CalibrationFile().with_table(NAME, table),
+        figures={NAME: table, "words": words.words},
+    )
 
 
 def calibration_table(calibration: PanelCalibration) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma
 from smoother.recording import BoolArray, FloatArray
 
 #: A pixel farther from the plane than this many sigmas does not take part.
@@ -33,15 +34,23 @@ class Plane:
 
     Attributes
     ----------
-    theta : (3,) 1/m; points fulfil theta . p = 1.
-    covariance : (3, 3) of theta, widened for errors that neighbouring pixels share.
-    offset_rate, offset_curve : (3,) first and half the second derivative of theta after a constant depth
-        error (m) that is taken off every depth.
-    inliers : (N,) pixels that took part.
-    residuals_m : (N,) depth minus the plane's depth.
-    noise_m : standard deviation of a pixel's depth.
-    share_common : factor by which errors shared among neighbours widen sigma.
-    warp_m : how far the depth of the whole panel is bent, rms; a camera that bends a plane tilts it as well.
+    theta : ndarray, shape (3,)
+        1/m; points fulfil theta . p = 1.
+    covariance : ndarray, shape (3, 3)
+        Of theta, widened for errors that neighbouring pixels share.
+    offset_rate, offset_curve : ndarray, shape (3,)
+        First and half the second derivative of theta after a constant depth error (m) that is taken off
+        every depth.
+    inliers : ndarray of bool, shape (N,)
+        Pixels that took part.
+    residuals_m : ndarray, shape (N,), m
+        Depth minus the plane's depth.
+    noise_m : float, m
+        Standard deviation of a pixel's depth.
+    share_common : float
+        Factor by which errors shared among neighbours widen sigma.
+    warp_m : float, m
+        How far the depth of the whole panel is bent, rms; a camera that bends a plane tilts it as well.
     """
 
     theta: FloatArray
@@ -83,10 +92,18 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
 
     Parameters
     ----------
-    pixels : (N, 2) whole pixels, for neighbourhood.
-    rays : (N, 2) undistorted.
-    depth_m : (N,) all finite.
-    what : name of the view in messages.
+    pixels : ndarray, shape (N, 2)
+        Whole pixels, for neighbourhood.
+    rays : ndarray, shape (N, 2)
+        Undistorted.
+    depth_m : ndarray, shape (N,), m
+        All finite.
+    what : str
+        Name of the view in messages.
+
+    Returns
+    -------
+    Plane
 
     Raises
     ------
@@ -103,7 +120,7 @@ def fit_plane(pixels: FloatArray, rays: FloatArray, depth_m: FloatArray, what: s
     inliers = np.ones(len(depth_m), dtype=bool)
     for _ in range(6):
         residuals = depth_m - 1 / (full @ theta)
-        noise = 1.4826 * float(np.median(np.abs(residuals[inliers] - np.median(residuals[inliers]))))
+        noise = float(robust_sigma(residuals[inliers] - np.median(residuals[inliers])))
         within = np.abs(residuals) <= max(OUTLIER * noise, LEAST_OUTLIER_M)
         within &= ~_beside(~within, pixels)
         rough = noise > LARGEST_NOISE * float(np.median(depth_m))

@@ -8,8 +8,9 @@ import numpy as np
 
 from smoother.recording import BoolArray, FloatArray
 
+from ..intrinsics import Intrinsics
 from .blobs import Blobs
-from .definition import Intrinsics, Panel
+from .definition import Panel
 from .frame import Frame
 
 #: Left out along the rim, where pixels are mixed with what lies behind: pixels.
@@ -26,11 +27,20 @@ class Regions:
 
     Attributes
     ----------
-    pixels : (N, 2) whole pixels of the plane group; rays : (N, 2) undistorted; depth_m : (N,).
-    panel_P : (N, 2) where they lie on the panel by the first pose, m.
-    along_x, along_y : (N,) those of the strips.
-    covered : share of the panel's usable pixels that have a depth.
-    cell_m : two pixels on the panel.
+    pixels : ndarray, shape (N, 2)
+        Whole pixels of the plane group.
+    rays : ndarray, shape (N, 2)
+        Theirs, undistorted.
+    depth_m : ndarray, shape (N,), m
+        Theirs.
+    panel_P : ndarray, shape (N, 2), m
+        Where they lie on the panel by the first pose.
+    along_x, along_y : ndarray of bool, shape (N,)
+        Those of the strips.
+    covered : float
+        Share of the panel's usable pixels that have a depth.
+    cell_m : float, m
+        Two pixels on the panel.
     """
 
     pixels: FloatArray
@@ -48,9 +58,16 @@ def panel_regions(depth_m: FloatArray, lens: Intrinsics, blobs: Blobs, panel: Pa
 
     Parameters
     ----------
-    depth_m : (height, width), nan where there is none.
-    blobs : all bright spots, the panel's or not.
-    frame : the panel in {K}; good to some millimetres.
+    depth_m : ndarray, shape (height, width), m
+        nan where there is none.
+    blobs : Blobs
+        All bright spots, the panel's or not.
+    frame : Frame
+        The panel in {K}; good to some millimetres.
+
+    Returns
+    -------
+    Regions
     """
     v, u, xy = _panel_pixels(lens, panel, frame)
     pixels = np.column_stack([u, v]).astype(np.float64)

@@ -18,7 +18,8 @@ from scipy.ndimage import uniform_filter1d
 
 from smoother.recording import FloatArray
 
-from .strap_camera import Depth, Lens
+from ..intrinsics import PlacedCamera
+from .strap_camera import Depth
 from .strap_surface import across_arm, silhouette_axis, silhouette_middle, surface_at
 
 #: The strap is looked for between these parts of the way from elbow to wrist.
@@ -47,14 +48,22 @@ class Sighting:
 
     Attributes
     ----------
-    reason : why it was rejected; "" where it was found.
-    core : (3,) arm's core under the strap (origin of {F}), m in {K}; nan where rejected.
-    covariance : (3, 3) of the core, m^2 in {K}.
-    surface : (3,) seen point of the strap, m in {K}.
-    pixel : (2,) of the strap in the image.
-    along : part of the way from elbow to wrist.
-    contrast, width_m, off_line_m : how dark, how wide, how far from the elbow-wrist line.
-    profile : (SAMPLES,) brightness along the line.
+    reason : str
+        Why it was rejected; "" where it was found.
+    core : ndarray, shape (3,), m
+        Arm's core under the strap (origin of {F}) in {K}; nan where rejected.
+    covariance : ndarray, shape (3, 3), m^2
+        Of the core in {K}.
+    surface : ndarray, shape (3,), m
+        Seen point of the strap in {K}.
+    pixel : ndarray, shape (2,)
+        Of the strap in the image.
+    along : float
+        Part of the way from elbow to wrist.
+    contrast, width_m, off_line_m : float
+        How dark, how wide, how far from the elbow-wrist line.
+    profile : ndarray, shape (SAMPLES,)
+        Brightness along the line.
     """
 
     reason: str
@@ -76,7 +85,7 @@ class Sighting:
 
 def find_strap(
     grey: NDArray[np.uint8],
-    lens: Lens,
+    camera: PlacedCamera,
     depth: Depth,
     elbow: FloatArray,
     wrist: FloatArray,
@@ -89,31 +98,42 @@ def find_strap(
 
     Parameters
     ----------
-    grey : (height, width) brightness.
-    lens : of the image.
-    depth : depth image of the same moment.
-    elbow, wrist : (3,) m in {K}.
-    radius_m : core to the strap's surface (r).
-    strap_width_m : along the arm.
-    joint_sigma_m : of elbow and wrist, m an axis.
+    grey : ndarray, shape (height, width)
+        Brightness.
+    camera : PlacedCamera
+        That took the image.
+    depth : Depth
+        Depth image of the same moment.
+    elbow, wrist : ndarray, shape (3,), m
+        In {K}.
+    radius_m : float, m
+        Core to the strap's surface (r).
+    strap_width_m : float, m
+        Along the arm.
+    joint_sigma_m : float, m
+        Of elbow and wrist, an axis.
+
+    Returns
+    -------
+    Sighting
     """
     length = float(np.linalg.norm(wrist - elbow))
     if not 0.1 < length < 0.5:
         return Sighting("elbow and wrist are not a forearm apart")
     y = (wrist - elbow) / length
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     ray = 0.5 * (elbow + wrist) - origin
     ray /= np.linalg.norm(ray)
     if abs(y @ ray) > np.cos(NEAR_RAY_RAD):
         return Sighting("the forearm points to the camera")
-    told = elbow, wrist
-    axis = silhouette_axis(lens, depth, elbow, wrist, radius_m)
+    joints = elbow, wrist
+    axis = silhouette_axis(camera, depth, elbow, wrist, radius_m)
     if axis is not None:
         elbow, wrist = axis
         length = float(np.linalg.norm(wrist - elbow))
         y = (wrist - elbow) / length
     part = np.linspace(*SEARCH, SAMPLES)
-    profile = _profile(grey, lens, elbow, wrist, part, np.cross(y, ray))
+    profile = _profile(grey, camera, elbow, wrist, part, np.cross(y, ray))
     if profile is None:
         return Sighting("the forearm is not inside the image")
     at, contrast, width = _dark_stretch(profile, part, strap_width_m / length)
@@ -129,14 +149,14 @@ def find_strap(
             profile=profile,
         )
     place = elbow + at * (wrist - elbow)
-    pixel, _ = lens.pixels(place[None])
-    surface = surface_at(lens, depth, elbow, wrist, at, BESIDE_M)
+    pixel, _ = camera.pixels(place[None])
+    surface = surface_at(camera, depth, elbow, wrist, at, BESIDE_M)
     if surface is None:
         return Sighting("no depth at the strap", pixel=pixel[0], along=at, contrast=contrast, profile=profile)
     along = float((surface - elbow) @ y)
-    off, reason = _criteria(surface, *told)
+    off, reason = _criteria(surface, *joints)
     core, covariance = _core(
-        lens, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
+        camera, depth, surface, elbow, wrist, along, radius_m, joint_sigma_m, axis is not None
     )
     return Sighting(
         reason,
@@ -154,7 +174,7 @@ def find_strap(
 
 def _profile(
     grey: NDArray[np.uint8],
-    lens: Lens,
+    camera: PlacedCamera,
     elbow: FloatArray,
     wrist: FloatArray,
     part: FloatArray,
@@ -166,7 +186,7 @@ def _profile(
     across = across / np.linalg.norm(across)
     line = elbow + part[:, None] * (wrist - elbow)
     shifts = np.linspace(-BAND_M, BAND_M, LINES)
-    pixels, _ = lens.pixels((line[None] + shifts[:, None, None] * across).reshape(-1, 3))
+    pixels, _ = camera.pixels((line[None] + shifts[:, None, None] * across).reshape(-1, 3))
     inside = (pixels >= 0) & (pixels <= [grey.shape[1] - 1, grey.shape[0] - 1])
     if not inside.all():
         return None
@@ -231,7 +251,7 @@ def _criteria(surface: FloatArray, elbow: FloatArray, wrist: FloatArray) -> tupl
 
 
 def _core(
-    lens: Lens,
+    camera: PlacedCamera,
     depth: Depth,
     surface: FloatArray,
     elbow: FloatArray,
@@ -245,9 +265,10 @@ def _core(
 
     Parameters
     ----------
-    is_axis : the line is the silhouette's own (`silhouette_axis`), not the joints'.
+    is_axis : bool
+        The line is the silhouette's own (`silhouette_axis`), not the joints'.
     """
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     length = float(np.linalg.norm(wrist - elbow))
     y, part = (wrist - elbow) / length, along / length
     z = float(np.linalg.norm(surface - origin))
@@ -256,7 +277,7 @@ def _core(
     line_sigma = SILHOUETTE_SIGMA_M if is_axis else joint_sigma_m * float(np.hypot(1 - part, part))
     # a line that is turned moves the foot of a surface point along the arm
     turned = radius_m * (SILHOUETTE_SIGMA_M if is_axis else 1.4 * joint_sigma_m) / length
-    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / lens.fx))
+    along_sigma = float(np.hypot(np.hypot(ALONG_SIGMA_M, turned), 0.5 * z / camera.lens.fx))
     weights = np.full(2, line_sigma**-2)  # across, into
     place = np.array([(own - surface) @ across, (own - surface) @ into])
     middle = silhouette_middle(depth, surface, across, into, radius_m)

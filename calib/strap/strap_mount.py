@@ -24,11 +24,20 @@ class Mounted:
 
     Attributes
     ----------
-    t_s : (N,) on the camera's clock, s after `origin_ns`.
-    R_K_A : (N, 3, 3).
-    from_core : (3,) from the forearm's core to the sensor, m in {A}; sigma an axis in `sigma_m`.
-    along : (3,) unit vector elbow to wrist in {A}, or None.
-    radius_m : core to the strap's surface.
+    t_s : ndarray, shape (N,), s
+        On the camera's clock, s after `origin_ns`.
+    R_K_A : ndarray, shape (N, 3, 3)
+        Maps a vector from the IMU's axes {A} to the camera's {K}.
+    origin_ns : int, ns
+        Zero of the times.
+    from_core : ndarray, shape (3,), m
+        From the forearm's core to the sensor in {A}.
+    sigma_m : float, m
+        Of that vector, an axis.
+    along : ndarray, shape (3,), optional
+        Unit vector elbow to wrist in {A}, or None.
+    radius_m : float, m
+        Core to the strap's surface.
     """
 
     t_s: FloatArray
@@ -48,7 +57,12 @@ def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:
 
     Parameters
     ----------
-    radius : core to the sensor (r of `calibrate forearm`), or None for the usual one.
+    radius : Length, optional
+        Core to the sensor (r of `calibrate forearm`), or None for the usual one.
+
+    Returns
+    -------
+    Mounted
 
     Raises
     ------

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from smoother.linalg import unit
 from smoother.recording import FloatArray
 
-from .strap_camera import Depth, Lens
+from ..intrinsics import PlacedCamera
+from .strap_camera import Depth
 
 #: The surface is looked for so far before and behind the line, m.
 BEFORE_M, BEHIND_M, STEP_M = 0.16, 0.10, 0.002
@@ -22,7 +24,7 @@ JUMP_M, REACH_M = 0.04, 0.07
 
 
 def silhouette_axis(
-    lens: Lens, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
+    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Elbow and wrist moved onto the arm's core as its silhouette shows it; None where it does not.
 
@@ -31,10 +33,10 @@ def silhouette_axis(
     """
     length = float(np.linalg.norm(wrist - elbow))
     y = (wrist - elbow) / length
-    origin, _ = lens.rays(np.zeros((1, 2)))
+    origin = camera.origin
     parts, points = [], []
     for at in STATIONS:
-        surface = surface_at(lens, depth, elbow, wrist, at, STATION_M)
+        surface = surface_at(camera, depth, elbow, wrist, at, STATION_M)
         if surface is None:
             continue
         into, across = across_arm(surface, origin, y)
@@ -66,26 +68,25 @@ def silhouette_axis(
 def across_arm(surface: FloatArray, origin: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit vectors into the arm (away from the camera) and across it, both at right angles to y."""
     into = surface - origin
-    into = into - (into @ y) * y
-    into /= np.linalg.norm(into)
+    into = unit(into - (into @ y) * y)
     return into, np.cross(y, into)
 
 
 def surface_at(
-    lens: Lens, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
+    camera: PlacedCamera, depth: Depth, elbow: FloatArray, wrist: FloatArray, at: float, beside_m: float
 ) -> FloatArray | None:
     """Point (3,) of the surface under a place of the line: where its ray meets what the depth camera saw.
 
     Black straps swallow infrared light and reflective markers blind it: depth is the median, against the
-    elbow-wrist line, of a stretch of the arm about the place.
+    elbow-wrist line, of the arm about that point.
     """
     length = float(np.linalg.norm(wrist - elbow))
     parts = at + np.linspace(-beside_m, beside_m, 13) / length
     line = elbow + parts[:, None] * (wrist - elbow)
-    pixels, z_line = lens.pixels(line)
+    pixels, z_line = camera.pixels(line)
     if not np.isfinite(pixels).all():
         return None
-    origin, directions = lens.rays(pixels)
+    origin, directions = camera.origin, camera.rays(pixels)
     offsets = np.arange(-BEFORE_M, BEHIND_M, STEP_M)
     z = z_line[:, None] + offsets
     points = origin + z[..., None] * directions[:, None, :]
@@ -111,11 +112,11 @@ def silhouette_middle(
     seen, own = depth.at(surface + steps[:, None] * across)
     arm = np.abs(seen - own) < JUMP_M
     centre = len(steps) // 2
-    hole = ~np.isfinite(seen)
+    missing = ~np.isfinite(seen)
     ends = []
     for way in (-1, 1):
         k = centre
-        while 0 < k < len(steps) - 1 and (arm[k] or (hole[k] and abs(steps[k]) < 0.6 * radius_m)):
+        while 0 < k < len(steps) - 1 and (arm[k] or (missing[k] and abs(steps[k]) < 0.6 * radius_m)):
             k += way
         if not 0 < k < len(steps) - 1:
             return None

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.linalg import skew
 from smoother.recording import FloatArray
 
 from .still_pose import Rest, Turn
@@ -41,11 +42,16 @@ class WorldPose:
 
     Attributes
     ----------
-    name : for messages.
-    R_K_P : (3, 3) the panel in the camera, from its images.
-    covariance : (3, 3) of its rotation vector, rad^2 in {K}.
-    panel, base : the IMUs at rest.
-    panel_turn, base_turn : their rotation since the pose before, or None.
+    name : str
+        For messages.
+    R_K_P : ndarray, shape (3, 3)
+        The panel in the camera, from its images.
+    covariance : ndarray, shape (3, 3)
+        Of its rotation vector, rad^2 in {K}.
+    panel, base : Rest
+        The IMUs at rest.
+    panel_turn, base_turn : Turn, optional
+        Their rotation since the pose before, or None.
     """
 
     name: str
@@ -68,10 +74,13 @@ class Attitudes:
 
     Attributes
     ----------
-    R_K_B, R_P_I : camera from base IMU, panel from its IMU.
-    R_W_B, R_W_I : the IMUs in the world (z up), one a pose.
-    rest : (14,) biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the
-        field), magnetic dip at both (rad).
+    R_K_B, R_P_I : Rotation
+        Camera from base IMU, panel from its IMU.
+    R_W_B, R_W_I : Rotation
+        The IMUs in the world (z up), one a pose.
+    rest : ndarray, shape (14,)
+        Biases: accelerometers of base and panel (m/s^2), magnetometers of both (shares of the field),
+        magnetic dip at both (rad).
     """
 
     R_K_B: Rotation
@@ -166,10 +175,10 @@ class Problem:
         bias = slice(3 * imu, 3 * imu + 3)
         up, by_force = _direction(rest.acc - at.rest[bias])
         noise = rest.acc_sigma.mean() / np.linalg.norm(rest.acc)
-        level = _cross(_UP) / np.hypot(noise, TILT_RAD)
+        level = skew(_UP) / np.hypot(noise, TILT_RAD)
         rows.add(
             -level @ R @ up,
-            {self._attitude(i, imu): level @ R @ _cross(up), self._bias + 3 * imu: -level @ R @ by_force},
+            {self._attitude(i, imu): level @ R @ skew(up), self._bias + 3 * imu: -level @ R @ by_force},
         )
 
     def _field(self, rows: _Rows, at: Attitudes, i: int, imu: int) -> None:
@@ -181,7 +190,7 @@ class Problem:
         rows.add(
             (R @ field - [np.cos(dip), 0.0, -np.sin(dip)]) / ROOM_RAD,
             {
-                self._attitude(i, imu): -R @ _cross(field) / ROOM_RAD,
+                self._attitude(i, imu): -R @ skew(field) / ROOM_RAD,
                 self._bias + 6 + 3 * imu: R @ by_field / ROOM_RAD,
                 self._bias + 12 + imu: np.array([[np.sin(dip)], [0.0], [np.cos(dip)]]) / ROOM_RAD,
             },
@@ -230,11 +239,11 @@ class _Rows:
         self.values: list[FloatArray] = []
         self.slopes: list[FloatArray] = []
 
-    def add(self, value: FloatArray, blocks: dict[int, FloatArray]) -> None:
-        """Add rows; `blocks` by their first column."""
+    def add(self, value: FloatArray, parts: dict[int, FloatArray]) -> None:
+        """Add rows; `parts` by their first column."""
         slope = np.zeros((len(value), self._size))
-        for column, block in blocks.items():
-            slope[:, column : column + block.shape[1]] = block
+        for column, part in parts.items():
+            slope[:, column : column + part.shape[1]] = part
         self.values.append(value)
         self.slopes.append(slope)
 
@@ -251,15 +260,11 @@ def _direction(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     return unit, -(np.eye(3) - np.outer(unit, unit)) / size
 
 
-def _cross(v: FloatArray) -> FloatArray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
 def _left_inverse(phi: FloatArray) -> FloatArray:
     """Inverse left Jacobian of the rotation group: how log(Exp(d) Exp(phi)) grows with d."""
     angle = float(np.linalg.norm(phi))
-    skew = _cross(phi)
+    cross = skew(phi)
     if angle < 1e-4:
-        return np.eye(3) - 0.5 * skew + skew @ skew / 12
+        return np.eye(3) - 0.5 * cross + cross @ cross / 12
     share = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
-    return np.asarray(np.eye(3) - 0.5 * skew + share * skew @ skew)
+    return np.asarray(np.eye(3) - 0.5 * cross + share * cross @ cross)

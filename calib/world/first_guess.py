@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.linalg import nearest_rotation, unit
 from smoother.recording import FloatArray
 
 from .chain import Attitudes, WorldPose
@@ -29,7 +30,12 @@ def first_guesses(poses: list[WorldPose], lined_up: bool) -> list[Attitudes]:
 
     Parameters
     ----------
-    lined_up : the panel's IMU was lined up with the panel's axes, so that only that start is tried.
+    lined_up : bool
+        The panel's IMU was lined up with the panel's axes, so that only that start is tried.
+
+    Returns
+    -------
+    list of Attitudes
     """
     pairs = _Pairs(poses)
     if lined_up:
@@ -64,7 +70,7 @@ class _Pairs:
             base.append([np.asarray(pose.base.mag) for pose in poses])
             panel.append([np.asarray(pose.panel.mag) for pose in poses])
         # (kinds, n, 3) unit vectors
-        self._in_B, self._in_I = _unit(np.array(base)), _unit(np.array(panel))
+        self._in_B, self._in_I = unit(np.array(base)), unit(np.array(panel))
         linked = [
             i for i, p in enumerate(poses) if i and p.base_turn is not None and p.panel_turn is not None
         ]
@@ -93,15 +99,15 @@ class _Pairs:
             of_K = Rotation.from_matrix(a @ turned @ np.swapaxes(b, 1, 2)).as_rotvec()
             of_B = Rotation.from_matrix(self._turn_B).as_rotvec()
             far = np.minimum(np.linalg.norm(of_K, axis=1), np.linalg.norm(of_B, axis=1)) > _TURN_RAD
-            in_K, in_B = np.vstack([in_K, _unit(of_K[far])]), np.vstack([in_B, _unit(of_B[far])])
+            in_K, in_B = np.vstack([in_K, unit(of_K[far])]), np.vstack([in_B, unit(of_B[far])])
         return _wahba(in_K, in_B)
 
 
 def _wahba(target: FloatArray, source: FloatArray) -> tuple[FloatArray, float]:
     """The rotation (3, 3) that takes source directions (n, 3) nearest to target ones; the sum of squares."""
-    U, S, Vt = np.linalg.svd(target.T @ source)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    return U @ np.diag([1.0, 1.0, sign]) @ Vt, float(2 * (len(target) - S[0] - S[1] - sign * S[2]))
+    M = target.T @ source
+    R = nearest_rotation(M)
+    return R, float(2 * (len(target) - np.sum(R * M)))
 
 
 def _world_from_base(poses: list[WorldPose]) -> Rotation:
@@ -110,20 +116,14 @@ def _world_from_base(poses: list[WorldPose]) -> Rotation:
     for pose in poses:
         if pose.has_north:
             assert pose.base.mag is not None
-            up = _unit(pose.base.acc)
-            east = _unit(np.cross(pose.base.mag, up))  # field points north and down
+            up = unit(pose.base.acc)
+            east = unit(np.cross(pose.base.mag, up))  # field points north and down
             found.append(Rotation.from_matrix(np.stack([np.cross(up, east), -east, up])))
             continue
-        up, level = _unit(pose.base.acc), np.array([0.0, 0.0, 1.0])
+        up, level = unit(pose.base.acc), np.array([0.0, 0.0, 1.0])
         before = found[-1] if found else Rotation.identity()
         if found and pose.base_turn is not None:
             before = found[-1] * Rotation.from_matrix(pose.base_turn.R)
         tip = Rotation.align_vectors([level], [before.apply(up)])[0]
         found.append(tip * before)
     return Rotation.concatenate(found)
-
-
-def _unit(vectors: FloatArray | None) -> FloatArray:
-    """Unit vectors along the last axis."""
-    assert vectors is not None
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

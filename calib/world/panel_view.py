@@ -2,17 +2,85 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from smoother.recording import FloatArray
+from smoother.errors import CalibrationError
+from smoother.linalg import skew
+from smoother.recording import FloatArray, ImuStream
 
-from ..panel.definition import Intrinsics, Panel
+from ..file import CalibrationFile
+from ..imu.correction import corrected_streams
+from ..intrinsics import Intrinsics
+from ..panel.definition import Panel
 from ..panel.images import View
 from ..panel.panel_calibration import SeenPanel, see_panel
-from .world_calibration import PanelView
+from .chain import BIAS_M_S2, CORRECTED_M_S2
+from .world_calibration import PanelView, WorldCalibration, calibrate_world, world_poses
 
 #: A rotation is not known better than this: lens, and the shape of the panel, rad.
 FLOOR_RAD = np.radians(0.03)
+
+
+def calibrate_world_from_views(
+    views: Sequence[View],
+    t_s: Sequence[float],
+    panel_imu: Sequence[ImuStream],
+    base_imu: Sequence[ImuStream],
+    panel: Panel,
+    lens: Intrinsics,
+    file: CalibrationFile | None = None,
+) -> WorldCalibration:
+    """Camera from base IMU from images of the panel and the IMUs' samples (JA II-F.2).
+
+    Parameters
+    ----------
+    views : sequence of View
+        Depth and infrared image, one pair a pose.
+    t_s : sequence of float, s
+        Time of each pair on the IMUs' clock.
+    panel_imu, base_imu : sequence of ImuStream
+        One a pose; the same stream for every pose of a session that was recorded in one go.
+    panel : Panel
+        Its markers and outline.
+    lens : Intrinsics
+        Of the depth camera.
+    file : CalibrationFile, optional
+        What is known of the IMUs (`[imu.NAME]`) is taken off first.
+
+    Returns
+    -------
+    found : WorldCalibration
+
+    Raises
+    ------
+    CalibrationError
+        The panel cannot be found in a view, the IMUs rest in no pose, or the poses contradict each other.
+    """
+    file = file or CalibrationFile()
+    panel_imu, panel_known = corrected_streams(panel_imu, file)
+    base_imu, base_known = corrected_streams(base_imu, file)
+    poses, notes = world_poses(
+        [view_panel(view, at, panel, lens) for view, at in zip(views, t_s, strict=True)], panel_imu, base_imu
+    )
+    found = calibrate_world(poses, notes, CORRECTED_M_S2 if panel_known and base_known else BIAS_M_S2)
+    return replace(found, accelerometer_corrected=base_known)
+
+
+def common_time(panel_imu: ImuStream, base_imu: ImuStream) -> float:
+    """The middle of the time in which both IMUs were recorded, s: when a pose of its own was held.
+
+    Raises
+    ------
+    CalibrationError
+        They do not overlap.
+    """
+    first, last = max(panel_imu.t_s[0], base_imu.t_s[0]), min(panel_imu.t_s[-1], base_imu.t_s[-1])
+    if last <= first:
+        raise CalibrationError("the IMUs' samples do not overlap in time")
+    return 0.5 * float(first + last)
 
 
 def view_panel(view: View, t_s: float, panel: Panel, lens: Intrinsics) -> PanelView:
@@ -20,7 +88,18 @@ def view_panel(view: View, t_s: float, panel: Panel, lens: Intrinsics) -> PanelV
 
     Parameters
     ----------
-    t_s : time of the images on the IMUs' clock.
+    view : View
+        Depth and infrared image.
+    t_s : float, s
+        Time of the images on the IMUs' clock.
+    panel : Panel
+        Its markers and outline.
+    lens : Intrinsics
+        Of the camera.
+
+    Returns
+    -------
+    seen : PanelView
 
     Raises
     ------
@@ -38,9 +117,8 @@ def rotation_covariance(seen: SeenPanel, lens: Intrinsics) -> FloatArray:
     """
     theta = seen.plane.theta
     size = float(np.linalg.norm(theta))
-    x, y, z = n = theta / size
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    slope = skew @ (np.eye(3) - np.outer(n, n)) / size
+    n = theta / size
+    slope = skew(n) @ (np.eye(3) - np.outer(n, n)) / size
     arms = seen.points_K - seen.points_K.mean(axis=0)
     sigma_m = seen.blobs.sigmas_px[list(seen.spots)] / lens.focal_px * seen.points_K[:, 2]
     about_n = 1 / float(((arms**2).sum(axis=1) / sigma_m**2).sum())

@@ -18,7 +18,7 @@ STILL_RAD_S = 0.06
 STILL_M_S2 = 0.3
 #: Rest that is shorter than this is none, s.
 SHORTEST_S = 0.3
-_BLOCK_S = 0.1
+_BATCH_S = 0.1
 #: What a gyroscope's scale, axes and bias add to a turn: a share of it, and rad a second.
 GYRO_SCALE, GYRO_DRIFT_RAD_S = 0.003, 2e-4
 #: A pause of an IMU that breaks the link between two poses, s.
@@ -27,15 +27,22 @@ _PAUSE_S = 0.1
 
 @dataclass(frozen=True)
 class Rest:
-    """Means over a stretch in which an IMU rests.
+    """Means over a time in which an IMU rests.
 
     Attributes
     ----------
-    t_s : the pose's time.
-    acc : (3,) m/s^2, about +9.81 upwards; `acc_sigma` (3,) of that mean.
-    gyro : (3,) rad/s: the gyroscope's bias.
-    mag : (3,) in the sensor's unit, or None.
-    length_s : how long it rested.
+    t_s : float, s
+        The pose's time.
+    acc : ndarray, shape (3,), m/s^2
+        Mean, about +9.81 upwards.
+    acc_sigma : ndarray, shape (3,), m/s^2
+        Of that mean.
+    gyro : ndarray, shape (3,), rad/s
+        The gyroscope's bias.
+    mag : ndarray, shape (3,), optional
+        In the sensor's unit, or None.
+    length_s : float, s
+        How long it rested.
     """
 
     t_s: float
@@ -52,8 +59,10 @@ class Turn:
 
     Attributes
     ----------
-    R : (3, 3) maps the later axes of the IMU to the earlier ones.
-    sigma_rad : an axis.
+    R : ndarray, shape (3, 3)
+        Maps the later axes of the IMU to the earlier ones.
+    sigma_rad : float, rad
+        An axis.
     """
 
     R: FloatArray
@@ -65,9 +74,16 @@ def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
 
     Parameters
     ----------
-    imu : its samples; the whole session, or those of the pose.
-    t_s : time of the pose's images on the IMU's clock (to some tenths of a second).
-    pose, what : names of the pose and of the IMU for messages.
+    imu : ImuStream
+        Its samples; the whole session, or those of the pose.
+    t_s : float, s
+        Time of the pose's images on the IMU's clock (to some tenths of a second).
+    pose, what : str
+        Names of the pose and of the IMU for messages.
+
+    Returns
+    -------
+    Rest
 
     Raises
     ------
@@ -79,18 +95,18 @@ def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
         raise CalibrationError(
             f"{pose}: the IMU {what} has no samples at {t_s:.2f} s; record it while the panel is held still."
         )
-    block = np.floor((imu.t_s[near] - t_s) / _BLOCK_S).astype(int)
-    numbers = np.unique(block)
+    batch = np.floor((imu.t_s[near] - t_s) / _BATCH_S).astype(int)
+    numbers = np.unique(batch)
     gyro, acc = (
-        np.array([values[near][block == k].mean(axis=0) for k in numbers]) for values in (imu.gyro, imu.acc)
+        np.array([values[near][batch == k].mean(axis=0) for k in numbers]) for values in (imu.gyro, imu.acc)
     )
     # A bias is not a motion: rates count from their median, which is a rest's own in any pose worth taking.
     rate = np.linalg.norm(_smooth(gyro) - np.median(gyro, axis=0), axis=1)
     force = np.linalg.norm(_smooth(acc) - np.median(acc, axis=0), axis=1)
-    quiet = numbers[(rate < STILL_RAD_S) & (force < STILL_M_S2)]
-    run = _run_about(quiet)
-    rows = near[np.isin(block, run)]
-    if len(run) * _BLOCK_S < SHORTEST_S or np.linalg.norm(np.median(gyro, axis=0)) > 10 * STILL_RAD_S:
+    still = numbers[(rate < STILL_RAD_S) & (force < STILL_M_S2)]
+    run = _run_about(still)
+    rows = near[np.isin(batch, run)]
+    if len(run) * _BATCH_S < SHORTEST_S or np.linalg.norm(np.median(gyro, axis=0)) > 10 * STILL_RAD_S:
         raise CalibrationError(
             f"{pose}: the IMU {what} moves at {t_s:.2f} s; hold the panel still for two seconds in each pose."
         )
@@ -103,7 +119,7 @@ def rest_at(imu: ImuStream, t_s: float, pose: str, what: str) -> Rest:
         acc_sigma=spread / np.sqrt(len(means)),
         gyro=imu.gyro[rows].mean(axis=0),
         mag=mag,
-        length_s=len(run) * _BLOCK_S,
+        length_s=len(run) * _BATCH_S,
     )
 
 
@@ -134,14 +150,14 @@ def _product(steps: Rotation) -> Rotation:
     return steps[0]
 
 
-def _smooth(blocks: FloatArray) -> FloatArray:
-    """Means of each block with its next."""
-    return blocks if len(blocks) < 2 else 0.5 * (blocks + np.vstack([blocks[1:], blocks[-1:]]))
+def _smooth(means: FloatArray) -> FloatArray:
+    """Means of each batch with its next."""
+    return means if len(means) < 2 else 0.5 * (means + np.vstack([means[1:], means[-1:]]))
 
 
-def _run_about(quiet: np.ndarray) -> np.ndarray:
+def _run_about(still: np.ndarray) -> np.ndarray:
     """The run of consecutive numbers that lies nearest to zero."""
-    if len(quiet) == 0:
-        return quiet
-    runs = np.split(quiet, np.flatnonzero(np.diff(quiet) > 1) + 1)
+    if len(still) == 0:
+        return still
+    runs = np.split(still, np.flatnonzero(np.diff(still) > 1) + 1)
     return min(runs, key=lambda run: (np.abs(run + 0.5).min(), -len(run)))

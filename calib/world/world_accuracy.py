@@ -23,11 +23,16 @@ class WorldAccuracy:
 
     Attributes
     ----------
-    rotation_deg : (3,) of camera from base IMU about the camera's axes.
-    tilt_deg : of down in the camera, an axis, for a camera that stands as in the poses (the worst of them).
-    heading_deg : of the turn between camera and base IMU about the vertical.
-    mounting_deg : (3,) of the panel's IMU on the panel, about the IMU's axes.
-    off_deg : how far that mounting is from lined up.
+    rotation_deg : ndarray, shape (3,), degrees
+        Of camera from base IMU about the camera's axes.
+    tilt_deg : float, degrees
+        Of down in the camera, an axis, for a camera that stands as in the poses (the worst of them).
+    heading_deg : float, degrees
+        Of the turn between camera and base IMU about the vertical.
+    mounting_deg : ndarray, shape (3,), degrees
+        Of the panel's IMU on the panel, about the IMU's axes.
+    off_deg : float, degrees
+        How far that mounting is from lined up.
     """
 
     rotation_deg: FloatArray

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import CalibrationError
+from smoother.linalg import skew
 from smoother.recording import FloatArray, ImuStream
 
 from .chain import BIAS_M_S2, WorldPose
@@ -32,16 +33,23 @@ class WorldCalibration:
 
     Attributes
     ----------
-    solution : rotations with covariance.
-    poses : those that took part.
-    by_eye : the poses did not tell the mounting of the panel's IMU: it was taken as lined up by eye.
-    notes : what was left out, and why.
+    solution : WorldSolution
+        Rotations with covariance.
+    poses : tuple of WorldPose
+        Those that took part.
+    by_eye : bool
+        The poses did not give the mounting of the panel's IMU: it was taken as lined up by eye.
+    notes : tuple of str
+        What was left out, and why.
+    accelerometer_corrected : bool
+        The base IMU's accelerometer was corrected by a calibration of its own before.
     """
 
     solution: WorldSolution
     poses: tuple[WorldPose, ...]
     by_eye: bool
     notes: tuple[str, ...]
+    accelerometer_corrected: bool = False
 
     @property
     def R_K_B(self) -> FloatArray:
@@ -60,9 +68,14 @@ class PanelView:
 
     Attributes
     ----------
-    name : for messages.
-    t_s : time of the images on the IMUs' clock.
-    R_K_P, covariance : (3, 3) rotation, and (3, 3) of its rotation vector, rad^2 in {K}.
+    name : str
+        For messages.
+    t_s : float, s
+        Time of the images on the IMUs' clock.
+    R_K_P : ndarray, shape (3, 3)
+        Panel axes to camera axes.
+    covariance : ndarray, shape (3, 3), rad^2
+        Of its rotation vector in {K}.
     """
 
     name: str
@@ -74,12 +87,21 @@ class PanelView:
 def world_poses(
     views: Sequence[PanelView], panel: Sequence[ImuStream], base: Sequence[ImuStream]
 ) -> tuple[list[WorldPose], list[str]]:
-    """What camera and IMUs know of each pose; poses in which an IMU moves are left out, with a word.
+    """What camera and IMUs know of each pose; poses in which an IMU moves are left out, with a note.
 
     Parameters
     ----------
-    panel, base : the IMUs' samples. The same stream for every pose where the session was recorded in one go:
-        then the gyroscopes link the poses.
+    views : sequence of PanelView
+        One a pose.
+    panel, base : sequence of ImuStream
+        The IMUs' samples, one a pose. The same stream for every pose where the session was recorded in one
+        go: then the gyroscopes link the poses.
+
+    Returns
+    -------
+    poses : list of WorldPose
+    notes : list of str
+        What was left out, and why.
 
     Raises
     ------
@@ -121,27 +143,35 @@ def calibrate_world(
 
     Parameters
     ----------
-    poses : see `world_poses`.
-    notes : what happened before.
-    bias_m_s2 : sigma of the accelerometers' biases, an axis.
+    poses : sequence of WorldPose
+        See `world_poses`.
+    notes : sequence of str
+        What happened before.
+    bias_m_s2 : float, m/s^2
+        Sigma of the accelerometers' biases, an axis.
+
+    Returns
+    -------
+    found : WorldCalibration
+        See `world_answer` for what belongs into a file.
 
     Raises
     ------
     CalibrationError
         The poses contradict each other.
     """
-    kept, said = list(poses), list(notes)
+    kept, sentences = list(poses), list(notes)
     while True:
         solution, by_eye = _solve(kept, bias_m_s2)
         worst = int(np.argmax(solution.worst_sigma))
         if solution.worst_sigma[worst] < CONTRADICTS_SIGMA or len(kept) < 2:
-            return WorldCalibration(solution, tuple(kept), by_eye, tuple(said))
+            return WorldCalibration(solution, tuple(kept), by_eye, tuple(sentences))
         if len(kept) <= FEWEST:
             raise CalibrationError(
                 f"The poses contradict each other ({kept[worst].name} by {solution.worst_sigma[worst]:.0f} "
                 "sigmas); see that each IMU is fixed to its body and keeps the camera's clock, and take more."
             )
-        said.append(
+        sentences.append(
             f"{kept[worst].name} contradicts the other poses by {solution.worst_sigma[worst]:.0f} sigmas "
             "and is left out."
         )
@@ -170,14 +200,20 @@ def tilt_covariance(R_K_B: FloatArray, covariance: FloatArray, acc: FloatArray) 
 
     Parameters
     ----------
-    covariance : (6, 6) of `R_K_B` in {K} (rad) and of the accelerometer's bias (m/s^2).
-    acc : (3,) m/s^2, bias taken off.
+    R_K_B : ndarray, shape (3, 3)
+        Base IMU axes to camera axes.
+    covariance : ndarray, shape (6, 6)
+        Of `R_K_B` in {K} (rad) and of the accelerometer's bias (m/s^2).
+    acc : ndarray, shape (3,), m/s^2
+        Bias taken off.
+
+    Returns
+    -------
+    covariance : ndarray, shape (3, 3), rad^2
     """
     size = float(np.linalg.norm(acc))
     up = acc / size
-    x, y, z = R_K_B @ up
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    slope = np.hstack([-skew, -R_K_B @ (np.eye(3) - np.outer(up, up)) / size])
+    slope = np.hstack([-skew(R_K_B @ up), -R_K_B @ (np.eye(3) - np.outer(up, up)) / size])
     return np.asarray(slope @ covariance @ slope.T)
 
 

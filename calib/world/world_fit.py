@@ -21,11 +21,16 @@ class WorldSolution:
 
     Attributes
     ----------
-    at : the solution.
-    covariance : (9, 9) of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad).
-    camera_rad : (n, 3) what is left of `R_K_P`, in {K}.
-    worst_sigma : (n,) the largest misfit of a pose in sigmas.
-    cost : sum of squares of all misfits.
+    at : Attitudes
+        The solution.
+    covariance : ndarray, shape (9, 9)
+        Of `R_K_B` in {K} (rad), the base accelerometer's bias (m/s^2), `R_P_I` in {I} (rad).
+    camera_rad : ndarray, shape (n, 3), rad
+        What is left of `R_K_P`, in {K}.
+    worst_sigma : ndarray, shape (n,)
+        The largest misfit of a pose in sigmas.
+    cost : float
+        Sum of squares of all misfits.
     """
 
     at: Attitudes
@@ -45,10 +50,17 @@ def solve(
 
     Parameters
     ----------
-    start : see `start.first_guess`.
-    mounting_sigma_rad : how far `R_P_I` may lie from no rotation at all: the IMU was lined up with the panel
-        by eye. None where the poses alone decide.
-    bias_m_s2 : sigma of the accelerometers' biases, m/s^2 an axis.
+    start : Attitudes
+        See `first_guesses`.
+    mounting_sigma_rad : float, rad, optional
+        How far `R_P_I` may lie from no rotation at all: the IMU was lined up with the panel by eye. None
+        where the poses alone decide.
+    bias_m_s2 : float, m/s^2
+        Sigma of the accelerometers' biases, an axis.
+
+    Returns
+    -------
+    WorldSolution
     """
     problem = Problem(poses, start, mounting_sigma_rad, bias_m_s2)
     at, damping = start, 1e-6

@@ -12,6 +12,7 @@ from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
 from ..file import CalibrationFile
+from ..protocol import Answer
 from .world_accuracy import accuracy, verdict
 from .world_calibration import WorldCalibration
 
@@ -24,16 +25,54 @@ class CameraFromBase:
 
     Attributes
     ----------
-    R_K_B : (3, 3) base IMU axes to camera axes; camera optical, x right, y down, z forward.
-    accelerometer_bias : (3,) m/s^2 in {B}.
-    covariance : (6, 6) of a small rotation in {K} (rad), and of the bias (m/s^2).
-    accelerometer_corrected : the base IMU's own calibration (`[imu.base]`) was taken off before.
+    R_K_B : ndarray, shape (3, 3)
+        Base IMU axes to camera axes; camera optical, x right, y down, z forward.
+    accelerometer_bias : ndarray, shape (3,), m/s^2
+        In {B}.
+    covariance : ndarray, shape (6, 6)
+        Of a small rotation in {K} (rad), and of the bias (m/s^2).
+    accelerometer_corrected : bool
+        The base IMU's own calibration (`[imu.base]`) was taken off before.
     """
 
     R_K_B: FloatArray
     accelerometer_bias: FloatArray
     covariance: FloatArray
     accelerometer_corrected: bool = False
+
+
+def world_answer(found: WorldCalibration) -> Answer:
+    """Camera from base IMU in the form that every calibration answers in.
+
+    Parameters
+    ----------
+    found : WorldCalibration
+        See `calibrate_world`.
+
+    Returns
+    -------
+    answer : Answer
+        Its tables are `camera_from_base`, `panel_from_imu` and `world`.
+    """
+    sigma, words, tables = accuracy(found), verdict(found), calibration_tables(found)
+    heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
+    mounting = ("how the IMU sits on the panel",) if found.by_eye else ()
+    return Answer(
+        estimate={
+            "R_K_B": found.R_K_B,
+            "R_P_I": found.R_P_I,
+            "accelerometer_bias": found.solution.at.rest[:3],
+        },
+        sigma={
+            "R_K_B": np.radians(sigma.rotation_deg),
+            "R_P_I": np.radians(sigma.mounting_deg),
+            "accelerometer_bias": np.sqrt(np.diag(found.solution.covariance)[3:6]),
+        },
+        verdict=words,
+        open_questions=(*heading, *mounting),
+        table=CalibrationFile(tables=tables),
+        figures={**tables, "words": words.words},
+    )
 
 
 def calibration_tables(found: WorldCalibration) -> dict[str, dict[str, Any]]:
@@ -45,6 +84,7 @@ def calibration_tables(found: WorldCalibration) -> dict[str, dict[str, Any]]:
             "rotation_sigma_deg": sigma.rotation_deg.tolist(),
             "accelerometer_bias": at.rest[:3].tolist(),
             "covariance": found.solution.covariance[:6, :6].tolist(),
+            "accelerometer_corrected": found.accelerometer_corrected,
         },
         "panel_from_imu": {
             "rotation": _quaternion(at.R_P_I),
@@ -81,7 +121,17 @@ def pose_rows(found: WorldCalibration) -> list[dict[str, Any]]:
 
 
 def read_table(file: CalibrationFile) -> CameraFromBase | None:
-    """The base IMU on the camera; None where the file does not say.
+    """The base IMU on the camera.
+
+    Parameters
+    ----------
+    file : CalibrationFile
+        As read from disk.
+
+    Returns
+    -------
+    table : CameraFromBase or None
+        None where the file does not say.
 
     Raises
     ------

@@ -5,22 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrate import CalibrationOutput
-from .options import Force, Json, Report
-from .output import check_outputs, print_table, say, say_written, write_json
+from .calibrate import held_calibration, print_words, write_answer
+from .options import (
+    CalibrationOutput,
+    Depth,
+    Files,
+    Force,
+    Infrared,
+    IntrinsicsFile,
+    Json,
+    PanelFile,
+    Report,
+)
+from .output import print_table, say, say_written
 
 if TYPE_CHECKING:
-    from calib.panel.definition import Intrinsics
+    from calib.intrinsics import Intrinsics
     from calib.panel.images import View
     from calib.panel.panel_calibration import PanelCalibration
 
     from ..recording import FloatArray
-
-Images = list[Path] | None
 
 
 def panel(
@@ -29,37 +37,18 @@ def panel(
         Path | None,
         typer.Argument(metavar="REC.mcap", help="Images, lens and mocap markers, instead of files."),
     ] = None,
-    depth: Annotated[
-        Images, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
-    ] = None,
-    infrared: Annotated[
-        Images, typer.Option("--infrared", metavar="I.png", help="Infrared image of the same moment.")
-    ] = None,
+    depth: Depth = None,
+    infrared: Infrared = None,
     markers: Annotated[
-        Images,
+        Files,
         typer.Option(
             "--markers",
             metavar="M.csv|.trc|.c3d",
             help="Mocap markers of the same moment; CSV: marker,x,y,z in metres, any names and order.",
         ),
     ] = None,
-    intrinsics_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--intrinsics",
-            metavar="K.toml",
-            help="width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].",
-        ),
-    ] = None,
-    panel_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--panel",
-            metavar="PANEL.toml",
-            help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
-            show_default=False,
-        ),
-    ] = None,
+    intrinsics_file: IntrinsicsFile = None,
+    panel_file: PanelFile = None,
     mocap_sigma_mm: Annotated[
         float,
         typer.Option("--mocap-sigma-mm", min=0.001, max=20.0, help="Noise of a mocap marker, an axis."),
@@ -73,31 +62,27 @@ def panel(
     Hold the panel still in each pose; --depth, --infrared and --markers are given once a pose, in the same
     order. The answer is added to the calibration file, with its sigma and a verdict.
     """
-    from calib.file import CalibrationFile, read_calibration, write_calibration
     from calib.panel.definition import read_panel
     from calib.panel.panel_calibration import calibrate_panel
-    from calib.panel.panel_table import NAME, calibration_table
+    from calib.panel.panel_table import panel_answer
 
     depths, infrareds, marked = depth or [], infrared or [], markers or []
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
-    check_outputs(True, [output], inputs)
-    check_outputs(force, [json_file, report], [*inputs, output])
-    if output.exists():
-        read_calibration(output)  # before the work: what cannot be read cannot be added to
+    held_calibration(output, [json_file, report], inputs, force=force)
     known = read_panel(panel_file)
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file)
         found = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    table = calibration_table(found)
+    answer = panel_answer(found)
     if report is not None:
         from ..report.panel import write_panel_report
 
         write_panel_report(report, found, views, force=force)
-    write_json(json_file, {NAME: table, "words": _words(found)}, force)
-    write_calibration(output, CalibrationFile().with_table(NAME, table))
+    write_answer(answer, output, json_file, force)
     print_panel(found)
+    print_words(answer)
     say_written(output, report, json_file)
 
 
@@ -159,21 +144,14 @@ def pictured(path: Path) -> Iterator[None]:
         raise NotIdentified(f"{text}; what was seen is drawn in {path}.") from error
 
 
-def _words(found: PanelCalibration) -> dict[str, Any]:
-    from calib.panel.panel_accuracy import verdict
-
-    said = verdict(found)
-    return {"grade": said.grade, "verdict": said.sentence, "findings": said.findings, "next": said.next}
-
-
 def print_panel(found: PanelCalibration) -> None:
-    """Print the answer, the residuals by pose, the verdict and what to record next."""
+    """Print the transform with its sigma, and the residuals by pose."""
     import numpy as np
 
-    from calib.panel.panel_accuracy import accuracy, verdict
+    from calib.panel.panel_accuracy import accuracy
     from calib.panel.panel_table import pose_rows, transform_values
 
-    sigma, said = accuracy(found), verdict(found)
+    sigma = accuracy(found)
     values = transform_values(found.solution.camera_from_mocap)
     say(
         f"camera from mocap: rotation {np.round(values['rotation'], 6).tolist()} (qw, qx, qy, qz) +-"
@@ -200,8 +178,3 @@ def print_panel(found: PanelCalibration) -> None:
             for row in pose_rows(found)
         ],
     )
-    say(f"verdict: {said.sentence}")
-    for sentence in said.findings:
-        say(f"  {sentence}")
-    for sentence in said.next:
-        say(f"next: {sentence}")

@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import CalibrationError
-from .calibrate import CalibrationOutput
-from .options import Force, Json
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .calibrate import held_calibration, naming, print_words, write_answer
+from .options import CalibrationOutput, Depth, Files, Force, Infrared, IntrinsicsFile, Json, PanelFile
+from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
-    from calib.panel.definition import Intrinsics
+    from calib.intrinsics import Intrinsics
     from calib.panel.images import View
-    from calib.world.world_calibration import WorldCalibration
 
     from ..recording import ImuStream
-
-Files = list[Path] | None
 
 
 def world(
@@ -28,12 +25,8 @@ def world(
         Path | None,
         typer.Argument(metavar="[REC.mcap]", help="The session with images, lens and both IMUs."),
     ] = None,
-    depth: Annotated[
-        Files, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
-    ] = None,
-    infrared: Annotated[
-        Files, typer.Option("--infrared", metavar="I.png", help="Infrared image of the same moment.")
-    ] = None,
+    depth: Depth = None,
+    infrared: Infrared = None,
     panel_imu: Annotated[
         Files,
         typer.Option(
@@ -45,22 +38,8 @@ def world(
     base_imu: Annotated[
         Files, typer.Option("--base-imu", metavar="B.csv", help="Those of the IMU on the camera.")
     ] = None,
-    intrinsics_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--intrinsics",
-            metavar="K.toml",
-            help="width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].",
-        ),
-    ] = None,
-    panel_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--panel",
-            metavar="PANEL.toml",
-            help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
-        ),
-    ] = None,
+    intrinsics_file: IntrinsicsFile = None,
+    panel_file: PanelFile = None,
     panel_topic: Annotated[
         str, typer.Option("--panel-topic", metavar="TOPIC", help="In a recording: the IMU on the panel.")
     ] = "panel",
@@ -76,22 +55,17 @@ def world(
     session the gyroscopes link the poses; from files each pose stands alone. The answer is added to the
     calibration file; `smooth --calibration` takes gravity from the recording's base IMU then.
     """
-    from calib.file import CalibrationFile, read_calibration, write_calibration
     from calib.panel.definition import read_intrinsics, read_panel
-    from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2
-    from calib.world.panel_view import view_panel
-    from calib.world.world_calibration import calibrate_world, world_poses
-    from calib.world.world_table import calibration_tables
+    from calib.world.panel_view import calibrate_world_from_views
+    from calib.world.world_table import world_answer
 
     from .calibrate_panel import pictured
 
     images = (depth or [], infrared or [], panel_imu or [], base_imu or [])
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
-    inputs = [*(path for each in images for path in each), panel_file, intrinsics_file, recording]
-    check_outputs(True, [output], inputs)
-    check_outputs(force, [json_file], [*inputs, output])
-    file = read_calibration(output) if output.exists() else CalibrationFile()
+    inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
+    held = held_calibration(output, [json_file], inputs, force=force)
     known = read_panel(panel_file)
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     if recording is not None:
@@ -102,19 +76,12 @@ def world(
         views, times, panels, bases = _from_files(*images)
         if lens is None:
             raise typer.BadParameter("give --intrinsics with --depth")
-    panels, bases, corrected, both = _corrected(panels, bases, file)
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        seen = [view_panel(view, t_s, known, lens) for view, t_s in zip(views, times, strict=True)]
-    poses, notes = world_poses(seen, panels, bases)
-    found = calibrate_world(poses, notes, CORRECTED_M_S2 if both else BIAS_M_S2)
-    tables = calibration_tables(found)
-    tables["camera_from_base"]["accelerometer_corrected"] = corrected
-    written = CalibrationFile()
-    for name, table in tables.items():
-        written = written.with_table(name, table)
-    write_json(json_file, {**tables, "words": _words(found)}, force)
-    write_calibration(output, written)
-    print_world(found)
+        found = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
+    answer = world_answer(found)
+    write_answer(answer, output, json_file, force)
+    print_tables(answer.table.tables)
+    print_words(answer)
     say_written(output, json_file)
 
 
@@ -123,6 +90,7 @@ def _from_files(
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream]]:
     """Views, their times, and both IMUs by pose; a pose's time is the middle of its samples."""
     from calib.panel.images import read_view
+    from calib.world.panel_view import common_time
 
     from ..io.plain.imu_table import read_imu_table
 
@@ -140,11 +108,9 @@ def _from_files(
     on_panel = [read_imu_table(path, "panel") for path in panels]
     on_base = [read_imu_table(path, "base") for path in bases]
     times = []
-    for mine, base, path in zip(on_panel, on_base, panels, strict=True):
-        first, last = max(mine.t_s[0], base.t_s[0]), min(mine.t_s[-1], base.t_s[-1])
-        if last <= first:
-            raise CalibrationError(f"{path} and the base IMU's file of that pose do not overlap in time.")
-        times.append(0.5 * float(first + last))
+    for own, base, path in zip(on_panel, on_base, panels, strict=True):
+        with naming(f"{path} and the base IMU's file of that pose"):
+            times.append(common_time(own, base))
     return views, times, on_panel, on_base
 
 
@@ -164,41 +130,10 @@ def _from_recording(
     return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens
 
 
-def _corrected(
-    panels: list[ImuStream], bases: list[ImuStream], file: Any
-) -> tuple[list[ImuStream], list[ImuStream], bool, bool]:
-    """The IMUs with what the file knows of them taken off (once a stream).
-
-    Also: the base IMU's accelerometer was known, and both were.
-    """
-    from calib.imu.sensor import sensor_of
-
-    def corrected(streams: list[ImuStream]) -> tuple[list[ImuStream], bool]:
-        sensor = sensor_of(file, streams[0].name)
-        if sensor is None:
-            return streams, False
-        once = {id(stream): sensor.apply(stream) for stream in streams}
-        return [once[id(stream)] for stream in streams], sensor.accelerometer is not None
-
-    (panels, other), (bases, known) = corrected(panels), corrected(bases)
-    return panels, bases, known, known and other
-
-
-def _words(found: WorldCalibration) -> dict[str, Any]:
-    from calib.world.world_accuracy import verdict
-
-    said = verdict(found)
-    return {"grade": said.grade, "verdict": said.sentence, "findings": said.findings, "next": said.next}
-
-
-def print_world(found: WorldCalibration) -> None:
-    """Print the answer, the residuals by pose, the verdict and what to record next."""
+def print_tables(tables: dict[str, Any]) -> None:
+    """Print the rotations with their sigmas, and the residuals by pose."""
     import numpy as np
 
-    from calib.world.world_accuracy import verdict
-    from calib.world.world_table import calibration_tables
-
-    tables, said = calibration_tables(found), verdict(found)
     for name, what in (
         ("camera_from_base", "camera from base IMU"),
         ("panel_from_imu", "panel from its IMU"),
@@ -222,8 +157,3 @@ def print_world(found: WorldCalibration) -> None:
             for row in tables["world"]["residuals"]
         ],
     )
-    say(f"verdict: {said.sentence}")
-    for sentence in said.findings:
-        say(f"  {sentence}")
-    for sentence in said.next:
-        say(f"next: {sentence}")

@@ -13,6 +13,12 @@ RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The rec
 Output = Annotated[
     Path, typer.Option("-o", "--output", metavar="FILE", help="What to write.", show_default=False)
 ]
+CalibrationOutput = Annotated[
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="CAL.toml", help="File to write or to add to.", show_default=False
+    ),
+]
 Calibration = Annotated[
     Path | None,
     typer.Option(
@@ -51,6 +57,29 @@ Orientation = Annotated[
         "--orientation",
         metavar="|".join(ORIENTATIONS),
         help="The orientation filter of the methods beside the graph.",
+    ),
+]
+Files = list[Path] | None
+Depth = Annotated[
+    Files, typer.Option("--depth", metavar="D.png", help="Depth image, 16 bit, mm; one a panel pose.")
+]
+Infrared = Annotated[
+    Files, typer.Option("--infrared", metavar="I.png", help="Infrared image of the same moment.")
+]
+IntrinsicsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--intrinsics",
+        metavar="K.toml",
+        help="width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3].",
+    ),
+]
+PanelFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--panel",
+        metavar="PANEL.toml",
+        help="[panel] markers = [[x, y], ..] and extent = [[xmin, ymin], [xmax, ymax]], m.",
     ),
 ]
 BoundaryS = Annotated[

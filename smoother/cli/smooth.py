@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
-from .estimates import found_figures, print_arm, print_camera, print_clock, print_open
+from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arm
 from .methods import METHODS, choose, make_methods, peer_settings
 from .options import (
@@ -130,7 +130,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
         "usable": int(usable(recovery).sum()),
-        "found": None if found is None else found_figures(found),
+        "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
         "rejected": [row.to_dict() for row in rejected(recovery)],
         "advice": advice(recovery, found),

@@ -138,7 +138,7 @@ def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
     shapes = [
         {**plain, "fillcolor": SHADE, "line": {"width": 0}, "x0": imu.t_s[a], "x1": imu.t_s[b - 1]}
-        for a, b in calibration.rests.spans.tolist()
+        for a, b in calibration.rests.ranges.tolist()
     ]
     return dress(plot, 340, shapes=shapes, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 

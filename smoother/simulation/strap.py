@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.strap.strap_camera import Lens
+from calib.intrinsics import PlacedCamera
 
 from ..linalg import unit
 from ..recording import FloatArray
@@ -83,7 +83,7 @@ class StrapImageNoise:
 
 
 def render(
-    arm: Arm, lens: Lens, noise: StrapImageNoise | None = None
+    arm: Arm, camera: PlacedCamera, noise: StrapImageNoise | None = None
 ) -> tuple[NDArray[np.uint8], FloatArray]:
     """Images of the arm; depth fails on most of a black strap, and on a reflective marker and its rim.
 
@@ -103,17 +103,17 @@ def render(
     """
     import cv2
 
-    column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
-    origin, rays = lens.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
+    column, row = np.meshgrid(np.arange(camera.lens.width), np.arange(camera.lens.height))
+    origin, rays = camera.origin, camera.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(float))
     grey, z = np.full(len(rays), WALL), np.full(len(rays), WALL_M)
     no_depth = np.zeros(len(rays), dtype=bool)
-    look = _near(lens, arm)
+    look = _near(camera, arm)
     for surface in (_trunk, _capsule, _ball):
         reach, shade, blind = surface(arm, origin, rays[look])
         closer = reach < z[look]
         index = np.flatnonzero(look)[closer]
         z[index], grey[index], no_depth[index] = reach[closer], shade[closer], blind[closer]
-    shape = (lens.height, lens.width)
+    shape = (camera.lens.height, camera.lens.width)
     grey, z, no_depth = grey.reshape(shape), z.reshape(shape), no_depth.reshape(shape)
     if noise is not None:
         if noise.blur_px > 0:
@@ -126,16 +126,16 @@ def render(
     return np.clip(grey, 0, 255).astype(np.uint8), np.where(no_depth, np.nan, z)
 
 
-def _near(lens: Lens, arm: Arm) -> NDArray[np.bool_]:
+def _near(camera: PlacedCamera, arm: Arm) -> NDArray[np.bool_]:
     """Pixels in which the arm or the trunk can be: the others see the wall."""
     ends = np.stack([arm.elbow, arm.wrist])
     if arm.trunk is not None:
         centre, half = arm.trunk
         ends = np.concatenate([ends, centre - half * np.eye(3), centre + half * np.eye(3)])
-    pixels, z = lens.pixels(ends)
-    margin = 1.6 * (arm.radius + 0.06) * lens.fx / float(np.nanmin(z))
+    pixels, z = camera.pixels(ends)
+    margin = 1.6 * (arm.radius + 0.06) * camera.lens.fx / float(np.nanmin(z))
     low, high = np.nanmin(pixels, axis=0) - margin, np.nanmax(pixels, axis=0) + margin
-    column, row = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+    column, row = np.meshgrid(np.arange(camera.lens.width), np.arange(camera.lens.height))
     inside = (column > low[0]) & (column < high[0]) & (row > low[1]) & (row < high[1])
     return np.asarray(inside.ravel())
 

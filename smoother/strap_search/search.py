@@ -200,8 +200,8 @@ def _locate(
     grey, z = grey_of(colour), metres_of(depth)
     sighting = find_strap(
         grey,
-        cameras.lens("colour", grey.shape, colour, depth),
-        Depth(z, cameras.lens("depth", z.shape, depth, depth)),
+        cameras.camera("colour", grey.shape, colour, depth),
+        Depth(z, cameras.camera("depth", z.shape, depth, depth)),
         elbow,
         wrist,
         radius_m=mounted.radius_m,

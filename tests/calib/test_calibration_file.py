@@ -140,6 +140,80 @@ def test_writing_merges(tmp_path: Path):
     }
 
 
+COMMENTED = """# Anna's rig, measured on Monday
+[arm.right]   # the weak one
+# by ruler
+upper_arm_m = 0.3      # shoulder to elbow
+upper_arm_sigma_m = 0.01
+R_F_A = [1, 0, 0, 0]
+
+[hers]        # of another program
+limits = [1, 2]  # degrees
+"""
+
+
+def test_comments_and_unknown_tables_survive(tmp_path: Path):
+    path = tmp_path / "cal.toml"
+    path.write_text(COMMENTED)
+    wrist = LeverArm(np.array([0.0, 0.05, 0.0]), np.full(3, 0.002))
+    arm = ArmCalibration("right", {"wrist": wrist}, Length(0.31, 0.002))
+    write_calibration(path, CalibrationFile().with_arm(arm))
+    assert path.read_text() == (
+        "# Anna's rig, measured on Monday\n"
+        + HEAD
+        + "\n"
+        + COMMENTED.partition("\n")[2]
+        .replace("0.3  ", "0.31  ")
+        .replace("0.01\n", "0.002\n")
+        .replace(
+            "0]\n\n",
+            "0]\n\n[arm.right.lever_arm.wrist]\nposition_m = [0.0, 0.05, 0.0]\n"
+            "sigma_m = [0.002, 0.002, 0.002]\n",
+        )
+    )
+
+
+def test_writing_the_same_again_changes_nothing(tmp_path: Path):
+    """The text is as files were written before comments were kept."""
+    path = tmp_path / "cal.toml"
+    text = (
+        HEAD + "\n[arm.left]\nupper_arm_m = 0.28\nupper_arm_sigma_m = 0.01\n"
+        "\n[arm.left.lever_arm.wrist]\nposition_m = [0.0, 0.05, -1e-05]\nsigma_m = [0.1, 0.1, 0.1]\n"
+        '\n[world]\nposes = 2\nresiduals = [{pose = "1", down = [0.0, 1.0]}, {pose = "2", down = []}]\n'
+        "\n[imu.left.gyroscope]\noffset = [0.1, 0.2, 0.3]\n"
+    )
+    path.write_text(text)
+    write_calibration(path, read_calibration(path))
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "arm.left.upper_arm_m = 0.2\narm.left.upper_arm_sigma_m = 0.1\nclock.links = []\n",
+        "arm = {left = {upper_arm_m = 0.2, upper_arm_sigma_m = 0.1}}\nclock = {links = [{a = 1}]}\n",
+        "[arm.left]\nupper_arm_m = 0.2\nupper_arm_sigma_m = 0.1\n[clock]\n[arm.any]\n[clock.links]\n"
+        "[arm.left.lever_arm.elbow]\nposition_m = [1, 2, 3]\nsigma_m = [1, 2, 3]\n",
+        "[[clock.links]]\na = 1\n[[clock.links]]\na = 2\n[arm]\n[imu.left.gyroscope]\noffset = [1, 2, 3]\n",
+    ],
+)
+def test_merging_into_every_way_to_write_tables(tmp_path: Path, text: str):
+    path = tmp_path / "cal.toml"
+    path.write_text(text)
+    before = read_calibration(path)
+    wrist = LeverArm(np.array([0.0, 0.05, 0.0]), np.full(3, 0.002))
+    new = CalibrationFile().with_arm(ArmCalibration("left", {"wrist": wrist}, Length(0.31, 0.002)))
+    new = new.with_table("clock", {"session": "b", "links": [{"a": 2.5, "b": [1]}, {"a": 3}]})
+    write_calibration(path, new.with_table("imu", {"left": {"gyroscope": {"noise_density": 0.1}}}))
+    back = read_calibration(path)
+    assert back.arm("left").upper_arm == Length(0.31, 0.002)
+    levers = before.arms["left"].lever_arms if "left" in before.arms else {}
+    assert set(back.arm("left").lever_arms) == {*levers, "wrist"}
+    assert back.tables["clock"] == new.tables["clock"]
+    held = before.tables.get("imu", {"left": {"gyroscope": {}}})["left"]["gyroscope"]
+    assert back.tables["imu"]["left"]["gyroscope"] == {**held, "noise_density": 0.1}
+
+
 def test_sides(tmp_path: Path):
     right, left, both = (ArmCalibration(side) for side in ("right", "left", ""))
     one = CalibrationFile().with_arm(right)

@@ -48,7 +48,7 @@ def test_rests_are_found_whatever_the_noise(noise):
     stream, _ = rest_poses(sensor(1), 10, seed=1, acc_noise=noise, gyro_noise=noise / 20.0)
     rests = find_rests(stream)
     assert len(rests) == rests.poses == 10
-    for k, (first, last) in enumerate(rests.spans):  # rests of 2 s begin every 3 s
+    for k, (first, last) in enumerate(rests.ranges):  # rests of 2 s begin every 3 s
         assert 3.0 * k - 0.3 < stream.t_s[first] < 3.0 * k + 0.3
         assert 3.0 * k + 1.6 < stream.t_s[last - 1] < 3.0 * k + 2.3
 

@@ -31,7 +31,7 @@ def test_poses_parted_by_a_jump_are_poses_of_their_own(noise):
     stream, begins = put_together(model, noise)
     rests = find_rests(stream)
     assert len(rests) == rests.poses == 12
-    for (first, last), begin, end in zip(rests.spans, begins[:-1], begins[1:], strict=True):
+    for (first, last), begin, end in zip(rests.ranges, begins[:-1], begins[1:], strict=True):
         assert begin <= first < begin + 20 and end - 20 < last <= end
     found = calibrate_imu(stream).accelerometer
     up = GRAVITY * sphere_points(300)
@@ -44,4 +44,4 @@ def test_a_knock_does_not_part_a_rest():
     acc = np.array([0.0, 0.0, GRAVITY]) + 0.02 * rng.normal(size=(4000, 3))
     acc[2000:2004] += 3.0
     stream = ImuStream("/imu", np.arange(4000) / RATE_HZ, acc, 0.002 * rng.normal(size=(4000, 3)), None)
-    assert find_rests(stream).spans.tolist() == [[0, 4000]]
+    assert find_rests(stream).ranges.tolist() == [[0, 4000]]

@@ -11,8 +11,9 @@ from panel_scene import LENS, PANEL, Held, blobs_of, held
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calib.intrinsics import Intrinsics
 from calib.panel.blobs import find_blobs
-from calib.panel.definition import Intrinsics, Panel
+from calib.panel.definition import Panel
 from calib.panel.frame import Frame, fit_frame, frame_of_markers, frame_of_points, kabsch, principal
 from calib.panel.identify import (
     DepthMissing,

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.strap.strap_camera import Depth, Lens
+from calib.intrinsics import Intrinsics, PlacedCamera
+from calib.strap.strap_camera import Depth
 from calib.strap.strap_in_image import find_strap
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 #: The colour camera sits 5 cm beside the depth camera, as in a Kinect.
-COLOUR = Lens(450.0, 450.0, 320.0, 180.0, 640, 360, t_C_K=np.array([0.05, 0.0, 0.0]))
-INFRARED = Lens(366.0, 366.0, 256.0, 212.0, 512, 424)
+COLOUR = PlacedCamera(Intrinsics(640, 360, 450.0, 450.0, 320.0, 180.0), t_C_K=np.array([0.05, 0.0, 0.0]))
+INFRARED = PlacedCamera(Intrinsics(512, 424, 366.0, 366.0, 256.0, 212.0))
 
 
 def an_arm(seed: int) -> tuple[Arm, np.random.Generator]:
@@ -30,7 +31,7 @@ def an_arm(seed: int) -> tuple[Arm, np.random.Generator]:
     return Arm(elbow, elbow + length * along, rng.uniform(0.03, 0.04), strap, marker=marker), rng
 
 
-def look(arm: Arm, rng: np.random.Generator, joint_sigma_m: float, colour: Lens = COLOUR):
+def look(arm: Arm, rng: np.random.Generator, joint_sigma_m: float, colour: PlacedCamera = COLOUR):
     """Render and search, with joints as a camera places them."""
     noise = StrapImageNoise(rng=rng)
     grey, _ = render(arm, colour, noise)
@@ -121,17 +122,18 @@ def test_the_papers_criteria():
 @settings(max_examples=40, deadline=None)
 def test_pixels_and_rays_are_each_others_inverse(bend: list[float], x: float, y: float, z: float):
     turn, _ = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))
-    lens = replace(COLOUR, distortion=np.array(bend) * [1, 1, 0.05, 0.05, 0.2], R_C_K=turn)
+    terms = tuple(np.array(bend) * [1, 1, 0.05, 0.05, 0.2])
+    camera = replace(COLOUR, lens=replace(COLOUR.lens, distortion=terms), R_C_K=turn)
     point = np.array([[x, y, z]])
-    pixel, depth = lens.pixels(point)
-    origin, ray = lens.rays(pixel)
-    assert origin + depth[0] * ray[0] == pytest.approx(point[0], abs=2e-3)
+    pixel, depth = camera.pixels(point)
+    ray = camera.rays(pixel)
+    assert camera.origin + depth[0] * ray[0] == pytest.approx(point[0], abs=2e-3)
     matrix = np.array([[450.0, 0, 320], [0, 450, 180], [0, 0, 1]])
     slow, _ = cv2.projectPoints(
         point,
         cv2.Rodrigues(turn)[0],
-        lens.t_C_K,
+        camera.t_C_K,
         matrix,
-        lens.distortion,
+        np.array(terms),
     )
     assert pixel[0] == pytest.approx(slow.ravel(), abs=1e-6)

@@ -105,7 +105,7 @@ def test_what_is_wrong_is_one_sentence_and_no_file(session: Path, tmp_path: Path
 
 def test_images_of_a_recording_are_read(session: Path):
     found = list(read_images(session / "s.mcap"))
-    (lens,) = (message for message in found if isinstance(message, LensMessage))
+    (lens,) = (message.intrinsics for message in found if isinstance(message, LensMessage))
     assert (lens.width, lens.height, lens.fx, len(lens.distortion)) == (512, 424, 365.5, 5)
     images = [message for message in found if isinstance(message, ImageMessage)]
     assert len(images) == 10 and {image.pixels().dtype for image in images} == {np.dtype("uint16")}

@@ -12,7 +12,7 @@ from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
 from calib.motion.estimates import found_in
-from calib.motion.evidence import STRETCH_S, _turn_between, gather_from
+from calib.motion.evidence import AXIAL_S, _turn_between, gather_from
 from smoother.evaluation.advice import advice
 from smoother.evaluation.rejected import rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
@@ -126,8 +126,8 @@ def test_evidence(recovery: Recovery) -> None:
     middle, when = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (t[1:] + t[:-1])
     ranges = [
         np.ptp(middle[part])
-        for start in np.arange(t[0], t[-1], STRETCH_S / 2)
-        if (part := seen & (when >= start) & (when < start + STRETCH_S)).any()
+        for start in np.arange(t[0], t[-1], AXIAL_S / 2)
+        if (part := seen & (when >= start) & (when < start + AXIAL_S)).any()
     ]
     assert found.axial_rad == pytest.approx(max(ranges), rel=1e-9)
     assert recovery.residuals is not None

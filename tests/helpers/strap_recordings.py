@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from calib.strap.strap_camera import Lens
+from calib.intrinsics import Intrinsics, PlacedCamera
 from smoother.io import write_recording
 from smoother.io.wire.schemas import schema_data
 from smoother.simulation.arm import SimulatedArm
@@ -21,8 +21,10 @@ from smoother.simulation.strap import Arm, StrapImageNoise, render
 
 BASELINE_M = 0.05
 KINECT = np.diag([-1.0, -1.0, 1.0])
-COLOUR = Lens(400.0, 400.0, 240.0, 135.0, 480, 270, R_C_K=KINECT, t_C_K=np.array([BASELINE_M, 0.0, 0.0]))
-DEPTH = Lens(260.0, 260.0, 160.0, 144.0, 320, 288, R_C_K=KINECT)
+COLOUR = PlacedCamera(
+    Intrinsics(480, 270, 400.0, 400.0, 240.0, 135.0), KINECT, np.array([BASELINE_M, 0.0, 0.0])
+)
+DEPTH = PlacedCamera(Intrinsics(320, 288, 260.0, 260.0, 160.0, 144.0), KINECT)
 
 
 def with_images(simulated: SimulatedArm, path: Path, every: int = 3, seed: int = 0) -> None:
@@ -54,7 +56,7 @@ def with_images(simulated: SimulatedArm, path: Path, every: int = 3, seed: int =
                 channels[topic] = writer.register_channel(topic, "protobuf", number)
             writer.add_message(channels[topic], stamp, data, stamp)
 
-        for lens, frame in ((COLOUR, "colour"), (DEPTH, "depth")):
+        for lens, frame in ((COLOUR.lens, "colour"), (DEPTH.lens, "depth")):
             own = CameraCalibration(
                 frame_id=frame, width=lens.width, height=lens.height, distortion_model="plumb_bob"
             )

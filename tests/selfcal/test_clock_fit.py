@@ -114,7 +114,7 @@ def calibrated(*recordings: Recording) -> MotionCalibration:
 def test_a_constant_offset(latency_s: float, seed: int) -> None:
     """Nothing calibrated, white noise: rms 0.8 ms over seeds, as sigma states; and no drift invented."""
     made = arm(seed, repetitions=1, latency_s=latency_s)
-    (clock,) = calibrated(made.recording).knowledge.clocks
+    (clock,) = calibrated(made.recording).self_calibration.clocks
     assert clock.mean_s == pytest.approx(-latency_s, abs=0.002)
     assert clock.drift_s < 0.001
     assert abs(clock.mean_s + latency_s) < 4 * clock.sigma_s
@@ -126,7 +126,7 @@ def fast_clock(request: pytest.FixtureRequest) -> tuple[Clock, FloatArray, Float
     made, skew = arm(request.param, protocol="random", duration_s=300.0), 300e-6
     tracks = made.recording.arm
     warped = replace(made.recording, arm=replace(tracks, t_s=tracks.t_s * (1.0 + skew)))
-    (clock,) = calibrated(warped).knowledge.clocks
+    (clock,) = calibrated(warped).self_calibration.clocks
     return clock, warped.arm.t_s, clock.at(warped.arm.t_s) + skew * tracks.t_s
 
 
@@ -173,7 +173,7 @@ def test_made_up_stamps_are_as_uncertain_as_a_dropped_frame() -> None:
     tracks = made.recording.arm
     spread = np.linspace(tracks.t_s[0], tracks.t_s[-1], len(tracks))
     assert synthetic_stamps(spread)
-    (clock,) = calibrated(replace(made.recording, arm=replace(tracks, t_s=spread))).knowledge.clocks
+    (clock,) = calibrated(replace(made.recording, arm=replace(tracks, t_s=spread))).self_calibration.clocks
     error = spread + clock.at(spread) - tracks.t_s
     unmended = spread - tracks.t_s
     assert clock.local_sigma_s >= SYNTHETIC_SIGMA_S

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.intrinsics import Intrinsics
+
 from ...errors import RecordingError
 from ..mcap.container import Container
 from ..mcap.messages import Topic
@@ -73,17 +75,19 @@ class ImageMessage:
 
 @dataclass(frozen=True)
 class LensMessage:
-    """A camera's intrinsics; distortion as OpenCV orders it, up to five terms."""
+    """The lens of a recording's camera.
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Where it came from.
+    intrinsics : Intrinsics
+        As OpenCV has them.
+    """
 
     topic: str
     frame_id: str
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
+    intrinsics: Intrinsics
 
 
 def read_images(
@@ -171,7 +175,8 @@ def _lens(
         )
     if len(K) < 9 or K[0] <= 0 or K[4] <= 0:
         raise ValueError("the camera is not calibrated")
-    return LensMessage(topic.name, frame_id, width, height, K[0], K[4], K[2], K[5], tuple(terms[:5]))
+    lens = Intrinsics(width, height, K[0], K[4], K[2], K[5], tuple(terms[:5]))
+    return LensMessage(topic.name, frame_id, lens)
 
 
 def _raw(data: bytes, encoding: str, height: int, width: int, step: int, big: bool) -> NDArray:

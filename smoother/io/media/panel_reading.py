@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.panel.definition import Intrinsics
+from calib.intrinsics import Intrinsics
 from calib.panel.images import View, view
 
 from ...errors import RecordingError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.panel.definition import Intrinsics, intrinsics
+from calib.intrinsics import Intrinsics
 from calib.panel.images import View, view
 
 from ...errors import RecordingError
@@ -124,8 +124,4 @@ def read_pairs(
     named = [lens for lens in lenses if lens.frame_id == pairs[0][0].frame_id] or [
         lens for lens in lenses if "depth" in lens.topic.lower()
     ]
-    return [pairs[run[len(run) // 2]] for run in runs], _intrinsics(named[0]) if named else None
-
-
-def _intrinsics(lens: LensMessage) -> Intrinsics:
-    return intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, list(lens.distortion))
+    return [pairs[run[len(run) // 2]] for run in runs], named[0].intrinsics if named else None

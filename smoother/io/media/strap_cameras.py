@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.strap.strap_camera import Lens
+from calib.intrinsics import Intrinsics, PlacedCamera
 
 from ...errors import RecordingError
 from ...recording import FloatArray
@@ -74,7 +74,7 @@ class Cameras:
         self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray
     ):
         self._path, self._asked, self._R_C_K = path, {"colour": colour, "depth": depth}, R_C_K
-        self._lenses: dict[str, LensMessage] = {}
+        self._lenses: dict[str, Intrinsics] = {}
         self._transforms = _transforms(path)
         self.chosen: dict[str, str] = {}
         self.found = StrapFound(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), [])
@@ -84,7 +84,8 @@ class Cameras:
         met: set[str] = set()
         for message in read_images(self._path):
             if isinstance(message, LensMessage):
-                self._lenses[message.frame_id] = self._lenses[message.topic.rpartition("/")[0]] = message
+                folder = message.topic.rpartition("/")[0]
+                self._lenses[message.frame_id] = self._lenses[folder] = message.intrinsics
                 continue
             met.add(message.topic)
             for role, topic in self.chosen.items():
@@ -113,8 +114,10 @@ class Cameras:
             return role if asked in message.topic else ""
         return "" if any(word in message.topic.lower() for word in _INFRARED) else role
 
-    def lens(self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage) -> Lens:
-        """The lens of an image with its place in {K}; {K} lies in the depth camera (`reference`)."""
+    def camera(
+        self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage
+    ) -> PlacedCamera:
+        """The camera of an image with its place in {K}; {K} lies in the depth camera (`reference`)."""
         own = self._lenses.get(image.frame_id) or self._lenses.get(self.chosen[role].rpartition("/")[0])
         if own is None:
             raise RecordingError(
@@ -122,8 +125,7 @@ class Cameras:
                 f" {image.frame_id!r}; record it."
             )
         height, width = shape[:2]
-        scale = width / own.width
-        if abs(height / own.height - scale) > 0.01:
+        if abs(height / own.height - width / own.width) > 0.01:
             raise RecordingError(
                 f"{self._path}: the intrinsics of frame {image.frame_id!r} are for {own.width} x {own.height}"
                 f" pixels, its images have {width} x {height}."
@@ -132,9 +134,7 @@ class Cameras:
         if between is None:
             self._note(f"no transform links {reference.frame_id} and {image.frame_id}: one place for both")
         R, t = between or (np.eye(3), np.zeros(3))
-        numbers = (scale * own.fx, scale * own.fy, scale * own.cx, scale * own.cy)
-        bend = np.array(own.distortion, dtype=float)
-        return Lens(*numbers, width, height, bend, R @ self._R_C_K, t)
+        return PlacedCamera(own.resized(width, height), R @ self._R_C_K, t)
 
     def _note(self, note: str) -> None:
         if note not in self.found.notes:
