@@ -27,21 +27,21 @@ def test_postures_with_known_angles(side):
     out = RIGHT_OF_PERSON if side == "right" else -RIGHT_OF_PERSON
     # arm hangs, elbow bent by 90, hand to the camera, thumb up: halfway between supine and prone
     joints = _arm(-UP, TO_CAMERA)
-    found = arm_angles(joints, 1, _forearm(TO_CAMERA, out), side, DOWN)
-    assert found["elbow_flexion"][0] == pytest.approx(90)
-    assert found["pronation"][0] == pytest.approx(90)
-    assert found["shoulder_elevation"][0] == pytest.approx(0, abs=1e-9)
+    angles = arm_angles(joints, 1, _forearm(TO_CAMERA, out), side, DOWN)
+    assert angles["elbow_flexion"][0] == pytest.approx(90)
+    assert angles["pronation"][0] == pytest.approx(90)
+    assert angles["shoulder_elevation"][0] == pytest.approx(0, abs=1e-9)
     # palm up: fully supine
     assert arm_angles(joints, 1, _forearm(TO_CAMERA, -UP), side, DOWN)["pronation"][0] == pytest.approx(0)
     # abducted to the level, forearm forward
-    found = arm_angles(_arm(out, TO_CAMERA), 1, None, side, DOWN)
-    assert found["shoulder_plane"][0] == pytest.approx(0, abs=1e-9)
-    assert found["shoulder_elevation"][0] == pytest.approx(90)
-    assert np.isnan(found["pronation"][0])
+    angles = arm_angles(_arm(out, TO_CAMERA), 1, None, side, DOWN)
+    assert angles["shoulder_plane"][0] == pytest.approx(0, abs=1e-9)
+    assert angles["shoulder_elevation"][0] == pytest.approx(90)
+    assert np.isnan(angles["pronation"][0])
     # raised forwards, forearm straight up
-    found = arm_angles(_arm(TO_CAMERA, UP), 1, None, side, DOWN)
-    assert found["shoulder_plane"][0] == pytest.approx(90)
-    assert found["elbow_flexion"][0] == pytest.approx(90)
+    angles = arm_angles(_arm(TO_CAMERA, UP), 1, None, side, DOWN)
+    assert angles["shoulder_plane"][0] == pytest.approx(90)
+    assert angles["elbow_flexion"][0] == pytest.approx(90)
     # arm hangs a little forward, forearm across the belly: turned inwards
     upper = Rotation.from_rotvec(np.radians(30) * RIGHT_OF_PERSON).apply(-UP)
     upper = (
@@ -83,14 +83,14 @@ def test_against_scipys_euler_angles(side):
     back, along, thumb = (to_camera(sign * F[:, :, axis]) for sign, axis in ((-1, 0), (-1, 1), (1, 2)))
     R_K_F = np.stack([back, along, thumb if side == "right" else -thumb], axis=2)
     assert np.allclose(np.linalg.det(R_K_F), 1)
-    found = arm_angles(joints, count, R_K_F, side, DOWN, flexion_axis=to_camera(H[:, :, 2]))
+    angles = arm_angles(joints, count, R_K_F, side, DOWN, flexion_axis=to_camera(H[:, :, 2]))
     for name, column in (("elbow_flexion", 0), ("carrying", 1), ("pronation", 2)):
-        assert np.abs(wrapped_deg(found[name] - bend[:, column])).max() < 1e-7, name
+        assert np.abs(wrapped_deg(angles[name] - bend[:, column])).max() < 1e-7, name
     plane, elevation, axial = R_T_H.as_euler("YXY", degrees=True).T
     # scipy's second angle is positive; ISB's is negative: turn both others by half a turn
-    assert np.abs(found["shoulder_elevation"] - elevation).max() < 1e-6
-    assert np.abs(wrapped_deg(found["shoulder_plane"] - plane - 180)).max() < 1e-6
-    assert np.abs(wrapped_deg(found["shoulder_rotation"] - axial - 180)).max() < 1e-6
+    assert np.abs(angles["shoulder_elevation"] - elevation).max() < 1e-6
+    assert np.abs(wrapped_deg(angles["shoulder_plane"] - plane - 180)).max() < 1e-6
+    assert np.abs(wrapped_deg(angles["shoulder_rotation"] - axial - 180)).max() < 1e-6
 
 
 def test_flexion_without_epicondyles_is_the_angle_of_the_bones():
@@ -98,9 +98,9 @@ def test_flexion_without_epicondyles_is_the_angle_of_the_bones():
     joints = {name: rng.normal(size=(50, 3)) for name in ("shoulder", "elbow", "wrist")}
     upper, forearm = joints["elbow"] - joints["shoulder"], joints["wrist"] - joints["elbow"]
     cosine = (upper * forearm).sum(1) / np.linalg.norm(upper, axis=1) / np.linalg.norm(forearm, axis=1)
-    found = arm_angles(joints, 50, None, "right", DOWN)
-    assert np.allclose(found["elbow_flexion"], np.degrees(np.arccos(cosine)))
-    assert np.isnan(found["carrying"]).all()
+    angles = arm_angles(joints, 50, None, "right", DOWN)
+    assert np.allclose(angles["elbow_flexion"], np.degrees(np.arccos(cosine)))
+    assert np.isnan(angles["carrying"]).all()
 
 
 def test_simulated_postures_come_back():
@@ -114,9 +114,9 @@ def test_simulated_postures_come_back():
     measures = draw_measures(rng)
     shoulder, elbow, R_T_F = arm_chain(posture, Rotation.random(rng=rng), measures)
     joints = {"shoulder": shoulder, "elbow": elbow, "wrist": elbow + measures.forearm * R_T_F[:, :, 1]}
-    found = arm_angles(joints, 200, R_T_F, "right", DOWN)
-    assert np.allclose(found["elbow_flexion"], np.degrees(posture[:, FLEXION]), atol=1e-6)
-    assert np.allclose(found["pronation"], np.degrees(posture[:, PRONATION]), atol=1e-6)
+    angles = arm_angles(joints, 200, R_T_F, "right", DOWN)
+    assert np.allclose(angles["elbow_flexion"], np.degrees(posture[:, FLEXION]), atol=1e-6)
+    assert np.allclose(angles["pronation"], np.degrees(posture[:, PRONATION]), atol=1e-6)
 
 
 def test_forearm_axes_are_the_products_of_rotations():
@@ -134,10 +134,10 @@ def test_without_an_orientation_there_are_no_forearm_axes():
     np.testing.assert_allclose(axes[1], np.eye(3), atol=1e-15)
 
 
-def test_what_is_missing_is_nan_and_singular_postures_are_told():
+def test_what_is_missing_is_nan_and_singular_postures_are_marked():
     joints = _arm(-UP, -UP)
-    found = arm_angles(joints, 1, _forearm(-UP, TO_CAMERA), "right", DOWN)
-    good = defined(found)
+    angles = arm_angles(joints, 1, _forearm(-UP, TO_CAMERA), "right", DOWN)
+    good = defined(angles)
     assert good["elbow_flexion"][0]
     assert good["shoulder_elevation"][0]
     assert not any(good[name][0] for name in ("pronation", "carrying", "shoulder_plane", "shoulder_rotation"))
@@ -145,7 +145,7 @@ def test_what_is_missing_is_nan_and_singular_postures_are_told():
     assert np.isnan(without["shoulder_elevation"][0])
     assert without["elbow_flexion"][0] == pytest.approx(0, abs=1e-5)
     assert all(np.isnan(value).all() for value in arm_angles({}, 3).values())
-    assert tuple(found) == ANGLES
+    assert tuple(angles) == ANGLES
 
 
 def test_torso_axes_of_every_camera_frame():

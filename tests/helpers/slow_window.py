@@ -95,7 +95,7 @@ class SlowWindow:
         self.R0 = window.attitude
 
     def start(self, seed: int) -> Unknowns:
-        """The window's start values, shaken by a centimetre and two degrees."""
+        """The window's initial values, shaken by a centimetre and two degrees."""
         rng = np.random.default_rng(seed)
         w = self.window
         knots = np.zeros((0, 3)) if w.shoulder is None else w.shoulder.start

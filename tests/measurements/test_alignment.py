@@ -1,4 +1,4 @@
-"""Start values: the rotation between filter and camera, and positions through the camera's samples."""
+"""Initial values: the rotation between filter and camera, and positions through the camera's samples."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ZUP = np.array([0.0, 0.0, -1.0])
 
 
 def noisy_pairs(R_K_E: Rotation, sigma: float, count: int, rng: np.random.Generator) -> VectorPairs:
-    """Random unit vectors seen from both frames with white noise."""
+    """Random unit vectors in both frames with white noise."""
     in_E = rng.normal(size=(count, 3))
     in_E /= np.linalg.norm(in_E, axis=1)[:, None]
     in_K = R_K_E.apply(in_E) + sigma * rng.normal(size=(count, 3))
@@ -44,11 +44,11 @@ def test_align_finds_a_rotation_within_its_covariance(count: int) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         truth = upright(rng)
-        found = align([noisy_pairs(truth, 0.2, count, rng)], 0.0, 40.0, ZUP)
-        for k in (0, len(found.t) // 2, len(found.t) - 1):
-            error = (found.R_K_E[k] * truth.inv()).as_rotvec()
-            squares.append(error @ np.linalg.solve(found.covariance[k], error) / 3.0)
-            data = found.covariance[k] - FILTER_SIGMA_RAD**2 * np.eye(3)
+        alignment = align([noisy_pairs(truth, 0.2, count, rng)], 0.0, 40.0, ZUP)
+        for k in (0, len(alignment.t) // 2, len(alignment.t) - 1):
+            error = (alignment.R_K_E[k] * truth.inv()).as_rotvec()
+            squares.append(error @ np.linalg.solve(alignment.covariance[k], error) / 3.0)
+            data = alignment.covariance[k] - FILTER_SIGMA_RAD**2 * np.eye(3)
             assert (np.linalg.eigvalsh(data) > 0).all()
     # the floor makes it shy; without it the pairs alone would give 1
     assert np.mean(squares) < 1.0
@@ -64,9 +64,9 @@ def test_the_covariance_without_the_floor_is_honest() -> None:
         # no hint, and all pairs at one time, so that no neighbour in time shares them
         pairs = noisy_pairs(truth, 0.1, 50, rng)
         pairs = VectorPairs(np.zeros(50), pairs.in_K, pairs.in_E, pairs.weight)
-        found = align([pairs], 0.0, 1.0, np.zeros(3))
-        error = (found.R_K_E[0] * truth.inv()).as_rotvec()
-        data = found.covariance[0] - FILTER_SIGMA_RAD**2 * np.eye(3)
+        alignment = align([pairs], 0.0, 1.0, np.zeros(3))
+        error = (alignment.R_K_E[0] * truth.inv()).as_rotvec()
+        data = alignment.covariance[0] - FILTER_SIGMA_RAD**2 * np.eye(3)
         squares.append(error @ np.linalg.solve(data, error) / 3.0)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.35)
 
@@ -79,10 +79,10 @@ def test_align_follows_a_drifting_heading() -> None:
     in_E = rng.normal(size=(2000, 3))
     in_E /= np.linalg.norm(in_E, axis=1)[:, None]
     pairs = VectorPairs(t, truth.apply(in_E), in_E, np.full(2000, 25.0))
-    found = align([pairs], 0.0, 40.0, ZUP)
+    alignment = align([pairs], 0.0, 40.0, ZUP)
     at = np.array([1.0, 20.0, 39.0])
     error = (
-        found.at(at) * Rotation.from_rotvec(np.outer(np.radians(0.2) * at, [0, 0, 1.0])).inv()
+        alignment.at(at) * Rotation.from_rotvec(np.outer(np.radians(0.2) * at, [0, 0, 1.0])).inv()
     ).magnitude()
     # a constant would be 3.8 degrees off at the ends
     assert np.degrees(error).max() < 3.0
@@ -93,11 +93,11 @@ def test_align_follows_a_drifting_heading() -> None:
 def test_the_hint_decides_where_no_pair_does(down: tuple[float, float, float]) -> None:
     """Gravity's direction as hinted; a proper rotation; heading nearly unknown, tilt to 15 degrees."""
     down_K = np.array(down, dtype=float)
-    found = align([NOTHING], 0.0, 10.0, down_K)
-    matrix = found.R_K_E.as_matrix()
+    alignment = align([NOTHING], 0.0, 10.0, down_K)
+    matrix = alignment.R_K_E.as_matrix()
     np.testing.assert_allclose(matrix @ [0.0, 0.0, -1.0], np.tile(down_K, (len(matrix), 1)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(matrix), 1.0, atol=1e-9)
-    for covariance in found.covariance:
+    for covariance in alignment.covariance:
         assert down_K @ covariance @ down_K > 0.5  # about the vertical: the prior's one radian
         across = np.linalg.svd(down_K[None])[2][1:]
         tilt = np.degrees(np.sqrt(np.diag(across @ covariance @ across.T)))
@@ -106,11 +106,11 @@ def test_the_hint_decides_where_no_pair_does(down: tuple[float, float, float]) -
 
 
 def test_pairs_outweigh_the_hint() -> None:
-    """A camera tipped by 60 degrees against its hint, seen by many pairs."""
+    """A camera tipped by 60 degrees against its hint, against many pairs."""
     rng = np.random.default_rng(5)
     truth = Rotation.from_rotvec([np.radians(60), 0, 0])
-    found = align([noisy_pairs(truth, 0.1, 500, rng)], 0.0, 40.0, ZUP)
-    assert np.degrees((found.R_K_E * truth.inv()).magnitude()).max() < 2.0
+    alignment = align([noisy_pairs(truth, 0.1, 500, rng)], 0.0, 40.0, ZUP)
+    assert np.degrees((alignment.R_K_E * truth.inv()).magnitude()).max() < 2.0
 
 
 def true_attitude(curve: Curve, R_E_K: Rotation, duration_s: float) -> InertialAttitude:
@@ -126,33 +126,33 @@ def test_acceleration_pairs_are_one_vector_from_two_frames(seed: int) -> None:
     attitude = true_attitude(curve, R_K_E.inv(), 8.0)
     t, lever = np.arange(0.2, 7.8, 1 / 30), np.array([0.02, -0.2, 0.03])
     joint = curve.position(t) + curve.rotation(t).apply(lever)
-    found = acceleration_pairs(t, joint, attitude, InertialSignal(curve.imu(100.0, 8.0)), G)
-    pairs = found.with_lever(lever)
+    accelerations = acceleration_pairs(t, joint, attitude, InertialSignal(curve.imu(100.0, 8.0)), G)
+    pairs = accelerations.with_lever(lever)
     assert len(pairs.t) > 25
     difference = np.linalg.norm(pairs.in_K - R_K_E.apply(pairs.in_E), axis=1)
     # accelerations of 5 m/s^2; 0.1 m/s^2 is what the pairs are stated to be good to, noise apart
     assert np.linalg.norm(pairs.in_K, axis=1).max() > 2.0
     assert difference.max() < 0.05
-    wrong = found.with_lever(np.zeros(3))
+    wrong = accelerations.with_lever(np.zeros(3))
     assert np.linalg.norm(wrong.in_K - R_K_E.apply(wrong.in_E), axis=1).max() > 10 * difference.max()
 
 
 def test_acceleration_pairs_leave_gaps_alone() -> None:
-    """No functional reaches over a hole of half a second."""
+    """No functional reaches across missing frames of half a second."""
     curve = Curve(0, fastest_hz=1.0)
     t = np.arange(0.2, 7.8, 1 / 30)
     t = t[(t < 3.0) | (t > 3.5)]
     attitude = true_attitude(curve, Rotation.identity(), 8.0)
     signal = InertialSignal(curve.imu(100.0, 8.0))
-    found = acceleration_pairs(t, curve.position(t), attitude, signal, G)
-    assert not ((found.t > 2.65) & (found.t < 3.85)).any()
+    accelerations = acceleration_pairs(t, curve.position(t), attitude, signal, G)
+    assert not ((accelerations.t > 2.65) & (accelerations.t < 3.85)).any()
     short = acceleration_pairs(t[:10], curve.position(t[:10]), attitude, signal, G)
     assert len(short.t) == 0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_align_on_a_simulated_point_is_within_its_covariance(seed: int) -> None:
-    """The whole way to the start orientation on the strap alone: filter, accelerations, alignment."""
+    """The whole way to the initial orientation on the strap alone: filter, accelerations, alignment."""
     made = point(seed, occlusion_lengths_s=())
     recording, truth = made.recording, made.recording.truth
     assert truth is not None
@@ -166,7 +166,9 @@ def test_align_on_a_simulated_point_is_within_its_covariance(seed: int) -> None:
     error = (R_K_A * Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]).inv()).as_rotvec()
     rows = slice(200, -200)
     sigma = np.sqrt(np.trace(alignment.covariance, axis1=1, axis2=2).max())
-    assert np.degrees(np.linalg.norm(error[rows], axis=1)).max() < 10.0  # a start value: Gauss-Newton's basin
+    assert (
+        np.degrees(np.linalg.norm(error[rows], axis=1)).max() < 10.0
+    )  # an initial value: Gauss-Newton's basin
     assert np.sqrt((error[rows] ** 2).sum(axis=1).mean()) < 2 * sigma
 
 
@@ -189,19 +191,19 @@ def camera_path(sigma: float, gap: tuple[float, float]) -> tuple[FloatArray, Flo
 
 def test_states_follow_the_camera() -> None:
     """Local lines over 0.24 s: 8 mm of noise become 4 mm and 0.1 m/s, plus what the curvature costs."""
-    t, seen, curve = camera_path(0.008, (9.0, 9.0))
+    t, position, curve = camera_path(0.008, (9.0, 9.0))
     nodes = np.linspace(0.3, 7.6, 400)
     R = curve.rotation(nodes).as_matrix()
-    states = states_from_camera(nodes, R, t, seen)
+    states = states_from_camera(nodes, R, t, position)
     np.testing.assert_array_equal(states.R, R)
     assert np.sqrt(((states.p - curve.position(nodes)) ** 2).sum(axis=1).mean()) < 0.010
     assert np.sqrt(((states.v - curve.velocity(nodes)) ** 2).sum(axis=1).mean()) < 0.25
 
 
 def test_states_bridge_a_gap_smoothly_and_stand_still_outside() -> None:
-    t, seen, curve = camera_path(0.0, (3.0, 4.0))
+    t, position, curve = camera_path(0.0, (3.0, 4.0))
     nodes = np.linspace(-1.0, 9.0, 2001)
-    states = states_from_camera(nodes, np.tile(np.eye(3), (2001, 1, 1)), t, seen)
+    states = states_from_camera(nodes, np.tile(np.eye(3), (2001, 1, 1)), t, position)
     step = np.linalg.norm(np.diff(states.p, axis=0), axis=1) / 0.005
     assert step.max() < 3.0  # no jump: speeds of this path are under 2 m/s
     out = (nodes < t[0]) | (nodes > t[-1])

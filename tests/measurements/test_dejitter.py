@@ -23,11 +23,11 @@ def test_good_stamps_come_back_unchanged() -> None:
 def test_scatter_is_taken_off(sigma_s: float) -> None:
     rng = np.random.default_rng(0)
     stamps = np.sort(ticks() + rng.normal(0.0, sigma_s, 4000))
-    left = dejitter(stamps) - ticks()
+    error = dejitter(stamps) - ticks()
     # 4 s of samples average 320 stamps: sigma / 18, and four of those bound all of them; at the ends the
     # average is of fewer
-    assert np.abs(left[200:-200]).max() < 4 * sigma_s / np.sqrt(320) + 2e-4
-    assert np.abs(left).max() < 0.5 * np.abs(stamps - ticks()).max()
+    assert np.abs(error[200:-200]).max() < 4 * sigma_s / np.sqrt(320) + 2e-4
+    assert np.abs(error).max() < 0.5 * np.abs(stamps - ticks()).max()
 
 
 def test_packets_of_four_become_even() -> None:

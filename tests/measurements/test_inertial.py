@@ -23,7 +23,7 @@ NO_BIAS = np.zeros(6)
 
 
 def preintegrated(acc: FloatArray, gyro: FloatArray, h: float) -> gtsam.PreintegratedImuMeasurements:
-    """GTSAM's sum over blocks of two equivalent samples: acc (n, 2, 3), gyro (n, 3)."""
+    """GTSAM's sum over steps of two equivalent samples: acc (n, 2, 3), gyro (n, 3)."""
     pim = gtsam.PreintegratedImuMeasurements(gtsam.PreintegrationParams(np.array([0.0, 0.0, -9.81])))
     for pair, rate in zip(acc, gyro, strict=True):
         for sample in pair:
@@ -94,20 +94,20 @@ def test_equivalent_samples_without_rotation_and_at_rest() -> None:
     assert h[0] == pytest.approx(0.015)
 
 
-def test_blocks_chained_in_gtsam_give_the_whole_interval() -> None:
-    """The longest intervals, 0.1 s, are three blocks: GTSAM's sum of them against one fine integration.
+def test_steps_chained_in_gtsam_give_the_whole_interval() -> None:
+    """The longest intervals, 0.1 s, are three steps: GTSAM's sum of them against one fine integration.
 
     GTSAM chains rotations to first order in its tangent space. At up to 8 rad/s that may cost 5e-4 rad an
     interval (measured 4e-4 at most, 1.4e-4 rms), half of what the default gyroscope noise allows it, and
-    nothing in the block itself.
+    nothing in the step itself.
     """
     signal = InertialSignal(Curve(0).imu(100.0, 5.0))
     t = np.append(np.arange(0.5, 4.5, 0.1), [4.5, 4.533, 4.55])
-    block_t, first = split_steps(t)
-    assert np.diff(block_t).max() <= STEP_S + 1e-9
-    np.testing.assert_array_equal(block_t[first], t)
+    step_t, first = split_steps(t)
+    assert np.diff(step_t).max() <= STEP_S + 1e-9
+    np.testing.assert_array_equal(step_t[first], t)
     fine = integrate(signal, t, NO_BIAS)
-    acc, gyro, h = equivalent_samples(integrate(signal, block_t, NO_BIAS))
+    acc, gyro, h = equivalent_samples(integrate(signal, step_t, NO_BIAS))
     for k in range(len(t) - 1):
         pim = preintegrated(acc[first[k] : first[k + 1]], gyro[first[k] : first[k + 1]], h[first[k]])
         np.testing.assert_allclose(pim.deltaVij(), fine.delta_v[k], atol=1e-4)
@@ -129,10 +129,10 @@ def test_integrate_against_the_closed_form(seed: int, rate_hz: float) -> None:
     curve = Curve(seed)
     signal = InertialSignal(curve.imu(rate_hz, 4.0))
     t = np.array([0.7, 1.7, 2.7])
-    found, (R, v, p) = integrate(signal, t, NO_BIAS), curve.increments(t)
-    assert angle_rad(found.delta_R, R).max() < 3e-4
-    assert np.abs(found.delta_v - v).max() < 1.5e-3
-    assert np.abs(found.delta_p - p).max() < 6e-4
+    motion, (R, v, p) = integrate(signal, t, NO_BIAS), curve.increments(t)
+    assert angle_rad(motion.delta_R, R).max() < 3e-4
+    assert np.abs(motion.delta_v - v).max() < 1.5e-3
+    assert np.abs(motion.delta_p - p).max() < 6e-4
 
 
 def test_integrate_is_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,9 +142,9 @@ def test_integrate_is_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
     R, v, p = curve.increments(t)
     for rate in (240.0, 480.0):
         monkeypatch.setattr("smoother.measurements.inertial.FINE_STEP_S", 1.0 / rate)
-        found = integrate(signal, t, NO_BIAS)
-        distances = (found.delta_v - v, found.delta_p - p)
-        errors.append([angle_rad(found.delta_R, R).max(), *(np.abs(each).max() for each in distances)])
+        motion = integrate(signal, t, NO_BIAS)
+        distances = (motion.delta_v - v, motion.delta_p - p)
+        errors.append([angle_rad(motion.delta_R, R).max(), *(np.abs(each).max() for each in distances)])
     np.testing.assert_allclose(np.divide(errors[0], errors[1]), 4.0, rtol=0.1)
 
 
@@ -163,11 +163,11 @@ def test_integrate_against_an_ode_solver_with_bias() -> None:
 
     start = np.concatenate([np.eye(3).ravel(), np.zeros(6)])
     end = solve_ivp(slope, (1.0, 1.1), start, rtol=1e-9, atol=1e-11, max_step=0.01).y[:, -1]
-    found = integrate(signal, np.array([1.0, 1.1]), bias)
+    motion = integrate(signal, np.array([1.0, 1.1]), bias)
     # one interval of the longest kind: measured 2.2e-5 rad, 5e-5 m/s, 2e-6 m
-    assert angle_rad(found.delta_R[0], end[:9].reshape(3, 3)) < 6e-5
-    np.testing.assert_allclose(found.delta_v[0], end[9:12], atol=2e-4)
-    np.testing.assert_allclose(found.delta_p[0], end[12:], atol=1e-5)
+    assert angle_rad(motion.delta_R[0], end[:9].reshape(3, 3)) < 6e-5
+    np.testing.assert_allclose(motion.delta_v[0], end[9:12], atol=2e-4)
+    np.testing.assert_allclose(motion.delta_p[0], end[12:], atol=1e-5)
 
 
 def test_integrate_with_a_bias_an_interval_is_the_same_as_one_for_all() -> None:
@@ -186,15 +186,15 @@ def test_a_sample_is_centred_on_its_stamp(seed: int) -> None:
     imu = curve.imu(40.0, 4.0)
     t = np.array([1.0, 2.0])
     _, v, p = curve.increments(t)
-    found = integrate(InertialSignal(imu), t, NO_BIAS)
+    motion = integrate(InertialSignal(imu), t, NO_BIAS)
     shifted = zero_order_hold(imu, 1.0, 2.0, "stamp")
     centred = zero_order_hold(imu, 1.0, 2.0, "centre")
 
     def error(motion: Preintegration) -> float:
         return float(np.linalg.norm(motion.delta_p - p) + np.linalg.norm(motion.delta_v - v))
 
-    assert error(found) < 0.02 * error(shifted)
-    assert error(found) < error(centred)
+    assert error(motion) < 0.02 * error(shifted)
+    assert error(motion) < error(centred)
 
 
 @pytest.mark.parametrize("rate_hz", [80.0, 120.0, 285.714])

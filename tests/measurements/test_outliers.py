@@ -1,4 +1,4 @@
-"""Samples that call themselves tracked and are set aside: rule by rule, and all of them."""
+"""Samples that call themselves tracked and are rejected: rule by rule, and all of them."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ X = np.array([1.0, 0.0, 0.0])
 RESTING = Alignment(np.zeros(1), Rotation.from_quat([[0.0, 0.0, 0.0, 1.0]]), np.eye(3)[None])
 
 
-def dropped(before: Segment, after: Segment, why: str) -> BoolArray:
-    """Which samples (F, 5) one reason set aside; every one that was set aside has a reason, no other has."""
+def rejected_for(before: Segment, after: Segment, why: str) -> BoolArray:
+    """Which samples (F, 5) one reason rejected; every one that was rejected has a reason, no other has."""
     lost = before.accepted & ~after.accepted
     np.testing.assert_array_equal(after.reason != 0, lost)
     return np.asarray(after.reason == REASONS.index(why))
@@ -47,7 +47,7 @@ def frames_of(mask: BoolArray, column: int) -> list[int]:
     return np.flatnonzero(mask[:, column]).tolist()
 
 
-def test_nothing_is_set_aside_from_good_samples() -> None:
+def test_nothing_is_rejected_from_good_samples() -> None:
     for segment in (forearm(), forearm(rate=TURNING), forearm(along=(0.0, 0.0, -1.0))):
         assert reject_by_camera(segment) is segment
 
@@ -56,10 +56,10 @@ def test_nothing_is_set_aside_from_good_samples() -> None:
 def test_a_frozen_value_only_while_the_sensor_moves(rate: FloatArray | None) -> None:
     segment = forearm(rate=rate)
     frozen = with_position(segment, slice(30, 40), WRIST, segment.position[29, WRIST])
-    found = reject_by_camera(frozen)
-    rows = frames_of(dropped(frozen, found, FROZEN), WRIST)
+    checked = reject_by_camera(frozen)
+    rows = frames_of(rejected_for(frozen, checked, FROZEN), WRIST)
     assert rows == ([] if rate is None else list(range(30, 40)))  # the first of the run is a measurement
-    assert (found.accepted[:, ELBOW] == frozen.accepted[:, ELBOW]).all()
+    assert (checked.accepted[:, ELBOW] == frozen.accepted[:, ELBOW]).all()
 
 
 def test_a_value_that_repeats_once_is_not_frozen() -> None:
@@ -75,15 +75,15 @@ def test_a_frozen_value_while_the_sensor_is_shaken() -> None:
     imu.acc[:, 0] = 4.0 * np.sin(2 * np.pi * 2.0 * imu.t_s)
     shaken = replace(segment, signal=InertialSignal(imu))
     frozen = with_position(shaken, slice(30, 45), HAND, segment.position[29, HAND])
-    assert frames_of(dropped(frozen, reject_by_camera(frozen), FROZEN), HAND) == list(range(30, 45))
+    assert frames_of(rejected_for(frozen, reject_by_camera(frozen), FROZEN), HAND) == list(range(30, 45))
 
 
 @pytest.mark.parametrize(("off_m", "is_jump"), [(0.10, False), (0.25, True)])
 def test_a_jump(off_m: float, is_jump: bool) -> None:
     segment = forearm()
     jumped = with_position(segment, [40, 41], HAND, segment.position[40, HAND] + [0.0, off_m, 0.0])
-    found = reject_by_camera(jumped)
-    assert frames_of(dropped(jumped, found, JUMP), HAND) == ([40, 41] if is_jump else [])
+    checked = reject_by_camera(jumped)
+    assert frames_of(rejected_for(jumped, checked, JUMP), HAND) == ([40, 41] if is_jump else [])
 
 
 def test_a_fast_arm_does_not_jump() -> None:
@@ -91,8 +91,8 @@ def test_a_fast_arm_does_not_jump() -> None:
     segment = forearm()
     position = segment.position + np.outer(4.0 * segment.frame_t_camera, X)[:, None]
     fast = replace(segment, position=position)
-    found = reject_by_camera(fast)
-    assert found.accepted.sum() == fast.accepted.sum()
+    checked = reject_by_camera(fast)
+    assert checked.accepted.sum() == fast.accepted.sum()
 
 
 def test_the_far_side_of_a_gap_does_not_jump() -> None:
@@ -110,7 +110,7 @@ def test_the_bone_s_length(part: float, wrong: bool) -> None:
     elbow, wrist = segment.position[50, ELBOW], segment.position[50, WRIST]
     # a long run, so that no median of neighbours calls it a jump
     off = with_position(segment, slice(40, 60), WRIST, elbow + part * (wrist - elbow))
-    mask = dropped(off, reject_by_camera(off), BONE)
+    mask = rejected_for(off, reject_by_camera(off), BONE)
     expected = list(range(40, 60)) if wrong else []
     assert frames_of(mask, WRIST) == expected
     assert frames_of(mask, ELBOW) == expected
@@ -126,7 +126,7 @@ def test_the_strap_on_the_forearm_s_line(across_m: float, part: float, wrong: bo
     elbow, wrist = segment.position[50, ELBOW], segment.position[50, WRIST]
     place = elbow + part * (wrist - elbow) + [0.0, across_m, 0.0]
     off = with_position(segment, slice(40, 60), STRAP_COLUMN, place)
-    assert frames_of(dropped(off, reject_by_camera(off), STRAP), STRAP_COLUMN) == (
+    assert frames_of(rejected_for(off, reject_by_camera(off), STRAP), STRAP_COLUMN) == (
         list(range(40, 60)) if wrong else []
     )
 
@@ -135,8 +135,8 @@ def test_the_strap_on_the_forearm_s_line(across_m: float, part: float, wrong: bo
 def test_the_direction_against_the_inertial_one(degrees: float, wrong: bool) -> None:
     segment = forearm()
     along = Rotation.from_rotvec([0.0, np.radians(degrees), 0.0]).apply(X)
-    found = reject_by_attitude(segment, segment.frame_t_camera, RESTING, along)
-    mask = dropped(segment, found, DIRECTION)
+    checked = reject_by_attitude(segment, segment.frame_t_camera, RESTING, along)
+    mask = rejected_for(segment, checked, DIRECTION)
     for column in (ELBOW, WRIST, HAND):
         assert mask[:, column].all() == wrong
         assert mask[:, column].any() == wrong
@@ -153,7 +153,7 @@ def test_the_viewing_ray_only_where_it_is_misjudged(degrees: float, part: float,
     elbow, wrist = segment.position[:, ELBOW], segment.position[:, WRIST]
     turned = Rotation.from_rotvec([np.radians(degrees), 0.0, 0.0]).apply(wrist - elbow)
     off = with_position(segment, slice(40, 60), WRIST, (elbow + part * turned)[40:60])
-    mask = dropped(off, reject_by_attitude(off, off.frame_t_camera, RESTING, inertial), RAY)
+    mask = rejected_for(off, reject_by_attitude(off, off.frame_t_camera, RESTING, inertial), RAY)
     assert frames_of(mask, WRIST) == (list(range(40, 60)) if wrong else [])
 
 
@@ -175,18 +175,18 @@ def test_a_residual_in_metres_and_in_deviations(sample_m: float, off_m: float, w
     residual[20, WRIST] = [off_m, 0.0, 0.0]
     residual[30, HAND] = [1.0, 0.0, 0.0]  # its noise is not known: no judgement
     residual[40] = np.nan
-    found = reject_by_residual(segment, residual, {"wrist": JointNoise(sample_m, sample_m, 0.0)})
-    mask = dropped(segment, found, RESIDUAL)
+    checked = reject_by_residual(segment, residual, {"wrist": JointNoise(sample_m, sample_m, 0.0)})
+    mask = rejected_for(segment, checked, RESIDUAL)
     assert np.argwhere(mask).tolist() == ([[20, WRIST]] if wrong else [])
 
 
 def test_the_first_reason_is_kept() -> None:
     segment = forearm()
     jumped = with_position(segment, [40], WRIST, segment.position[40, WRIST] + [0.0, 0.3, 0.0])
-    found = reject_by_camera(jumped)
-    assert found.reason[40, WRIST] == REASONS.index(JUMP)
+    checked = reject_by_camera(jumped)
+    assert checked.reason[40, WRIST] == REASONS.index(JUMP)
     residual = np.full((*segment.accepted.shape, 3), 1.0)
-    again = reject_by_residual(found, residual, {"wrist": JointNoise(0.01, 0.01, 0.0)})
+    again = reject_by_residual(checked, residual, {"wrist": JointNoise(0.01, 0.01, 0.0)})
     assert again.reason[40, WRIST] == REASONS.index(JUMP)
     assert again.reason[41, WRIST] == REASONS.index(RESIDUAL)
 
@@ -195,12 +195,12 @@ def test_the_first_reason_is_kept() -> None:
 @given(
     seed=st.integers(0, 2**32 - 1),
     spread=st.sampled_from([0.001, 0.05, 1.0]),
-    kept=st.floats(0.0, 1.0),
+    share=st.floats(0.0, 1.0),
     frames=st.integers(2, 40),
     turning=st.booleans(),
 )
-def test_screening_only_ever_takes_away(
-    seed: int, spread: float, kept: float, frames: int, turning: bool
+def test_rejecting_only_ever_takes_away(
+    seed: int, spread: float, share: float, frames: int, turning: bool
 ) -> None:
     """Whatever the samples are: nothing comes back, every loss has a reason, the data stay as they were."""
     rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def test_screening_only_ever_takes_away(
     repeat = rng.uniform(size=frames) < 0.3
     for k in np.flatnonzero(repeat[1:]) + 1:
         position[k] = position[k - 1]
-    accepted = segment.accepted & (rng.uniform(size=segment.accepted.shape) < kept)
+    accepted = segment.accepted & (rng.uniform(size=segment.accepted.shape) < share)
     segment = replace(segment, position=position, accepted=accepted)
     noise = {joint: JointNoise(0.01, 0.01, 0.0) for joint in JOINTS}
     residual = rng.normal(size=position.shape) * spread

@@ -22,12 +22,12 @@ from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, JointTracks
 masks = st.lists(st.booleans(), min_size=1, max_size=80)
 
 
-def tracks(**seen: list[bool]) -> JointTracks:
+def tracks(**tracked: list[bool]) -> JointTracks:
     """Joints tracked in the frames that say so, at 30 Hz."""
-    count = len(next(iter(seen.values())))
+    count = len(next(iter(tracked.values())))
     position = np.zeros((count, 5, 3))
     state = np.zeros((count, 5), dtype=np.int8)
-    for joint, mask in seen.items():
+    for joint, mask in tracked.items():
         state[:, JOINTS.index(joint)] = np.where(mask, JointState.TRACKED, JointState.NOT_TRACKED)
     return JointTracks("", np.arange(count) / 30.0, position, state)
 
@@ -73,16 +73,16 @@ def test_a_rejected_sample_counts_as_missing() -> None:
 @given(masks)
 def test_gaps_cover_exactly_the_occluded_frames(mask: list[bool]) -> None:
     """Every occluded frame lies in one gap, no visible one in any; gaps in order and disjoint."""
-    t, seen = np.arange(len(mask)) / 30.0, np.array(mask)
-    gaps = find_gaps(t, seen, float(t[0]), float(t[-1]))
+    t, shown = np.arange(len(mask)) / 30.0, np.array(mask)
+    gaps = find_gaps(t, shown, float(t[0]), float(t[-1]))
     for a, b in itertools.pairwise(gaps):
         assert a.end_s <= b.start_s
-    for time, is_seen in zip(t, seen, strict=True):
+    for time, is_visible in zip(t, shown, strict=True):
         inside = sum(_inside(time, gap) for gap in gaps)
-        assert inside == (0 if is_seen else 1)
+        assert inside == (0 if is_visible else 1)
     for gap in gaps:
-        assert gap.open_start == (not seen[: np.searchsorted(t, gap.start_s) + 1].any())
-        assert gap.open_end == (not seen[np.searchsorted(t, gap.end_s) :].any())
+        assert gap.open_start == (not shown[: np.searchsorted(t, gap.start_s) + 1].any())
+        assert gap.open_end == (not shown[np.searchsorted(t, gap.end_s) :].any())
 
 
 def _inside(time: float, gap: Gap) -> bool:
@@ -105,11 +105,11 @@ def test_frames_that_never_arrived_are_a_gap() -> None:
     """A silence of over 0.15 s (or 2.5 frames of a slow camera) is one; two frames are not."""
     t = np.arange(60) / 30.0
     everything = np.ones(60, dtype=bool)
-    for lost, found in ((1, 0), (3, 0), (5, 1)):
+    for lost, count in ((1, 0), (3, 0), (5, 1)):
         keep = everything.copy()
         keep[20 : 20 + lost] = False
         gaps = find_gaps(t[keep], everything[keep], 0.0, t[-1])
-        assert len(gaps) == found, lost
+        assert len(gaps) == count, lost
     slow = np.arange(20) / 10.0
     keep = np.arange(20) != 7
     assert find_gaps(slow[keep], keep[keep], 0.0, slow[-1]) == ()  # 0.2 s at 10 Hz: two frames
@@ -117,20 +117,20 @@ def test_frames_that_never_arrived_are_a_gap() -> None:
 
 def test_open_gaps_at_both_ends() -> None:
     t = np.arange(0.0, 3.0, 1 / 30)
-    seen = (t > 0.5) & (t < 2.5)
-    first, last = find_gaps(t, seen, -0.2, 3.1)
+    shown = (t > 0.5) & (t < 2.5)
+    first, last = find_gaps(t, shown, -0.2, 3.1)
     assert (first.start_s, first.open_start, first.open_end) == (-0.2, True, False)
-    assert first.end_s == t[seen][0]
+    assert first.end_s == t[shown][0]
     assert (last.end_s, last.open_start, last.open_end) == (3.1, False, True)
-    assert last.start_s == t[seen][-1]
+    assert last.start_s == t[shown][-1]
 
 
 def test_an_imu_that_runs_on_is_a_gap_only_when_it_is_long() -> None:
     """The first frame comes some time after the first IMU sample: that alone is no occlusion."""
     t = np.arange(30) / 30.0
-    seen = np.ones(30, dtype=bool)
-    assert find_gaps(t, seen, -0.05, t[-1] + 0.05) == ()
-    gaps = find_gaps(t, seen, -MISSING_S - 0.05, t[-1] + MISSING_S + 0.05)
+    shown = np.ones(30, dtype=bool)
+    assert find_gaps(t, shown, -0.05, t[-1] + 0.05) == ()
+    gaps = find_gaps(t, shown, -MISSING_S - 0.05, t[-1] + MISSING_S + 0.05)
     assert [(gap.open_start, gap.open_end) for gap in gaps] == [(True, False), (False, True)]
 
 

@@ -26,12 +26,12 @@ def stream(t: np.ndarray) -> ImuStream:
 def test_thin_keeps_times_apart_and_no_fewer_than_needed(start: float, gaps: list[float]) -> None:
     t = start + np.concatenate(([0.0], np.cumsum(gaps)))
     keep = decimate(t)
-    kept = t[keep]
+    sparse = t[keep]
     assert keep[0]
-    assert (np.diff(kept) >= CLOSEST_S - EPS).all()
-    for dropped in t[~keep]:  # only because a kept one is just before it
-        before = kept[kept <= dropped].max()
-        assert dropped - before < CLOSEST_S + EPS
+    assert (np.diff(sparse) >= CLOSEST_S - EPS).all()
+    for other in t[~keep]:  # only because another is just before it
+        before = sparse[sparse <= other].max()
+        assert other - before < CLOSEST_S + EPS
 
 
 def test_thin_of_nothing_and_one() -> None:
@@ -53,7 +53,7 @@ def test_nodes_increase_are_close_enough_and_keep_the_given_times(
     assert nodes[-1] == end_s
     assert (spacing > 0).all()
     assert spacing.max() <= GAP_NODE_S + EPS
-    # an interval is cut into pieces longer than half of the limit; given times are CLOSEST_S apart
+    # an interval is cut into parts longer than half of the limit; given times are CLOSEST_S apart
     assert spacing.min() >= CLOSEST_S - EPS
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     assert np.isin(inner, nodes).all()

@@ -70,8 +70,8 @@ def test_lever_arms_go_with_the_poses_of_their_window(joined: Joined) -> None:
         own = (window.t > window.core_start_s + BLEND_HALF_S) & (window.t < window.core_end_s - BLEND_HALF_S)
         for joint in ("elbow", "wrist", "hand"):
             lever = solution.message.shared.mean[window.priors.layout.lever(joint)]
-            found = joined.motion.lever_at(joint, window.t[own])
-            np.testing.assert_allclose(found, np.tile(lever, (own.sum(), 1)), atol=1e-12)
+            lever_at = joined.motion.lever_at(joint, window.t[own])
+            np.testing.assert_allclose(lever_at, np.tile(lever, (own.sum(), 1)), atol=1e-12)
     assert not joined.motion.lever_at("strap", joined.t).any()
 
 
@@ -209,8 +209,8 @@ def test_the_bias_of_each_interval_is_taken_off() -> None:
     np.testing.assert_allclose(a.R, b.R, atol=1e-9)
 
 
-def carried(motion: Trajectory, signal: InertialSignal, k: int, t: float) -> FloatArray:
-    """A node's state carried to a time by one integration, written out."""
+def propagated(motion: Trajectory, signal: InertialSignal, k: int, t: float) -> FloatArray:
+    """A node's state propagated to a time by one integration, written out."""
     step = integrate(signal, np.array([motion.t[k], t]), motion.bias[k])
     h = t - motion.t[k]
     states = motion.states
@@ -219,12 +219,12 @@ def carried(motion: Trajectory, signal: InertialSignal, k: int, t: float) -> Flo
 
 
 def test_beyond_a_node_the_imu_leads(joined: Joined) -> None:
-    """Early in an interval the answer is the node carried on; the rest comes in with the square of time."""
+    """Early in an interval the answer is the node propagated; the rest comes in with the square of time."""
     k = len(joined.t) // 2
     length = joined.t[k + 1] - joined.t[k]
     t = float(joined.t[k] + 0.02 * length)
-    found = at_times(joined.motion, joined.signal, np.array([t])).p[0]
-    np.testing.assert_allclose(found, carried(joined.motion, joined.signal, k, t), atol=2e-5)
+    position = at_times(joined.motion, joined.signal, np.array([t])).p[0]
+    np.testing.assert_allclose(position, propagated(joined.motion, joined.signal, k, t), atol=2e-5)
 
 
 def test_a_joint_follows_from_the_pose_and_its_lever_arm() -> None:
