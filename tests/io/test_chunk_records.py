@@ -127,6 +127,17 @@ def test_a_cut_file_gives_what_it_has(
     assert sum(map(len, rows.values())) == len(found)
 
 
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_file_may_be_cut_at_any_byte(tmp_path: Path, compression: CompressionType):
+    """Also within a chunk's head, where the name of its compression stands."""
+    whole = write([(i % 3, i, 40) for i in range(12)], compression=compression, chunk_size=300)
+    path, expected = tmp_path / "a.mcap", by_package(whole)
+    for stop in range(8, len(whole)):
+        path.write_bytes(whole[:stop])
+        found = by_runs(path)
+        assert found == expected[: len(found)]
+
+
 def records(messages: list[tuple[int, int]], definitions: set[int]) -> tuple[bytes, list[int], list[int]]:
     """A chunk of messages (channel, size), with channel records before some; where messages begin.
 

@@ -26,7 +26,8 @@ from .messages import McapMessage, Rows, Run, Topic
 from .records import HEAD, MESSAGE, find
 
 _MAGIC = b"\x89MCAP0\r\n"
-_CHUNK = struct.Struct("<QQQI")
+#: First and last time, size, checksum, and letters of the name of its compression.
+_CHUNK = struct.Struct("<QQQII")
 #: Messages outside chunks are gathered to blocks of this size.
 _GATHER = 1 << 20
 #: Chunks said to be larger than this are not believed.
@@ -221,12 +222,13 @@ class Container:
         offset = file.tell()
         content = memoryview(file.read(there))
         self._cut |= len(content) < length
-        if len(content) < _CHUNK.size + 4:
+        size, crc, letters = _CHUNK.unpack_from(content)[2:] if len(content) >= _CHUNK.size else (0, 0, 0)
+        start = _CHUNK.size + letters
+        if len(content) < start + 8:  # cut off before its records, maybe within the name of its compression
+            if not self._cut:
+                self._damaged(f"the chunk at byte {offset} is damaged and was left out")
             return b""
-        _, _, size, crc = _CHUNK.unpack_from(content)
-        (letters,) = struct.unpack_from("<I", content, _CHUNK.size)
-        start = _CHUNK.size + 4 + letters
-        compression = bytes(content[_CHUNK.size + 4 : start]).decode("ascii", "replace")
+        compression = bytes(content[_CHUNK.size : start]).decode("ascii", "replace")
         packed = content[start + 8 :]
         data = _at_once(compression, packed, size) or _decompress(compression, packed, self.path)
         if len(data) < size and not self._cut:
