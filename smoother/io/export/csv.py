@@ -9,7 +9,7 @@ import numpy as np
 from ...recording import FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
 
 _ROWS = 20_000

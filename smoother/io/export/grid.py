@@ -72,7 +72,7 @@ def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
         return values
     flat = values.reshape(len(values), -1)
     out = np.full((len(grid.t_s), flat.shape[1]), np.nan)
-    for run in runs(t_s, np.asarray(np.isfinite(flat).all(axis=1))):
+    for run in unbroken(t_s, np.asarray(np.isfinite(flat).all(axis=1))):
         inside = (grid.t_s >= t_s[run.start] - STEADY_S) & (grid.t_s <= t_s[run.stop - 1] + STEADY_S)
         if run.stop - run.start < 2:
             out[inside] = flat[run.start]
@@ -100,7 +100,7 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
     out = np.full((len(grid.t_s), values.shape[1]), np.nan)
     if not len(grid.t_s):
         return out
-    for run in runs(t_s, has):
+    for run in unbroken(t_s, has):
         first, last = np.searchsorted(grid.t_s, [t_s[run.start] - STEADY_S, t_s[run.stop - 1] + STEADY_S])
         for column in range(values.shape[1] if last > first else 0):
             out[first:last, column] = np.interp(grid.t_s[first:last], t_s[run], values[run, column])
@@ -112,15 +112,10 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
     return out
 
 
-def runs(t_s: FloatArray, has: BoolArray) -> list[slice]:
-    """Stretches of samples that all have a value and follow each other in time."""
-    if not len(t_s):
-        return []
+def unbroken(t_s: FloatArray, has: BoolArray) -> list[slice]:
+    """Runs of samples that all have a value and follow each other in time."""
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     index = np.flatnonzero(has)
-    if not len(index):
-        return []
     apart = (np.diff(index) > 1) | (np.diff(t_s[index]) > MOST_STEPS * step)
-    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
-    stops = np.concatenate([starts[1:], [len(index)]])
-    return [slice(int(index[a]), int(index[b - 1]) + 1) for a, b in zip(starts, stops, strict=True)]
+    parts = np.split(index, np.flatnonzero(apart) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts if len(part)]

@@ -12,7 +12,7 @@ from ...joint_angles import defined, recovery_angles, wrapped_deg
 from ...recording import BoolArray, FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
-from .grid import Grid, at_grid, constant_step, nearest, runs
+from .grid import Grid, at_grid, constant_step, nearest, unbroken
 
 _ROWS = 20_000
 
@@ -140,7 +140,7 @@ def _resampled(recovery: Recovery, grid: Grid) -> Recovery:
     joints = {name: at_grid(recovery.t_s, values, grid) for name, values in recovery.joints.items()}
     quaternion = recovery.quaternion.copy()
     # Both signs mean the same rotation: one of them goes on smoothly.
-    for run in runs(recovery.t_s, np.asarray(np.isfinite(quaternion).all(axis=1))):
+    for run in unbroken(recovery.t_s, np.asarray(np.isfinite(quaternion).all(axis=1))):
         q = quaternion[run]
         turn = np.where((q[1:] * q[:-1]).sum(axis=1) < 0, -1.0, 1.0)
         q[1:] *= np.cumprod(turn)[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...result import Recovery
 from ...runtime.atomic import writing
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..result.metadata import recovery_values
 from ..result.usable import usable
 from .csv import csv_columns

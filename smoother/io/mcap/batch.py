@@ -13,20 +13,10 @@ from numpy.typing import NDArray
 from ...recording import IntArray
 from ..wire.protobuf_encode import HEAD_BYTES
 from .messages import Run
+from .records import HEAD, MESSAGE
 
 #: Messages of one stream: rows (n, HEAD_BYTES + size) behind room for their heads, or one by one.
 Encoded = NDArray[np.uint8] | list[bytes]
-
-_HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log", "<u8"),
-        ("publish", "<u8"),
-    ]
-)
 
 
 class Records(NamedTuple):
@@ -88,25 +78,25 @@ class Batch:
             rows = by_channel[start : start + int(counts[number])]
             sequence[rows] = numbers.get(number, 0) + np.arange(len(rows))
             start += len(rows)
-        heads = np.empty(len(channel), _HEAD)
+        heads = np.empty(len(channel), MESSAGE)
         heads["opcode"] = Opcode.MESSAGE
         heads["channel"], heads["sequence"] = channel, sequence
         heads["log"], heads["publish"] = log_ns, publish_ns
         records: list[bytes] = []
         for data in self._data:
             records += _records(heads[len(records) : len(records) + len(data)], data)
-        sizes = heads["length"].astype(np.int64) + 9
+        sizes = heads["length"].astype(np.int64) + HEAD.size
         return Records(channel[order], log_ns[order], sizes[order], [records[i] for i in order.tolist()])
 
 
 def _records(heads: NDArray, data: Encoded) -> list[bytes]:
     """Heads and messages put together; the heads learn the messages' lengths."""
     if isinstance(data, list):
-        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + _HEAD.itemsize - 9
+        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + (MESSAGE.itemsize - HEAD.size)
         raw = heads.tobytes()
-        starts = range(0, len(raw), _HEAD.itemsize)
-        return [raw[at : at + _HEAD.itemsize] + each for at, each in zip(starts, data, strict=True)]
-    heads["length"] = data.shape[1] - 9
+        starts = range(0, len(raw), MESSAGE.itemsize)
+        return [raw[at : at + MESSAGE.itemsize] + each for at, each in zip(starts, data, strict=True)]
+    heads["length"] = data.shape[1] - HEAD.size
     data[:, :HEAD_BYTES] = heads.view(np.uint8).reshape(len(data), -1)
     records: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
     return records

@@ -23,11 +23,8 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import IntArray
 from .messages import McapMessage, Rows, Run, Topic
-from .records import HEAD, MESSAGE, find
+from .records import CHUNK, HEAD, MAGIC, MESSAGE, find
 
-_MAGIC = b"\x89MCAP0\r\n"
-#: First and last time, size, checksum, and letters of the name of its compression.
-_CHUNK = struct.Struct("<QQQII")
 #: Messages outside chunks are gathered to blocks of this size.
 _GATHER = 1 << 20
 #: Chunks said to be larger than this are not believed.
@@ -164,7 +161,7 @@ class Container:
         try:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
-                self._check_magic(file.read(len(_MAGIC)))
+                self._check_magic(file.read(len(MAGIC)))
                 yield from self._records(file, size)
         except OSError as error:
             raise RecordingError(_unreadable(self.path, error)) from error
@@ -222,13 +219,13 @@ class Container:
         offset = file.tell()
         content = memoryview(file.read(there))
         self._cut |= len(content) < length
-        size, crc, letters = _CHUNK.unpack_from(content)[2:] if len(content) >= _CHUNK.size else (0, 0, 0)
-        start = _CHUNK.size + letters
+        size, crc, letters = CHUNK.unpack_from(content)[2:] if len(content) >= CHUNK.size else (0, 0, 0)
+        start = CHUNK.size + letters
         if len(content) < start + 8:  # cut off before its records, maybe within the name of its compression
             if not self._cut:
                 self._damaged(f"the chunk at byte {offset} is damaged and was left out")
             return b""
-        compression = bytes(content[_CHUNK.size : start]).decode("ascii", "replace")
+        compression = bytes(content[CHUNK.size : start]).decode("ascii", "replace")
         packed = content[start + 8 :]
         data = _at_once(compression, packed, size) or _decompress(compression, packed, self.path)
         if len(data) < size and not self._cut:
@@ -254,7 +251,7 @@ class Container:
     def _check_magic(self, magic: bytes) -> None:
         if not magic:
             raise RecordingError(f"{self.path} is empty (0 bytes); record or copy it again.")
-        if magic != _MAGIC:
+        if magic != MAGIC:
             raise RecordingError(
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and plain files "
                 "with `unocclude import csv`."

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...recording import FloatArray, IntArray
-from ..recording.read import nanoseconds
 from .merge import END, SLICE
+from .stamps import nanoseconds
 
 
 class Axis(NamedTuple):

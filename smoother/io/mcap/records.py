@@ -1,4 +1,4 @@
-"""Where the records of a chunk lie: by the index behind it where that is right, else record by record."""
+"""The records of an MCAP file, and where those of a chunk lie: by its index where that is right."""
 
 from __future__ import annotations
 
@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from ...recording import IntArray
 from ..wire.layout import cut_out
 
+#: An MCAP file begins and ends with these bytes.
+MAGIC = b"\x89MCAP0\r\n"
 #: Opcode and length that every record begins with.
 HEAD = struct.Struct("<BQ")
+#: What a chunk begins with, up to the name of its compression: first and last log time, size and checksum of
+#: its records, letters of the name. Behind the name stand the compressed size (u64) and the records.
+CHUNK = struct.Struct("<QQQII")
+#: A chunk's index of a channel up to its entries: the channel, and the bytes of the entries.
+INDEX = struct.Struct("<HI")
 #: A message record up to its payload.
 MESSAGE = np.dtype(
     [
@@ -28,9 +35,7 @@ MESSAGE = np.dtype(
 )
 #: Length that a message without payload states.
 _SHORTEST = MESSAGE.itemsize - HEAD.size
-#: Channel and size in front of an index record's entries of time and place.
-_INDEX_HEAD = 6
-#: More stretches between messages than this are not looked into one by one.
+#: More gaps between messages than this are not looked into one by one.
 _MOST_GAPS = 64
 
 
@@ -73,7 +78,7 @@ def find(block: bytes, index: Sequence[bytes]) -> RecordPlaces:
 def _indexed(block: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
     """The same by the index; None unless each record begins where the one before ends."""
     try:
-        entries = [np.frombuffer(content, "<u8", offset=_INDEX_HEAD) for content in index]
+        entries = [np.frombuffer(content, "<u8", offset=INDEX.size) for content in index]
         place = np.sort(np.concatenate([each.reshape(-1, 2)[:, 1] for each in entries]))
     except ValueError:  # no index, or not of whole entries
         return None

@@ -13,9 +13,10 @@ from calib.panel.images import View, view
 
 from ...errors import RecordingError
 from ...recording import ImuStream
+from ..mcap.stamps import seconds
 from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
-from ..recording.read import open_recording, seconds
+from ..recording.read import open_recording
 from .images import ImageMessage, LensMessage, read_images
 
 #: Depth and infrared image of one exposure have stamps this near, s.

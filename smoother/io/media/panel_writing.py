@@ -21,7 +21,7 @@ from ...errors import UnoccludeError
 from ...recording import FloatArray, ImuStream
 from ...runtime.atomic import check_output, writing
 from ..mcap.merge import Outgoing, Output
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..wire.schemas import message_class

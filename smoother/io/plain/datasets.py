@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
-from .folder import STANDARD_GRAVITY
+from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0
 #: Rows of UTD-MHAD's Kinect v1 skeleton, right arm.

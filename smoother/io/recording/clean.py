@@ -11,11 +11,11 @@ from ...errors import RecordingError
 from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
+from ...units import STANDARD_GRAVITY
 from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
-_GRAVITY = 9.80665
 #: 2000 deg/s is the widest range of common gyroscopes: 35 rad/s.
 _GYRO_LIMIT = 35.0
 #: Median rest |acc| to the unit that it looks like.
@@ -208,7 +208,7 @@ def _check_units(stream: ImuSamples, source: str) -> None:
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
     rest = float(np.median(np.linalg.norm(sampled(stream.acc)[quiet], axis=1)))
-    if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
+    if 0.5 * STANDARD_GRAVITY < rest < 2 * STANDARD_GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:
         if low < rest < high:

@@ -14,13 +14,12 @@ from ...recording import FloatArray, IntArray
 from ...runtime.column import Column, batches, sampled
 from ...runtime.store import Store
 from ..mcap.messages import Rows, Topic
+from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout
 from ..wire.schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
-
-_BILLION = 1_000_000_000
 
 
 @dataclass
@@ -60,8 +59,7 @@ class Decoder:
         """Stamps (rows,), ns; log times where they are zero."""
         if not self.is_cdr:
             return proto.stamps(block, layout, log_ns)
-        seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-        stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+        stamp = ros_stamps(block, layout)
         return np.where(stamp == 0, log_ns, stamp)
 
     def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:

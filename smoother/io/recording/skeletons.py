@@ -12,6 +12,7 @@ from ...recording import JOINTS, CameraFrame, IntArray, JointState
 from ...runtime.column import Column
 from ...runtime.store import Store
 from ..mcap.messages import Rows, Topic
+from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout
@@ -19,7 +20,6 @@ from .decode import in_order, proto_grouper
 from .joint_rows import SIDES, UNSAID, JointRows
 from .streams import ArmFrames
 
-_BILLION = 1_000_000_000
 #: Joint index of the Azure Kinect Body Tracking SDK to side and joint, as positions in SIDES, JOINTS.
 _AZURE = {5: (1, 0), 6: (1, 1), 7: (1, 2), 8: (1, 3), 12: (2, 0), 13: (2, 1), 14: (2, 2), 15: (2, 3)}
 _AZURE_JOINTS = 32
@@ -117,8 +117,7 @@ class MarkerDecoder:
             if not layout.counts["markers"]:
                 continue
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-            stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+            stamp = ros_stamps(block, layout)
             stamp = np.where(stamp == 0, rows.log_ns[index], stamp)
             added = layout.many(block, "action")[:, :, 0] == _ADD
             stamps[index] = np.where(added.any(axis=1), stamp, 0)

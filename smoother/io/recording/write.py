@@ -9,11 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...linalg import runs
 from ...recording import JOINTS, IntArray, JointState, Recording
 from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
+from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
-from .read import METADATA, nanoseconds
+from .read import METADATA
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 CAMERA = "camera"
@@ -46,7 +48,11 @@ def write_recording(
         metadata["camera_frame"] = str(file.camera_frame)
     if file.gravity_hint is not None:
         metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
-    scores = {poses.topic: _runs(poses.score) for poses in file.poses if poses.score is not None}
+    scores = {
+        poses.topic: [[run.start, run.stop] for run in runs(poses.score)]
+        for poses in file.poses
+        if poses.score is not None
+    }
     if scores:
         metadata["truth_score"] = json.dumps(scores)
     with writing(path, force) as temporary, Output(temporary) as output:
@@ -200,9 +206,3 @@ def _truth_joints(poses: PoseSamples, stamp: IntArray) -> ArmFrames:
             np.isfinite(values).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
         )
     return ArmFrames(f"{poses.topic}/joints", poses.frame_id, 0, "", stamp, position, state)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[list[int]]:
-    """Half-open index ranges where flags are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return edges.reshape(-1, 2).tolist()

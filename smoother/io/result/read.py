@@ -15,8 +15,9 @@ from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import FrameResiduals, Recovery
 from ..mcap.container import Container
 from ..mcap.messages import Rows, Topic
+from ..mcap.stamps import seconds
 from ..recording.decode import proto_grouper
-from ..recording.read import RESULT_PREFIX, seconds
+from ..recording.read import RESULT_PREFIX
 from ..recording.skeletons import SkeletonDecoder, joint_code
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout

@@ -12,7 +12,8 @@ from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...result import FrameResiduals, Recovery
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.parts import Axis
-from ..recording.read import RESULT_PREFIX, nanoseconds
+from ..mcap.stamps import nanoseconds
+from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
