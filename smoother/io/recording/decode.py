@@ -17,7 +17,7 @@ from ..mcap.messages import Rows, Topic
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
 
@@ -82,10 +82,10 @@ class ImuDecoder(Decoder):
         if self.is_cdr:
             acc, gyro = layout.get(block, "acc"), layout.get(block, "gyro")
             return acc.astype(float), gyro.astype(float), nothing
-        acc = layout.vector(block, _xyz("linear_acceleration"))
-        gyro = layout.vector(block, _xyz("angular_velocity"))
-        has_mag = any(name in layout.fields for name in _xyz("magnetic_field"))
-        return acc, gyro, layout.vector(block, _xyz("magnetic_field")) if has_mag else nothing
+        acc = layout.vector(block, axes("linear_acceleration"))
+        gyro = layout.vector(block, axes("angular_velocity"))
+        has_mag = any(name in layout.fields for name in axes("magnetic_field"))
+        return acc, gyro, layout.vector(block, axes("magnetic_field")) if has_mag else nothing
 
     def stream(self) -> ImuSamples | None:
         """All samples, or None where there are none."""
@@ -121,8 +121,8 @@ class PoseDecoder(Decoder):
             position = layout.get(block, "position").astype(float)
             quaternion = layout.get(block, "quaternion").astype(float)[:, [3, 0, 1, 2]]
         else:
-            position = layout.vector(block, _xyz("pose.position"))
-            quaternion = layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"])
+            position = layout.vector(block, axes("pose.position"))
+            quaternion = layout.vector(block, axes("pose.orientation", "wxyz"))
         quaternion[~(np.linalg.norm(quaternion, axis=1) > 0.5)] = np.nan
         return position, quaternion
 
@@ -166,7 +166,3 @@ def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
 def proto_grouper(schema: str) -> Grouper:
     """Grouper for a protobuf message by its full name."""
     return Grouper(partial(proto.walk, message=message_class(schema)))
-
-
-def _xyz(name: str) -> list[str]:
-    return [f"{name}.{axis}" for axis in "xyz"]

@@ -15,7 +15,7 @@ from ..mcap.messages import Rows, Topic
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .decode import in_order, proto_grouper
 from .joint_rows import SIDES, UNSAID, JointRows
 from .streams import ArmFrames
@@ -75,7 +75,7 @@ class SkeletonDecoder:
                 sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
             state[:, joint] = layout.integer(block, f"joints.{i}.state")
-            position[:, joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
+            position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
     def found(self) -> tuple[IntArray, list[ArmFrames]]:

@@ -20,11 +20,9 @@ from ..recording.decode import proto_grouper
 from ..recording.read import RESULT_PREFIX
 from ..recording.skeletons import SkeletonDecoder, joint_code
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .metadata import calibration_of, gaps_of
 from .write import RESULT
-
-_NEEDED = ("forearm", "skeleton", "camera", "residuals")
 
 
 def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
@@ -48,15 +46,14 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     container = Container(path)
 
     def wanted(topic: Topic) -> bool:
-        kind = topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]
-        return topic.name.startswith(RESULT_PREFIX) and kind in _NEEDED
+        return topic.name.startswith(RESULT_PREFIX) and _kind(topic) in _TABLES
 
     tables: dict[str, _Table] = {}
     for batch in container.rows(wanted):
         for position, rows in batch.items():
             topic = container.topics[position]
             if topic.name not in tables:
-                tables[topic.name] = _table(topic)
+                tables[topic.name] = _TABLES[_kind(topic)](topic)
             tables[topic.name].feed(rows)
     found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
     if not found:
@@ -209,10 +206,10 @@ class _OdometryTable(_Table):
         turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
         velocity = np.full((rows, 3), np.nan)
         if "linear_velocity.x" in layout.fields:
-            velocity = layout.vector(block, [f"linear_velocity.{axis}" for axis in "xyz"])
+            velocity = layout.vector(block, axes("linear_velocity"))
         return {
-            "position": layout.vector(block, [f"pose.position.{axis}" for axis in "xyz"]),
-            "quaternion": layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"]),
+            "position": layout.vector(block, axes("pose.position")),
+            "quaternion": layout.vector(block, axes("pose.orientation", "wxyz")),
             "velocity": velocity,
             "covariance": layout.get(block, "pose_covariance"),
             "velocity_covariance": layout.get(block, "velocity_covariance"),
@@ -228,7 +225,7 @@ class _SkeletonTable(_Table):
             if code is None:
                 continue
             joint = JOINTS[code[1]]
-            columns[joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
+            columns[joint] = layout.vector(block, axes(f"joints.{i}.position"))
             columns[f"{joint}_covariance"] = layout.get(block, f"joints.{i}.position_covariance")
         return columns
 
@@ -245,7 +242,7 @@ class _ResidualTable(_Table):
         reason = np.zeros(len(JOINTS), np.uint8)
         for i in range(layout.counts.get("joints", 0)):
             joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
-            residual[:, joint] = layout.vector(block, [f"joints.{i}.residual.{axis}" for axis in "xyz"])
+            residual[:, joint] = layout.vector(block, axes(f"joints.{i}.residual"))
             used[:, joint] = layout.integer(block, f"joints.{i}.used")
             reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
         return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
@@ -275,11 +272,14 @@ class _CameraTable(_Table):
         return JointTracks(name, seconds(arms[0].stamp_ns, origin), arms[0].position, arms[0].state)
 
 
-def _table(topic: Topic) -> _Table:
-    kinds: dict[str, type[_Table]] = {
-        "forearm": _OdometryTable,
-        "skeleton": _SkeletonTable,
-        "residuals": _ResidualTable,
-        "camera": _CameraTable,
-    }
-    return kinds[topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]](topic)
+_TABLES: dict[str, type[_Table]] = {
+    "forearm": _OdometryTable,
+    "skeleton": _SkeletonTable,
+    "residuals": _ResidualTable,
+    "camera": _CameraTable,
+}
+
+
+def _kind(topic: Topic) -> str:
+    """What follows the prefix of a result's topics, without the arm."""
+    return topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]

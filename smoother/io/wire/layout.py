@@ -149,6 +149,11 @@ class Grouper:
             index, block = index[~same], block[~same]
 
 
+def axes(name: str, letters: str = "xyz") -> list[str]:
+    """Names of the components of a vector or quaternion."""
+    return [f"{name}.{letter}" for letter in letters]
+
+
 def cut_out(data: bytes, start: IntArray, size: int) -> Block:
     """Stretches (n, size) of the same length from where they start (n,)."""
     if not size or not len(start):
