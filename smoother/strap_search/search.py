@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +18,12 @@ from calib.strap.strap_mount import Mounted
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.merge import Output
-from ..io.mcap.messages import Run, Topic
+from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap_cameras import Cameras, StrapFound
-from ..io.media.strap_writing import arm_with_strap
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
+from ..io.recording.write import arm_messages
 from ..io.result.write import _IMAGES
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from ..runtime.atomic import writing
@@ -102,11 +101,12 @@ def import_strap(
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
         output.metadata(METADATA, metadata)
         outgoing = [
-            arm_with_strap(output, better if each is arm else each, spread if each is arm else None)
+            arm_messages(output, better, strap_covariance=spread)
+            if each is arm
+            else arm_messages(output, each)
             for each in arms
         ]
-        passed: Iterator[Run] = Container(source).runs(wanted)
-        output.carry(passed)
+        output.interleave(Container(source).chunks(wanted))
         output.write(outgoing)
     return cameras.found
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...recording import IntArray
 from ..wire.protobuf_encode import HEAD_BYTES
-from .messages import Run
+from .messages import ChunkMessages
 from .records import HEAD, MESSAGE
 
 #: Messages of one stream: rows (n, HEAD_BYTES + size) behind room for their heads, or one by one.
@@ -44,11 +44,11 @@ class Batch:
         self._columns.append(columns)
         self._data.append(data)
 
-    def add(self, run: Run, channels: list[int]) -> None:
-        """Messages carried over, which keep their numbers; `channels` of the run's topics."""
-        channel = np.array(channels, np.int64)[run.topic]
-        self._columns.append(np.stack([channel, run.sequence, run.log_ns, run.publish_ns]))
-        self._data.append(run.data)
+    def add(self, messages: ChunkMessages, channels: list[int]) -> None:
+        """Messages of another file, which keep their numbers; `channels` are those of its topics."""
+        channel = np.array(channels, np.int64)[messages.topic]
+        self._columns.append(np.stack([channel, messages.sequence, messages.log_ns, messages.publish_ns]))
+        self._data.append(messages.data)
 
     def own(self) -> Counter[int]:
         """How many messages of our own it has, by channel."""

@@ -1,4 +1,4 @@
-"""An MCAP file as a run of messages, read front to back in flat memory.
+"""An MCAP file read front to back in flat memory.
 
 The index at a file's end is not used, so that a file that was cut off gives all that it still has.
 """
@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import IntArray
-from .messages import McapMessage, Rows, Run, Topic
+from .messages import ChunkMessages, McapMessage, Topic, TopicMessages
 from .records import CHUNK, HEAD, MAGIC, MESSAGE, find
 
-#: Messages outside chunks are gathered to blocks of this size.
+#: Messages outside chunks are gathered to chunks of this size.
 _GATHER = 1 << 20
-#: Chunks said to be larger than this are not believed.
+#: A chunk that states a larger size is damaged.
 _CHUNK_LIMIT = 1 << 31
-#: Space for chunks up to this size is taken on their word.
+#: Chunks that state a size up to this are unpacked at once.
 _AT_ONCE = 1 << 28
 
 
@@ -53,73 +53,76 @@ class Container:
         self._schemas: dict[int, Schema] = {}
         self._cut = False
 
-    def rows(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, Rows]]:
+    def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
 
         All messages are counted in their topic; payloads of topics that are not wanted are passed over.
         Topics come in the order of their first message in the chunk.
         """
-        for block, index in self._blocks():
-            heads, start, stop, number = self._messages_in(block, index)
-            found: dict[int, Rows] = {}
+        for chunk, index in self._chunks():
+            heads, start, stop, number = self._messages_in(chunk, index)
+            found: dict[int, TopicMessages] = {}
             for position, mine in _by_number(number):
                 topic, log_ns = self.topics[position], heads["log"][mine]
                 topic.note(log_ns)
                 if wanted(topic):
-                    found[position] = Rows(log_ns.view(np.int64), block, start[mine], stop[mine])
+                    found[position] = TopicMessages(log_ns.view(np.int64), chunk, start[mine], stop[mine])
             if found:
                 yield found
 
     def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, list[McapMessage]]]:
         """The same with an object for each message: for topics whose messages are few, or large."""
-        for found in self.rows(wanted):
+        for found in self.by_topic(wanted):
             yield {position: self._one_by_one(position, rows) for position, rows in found.items()}
 
     def messages(self) -> Iterator[McapMessage]:
         """Yield all messages in the file's order."""
-        for run in self.runs(lambda topic: True):
-            for number, log_ns, data in zip(run.topic.tolist(), run.log_ns.tolist(), run.data, strict=True):
-                yield McapMessage(run.topics[number], log_ns, memoryview(data))
+        for chunk in self.chunks(lambda topic: True):
+            for number, log_ns, data in zip(
+                chunk.topic.tolist(), chunk.log_ns.tolist(), chunk.data, strict=True
+            ):
+                yield McapMessage(chunk.topics[number], log_ns, memoryview(data))
 
-    def _one_by_one(self, position: int, rows: Rows) -> list[McapMessage]:
-        topic, view = self.topics[position], memoryview(rows.block)
-        columns = (rows.log_ns.view(np.uint64).tolist(), rows.start.tolist(), rows.stop.tolist())
+    def _one_by_one(self, position: int, messages: TopicMessages) -> list[McapMessage]:
+        topic, view = self.topics[position], memoryview(messages.chunk)
+        columns = messages.log_ns.view(np.uint64), messages.start, messages.stop
         return [
-            McapMessage(topic, log_ns, view[start:stop]) for log_ns, start, stop in zip(*columns, strict=True)
+            McapMessage(topic, log_ns, view[start:stop])
+            for log_ns, start, stop in zip(*(column.tolist() for column in columns), strict=True)
         ]
 
-    def runs(self, wanted: Callable[[Topic], bool]) -> Iterator[Run]:
+    def chunks(self, wanted: Callable[[Topic], bool]) -> Iterator[ChunkMessages]:
         """Yield the messages of wanted topics a chunk at a time, in the file's order."""
         topics: list[Topic] = []
         numbers: dict[int, int] = {}  # by position in `topics` of the file; -1: not wanted
-        for block, index in self._blocks():
-            heads, start, stop, number = self._messages_in(block, index)
-            of_run = np.full(len(self.topics), -1, np.int64)
+        for chunk, index in self._chunks():
+            heads, start, stop, number = self._messages_in(chunk, index)
+            new_number = np.full(len(self.topics), -1, np.int64)
             for position, _ in _by_number(number):
                 if position not in numbers:
                     topic = self.topics[position]
                     numbers[position] = len(topics) if wanted(topic) else -1
                     topics += [topic] * (numbers[position] >= 0)
-                of_run[position] = numbers[position]
-            topic_of = of_run[number]
+                new_number[position] = numbers[position]
+            topic_of = new_number[number]
             kept = topic_of >= 0
             if not kept.all():
                 heads, start, stop, topic_of = heads[kept], start[kept], stop[kept], topic_of[kept]
             if len(heads):
-                data = [block[a:b] for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
+                data = [chunk[a:b] for a, b in zip(start.tolist(), stop.tolist(), strict=True)]
                 sequence, log_ns, publish_ns = (
                     heads[name].astype(np.int64) for name in ("sequence", "log", "publish")
                 )
-                yield Run(topics, topic_of, sequence, log_ns, publish_ns, data)
+                yield ChunkMessages(topics, topic_of, sequence, log_ns, publish_ns, data)
 
     def _messages_in(
-        self, block: bytes, index: Sequence[bytes]
+        self, chunk: bytes, index: Sequence[bytes]
     ) -> tuple[NDArray, IntArray, IntArray, IntArray]:
-        """Heads of a block's messages, where their payloads start and stop, the positions of their topics."""
-        found = find(block, index)
-        self._cut |= found.is_cut
-        place, heads = found.place, found.heads
-        defined = [(self._define(d.opcode, block[d.start : d.stop]), d.start) for d in found.definitions]
+        """Heads of a chunk's messages, where their payloads start and stop, the positions of their topics."""
+        records = find(chunk, index)
+        self._cut |= records.is_cut
+        place, heads = records.place, records.heads
+        defined = [(self._define(d.opcode, chunk[d.start : d.stop]), d.start) for d in records.definitions]
         number = self._numbers[heads["channel"]]
         for channel, start in defined:  # messages before their channel's record are not known to be of it
             if channel is not None:
@@ -156,8 +159,8 @@ class Container:
             self.topics.append(topic)
         return int(channel.id)
 
-    def _blocks(self) -> Iterator[tuple[bytes, list[bytes]]]:
-        """Yield runs of schema, channel and message records, each with the index records behind it."""
+    def _chunks(self) -> Iterator[tuple[bytes, list[bytes]]]:
+        """Yield chunks of schema, channel and message records, each with the index records behind it."""
         try:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
@@ -279,7 +282,7 @@ def _at_once(compression: str, packed: memoryview, size: int) -> bytes | None:
 
 
 def _decompress(compression: str, packed: memoryview, path: Path) -> bytes:
-    """All that can be had of a chunk, block by block, up to its end or to where it is broken."""
+    """All that can be had of a chunk, bit by bit, up to its end or to where it is broken."""
     make, failures = _decompressor(compression, path)
     if make is None:
         return bytes(packed)
@@ -287,7 +290,7 @@ def _decompress(compression: str, packed: memoryview, path: Path) -> bytes:
         return bytes(make().decompress(packed))
     except failures:
         pass
-    # Damaged: feed it in small pieces, keep what comes out before the damage.
+    # Damaged: feed it little by little, keep what comes out before the damage.
     out, again = bytearray(), make()
     try:
         for start in range(0, len(packed), 4096):

@@ -51,23 +51,23 @@ class McapMessage(NamedTuple):
     data: memoryview
 
 
-class Rows(NamedTuple):
-    """Messages of one topic in a run of the file's bytes, as columns (n,) in the file's order.
+class TopicMessages(NamedTuple):
+    """Messages of one topic in a chunk, as columns (n,) in the file's order.
 
     Attributes
     ----------
     log_ns : log times, ns.
-    block : the bytes; payloads stay where they lie in them.
+    chunk : its bytes; payloads stay where they lie in them.
     start, stop : where each payload begins and ends.
     """
 
     log_ns: IntArray
-    block: bytes
+    chunk: bytes
     start: IntArray
     stop: IntArray
 
 
-class Run(NamedTuple):
+class ChunkMessages(NamedTuple):
     """Messages of one chunk as columns, (n,) each, in the file's order.
 
     `topic` numbers the list `topics`; `data` are copies.
@@ -80,9 +80,9 @@ class Run(NamedTuple):
     publish_ns: IntArray
     data: list[bytes]
 
-    def part(self, rows: slice) -> Run:
+    def select(self, rows: slice) -> ChunkMessages:
         """Some of the messages."""
-        return Run(
+        return ChunkMessages(
             self.topics,
             self.topic[rows],
             self.sequence[rows],

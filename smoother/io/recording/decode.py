@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...recording import FloatArray, IntArray
 from ...runtime.column import Column, batches, sampled
 from ...runtime.store import Store
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
@@ -41,12 +41,12 @@ class Decoder:
     #: Columns that may hold nothing.
     optional: ClassVar[Collection[int]] = ()
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
         parts = []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            log_ns = rows.log_ns[index]
+            log_ns = messages.log_ns[index]
             stamp = self.stamps(block, layout, log_ns)
             parts.append((index, stamp, log_ns - stamp, *self.columns(block, layout)))
         for column, values in enumerate(in_order(parts)):

@@ -68,13 +68,13 @@ def open_recording(
             by_topic[id(topic)] = _decoder(topic, store, truth)
         return by_topic[id(topic)] is not None
 
-    for batch in container.rows(wanted):
-        for position, rows in batch.items():
+    for batch in container.by_topic(wanted):
+        for position, messages in batch.items():
             if position not in decoders:
                 decoders[position] = by_topic[id(container.topics[position])]
             decoder = decoders[position]
             if decoder is not None:
-                decoder.feed(rows)
+                decoder.feed(messages)
         if only and _met(only, [container.topics[position] for position in decoders], by_topic):
             break
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...recording import JOINTS, CameraFrame, IntArray, JointState
 from ...runtime.column import Column
 from ...runtime.store import Store
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
@@ -46,12 +46,12 @@ class SkeletonDecoder:
         self._rows = JointRows(self.store)
         self._stamps = Column(self.store, (), np.int64)
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
         stamps, arms = [], []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamps.append((index, index, proto.stamps(block, layout, rows.log_ns[index])))
+            stamps.append((index, index, proto.stamps(block, layout, messages.log_ns[index])))
             arms += self._arms(index, block, layout)
         if not stamps:
             return
@@ -109,23 +109,23 @@ class MarkerDecoder:
         self._stamp: list[IntArray] = []
         self._fed = 0
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
-        stamps = np.zeros(len(rows.start), np.int64)
+        stamps = np.zeros(len(messages.start), np.int64)
         joints: list[tuple[NDArray, ...]] = []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             if not layout.counts["markers"]:
                 continue
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
             stamp = ros_stamps(block, layout)
-            stamp = np.where(stamp == 0, rows.log_ns[index], stamp)
+            stamp = np.where(stamp == 0, messages.log_ns[index], stamp)
             added = layout.many(block, "action")[:, :, 0] == _ADD
             stamps[index] = np.where(added.any(axis=1), stamp, 0)
             joints += self._joints(index, added, block, layout)
         if joints:
             message, *columns = in_order(joints)
             self._rows.add_joints(message + self._fed, *columns)
-        self._log.append(rows.log_ns)
+        self._log.append(messages.log_ns)
         self._stamp.append(stamps)
         self._fed += len(stamps)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...linalg import runs
-from ...recording import JOINTS, IntArray, JointState, Recording
+from ...recording import JOINTS, FloatArray, IntArray, JointState, Recording
 from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds
@@ -152,26 +152,48 @@ def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
     return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
 
-def arm_messages(output: Output, arm: ArmFrames, present: list[int] | None = None) -> Outgoing:
+def arm_messages(
+    output: Output,
+    arm: ArmFrames,
+    present: list[int] | None = None,
+    strap_covariance: FloatArray | None = None,
+) -> Outgoing:
     """Skeleton messages of an arm, on its topic; joints that are never there are left out.
 
-    `present` names the others by number, where `arm` is a part of a longer one.
+    Parameters
+    ----------
+    output : Output
+        The file.
+    arm : ArmFrames
+        What to write.
+    present : list of int, optional
+        Joints to write, by number, where `arm` is only some frames of a longer one.
+    strap_covariance : ndarray, shape (F, 9), m^2, optional
+        Of the strap's position, row by row; nan where there is none.
     """
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)
     parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
     for i in present:
-        position = wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2))
-        parts.append(wire.message(4, wire.text(1, JOINTS[i] + suffix), position, wire.flag(3, "state", i)))
+        fields = [
+            wire.text(1, JOINTS[i] + suffix),
+            wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2)),
+            wire.flag(3, "state", i),
+        ]
+        if strap_covariance is not None and JOINTS[i] == "strap":
+            fields.append(wire.packed(5, "covariance", 9))
+        parts.append(wire.message(4, *fields))
     template = wire.join(*parts)
 
     def encode(part: slice) -> Encoded:
         stamp = arm.stamp_ns[part]
         columns: dict[str, NDArray] = {
-            "position": arm.position[part].reshape(-1, 15),
+            "position": arm.position[part].reshape(-1, 3 * len(JOINTS)),
             "state": arm.state[part],
         }
+        if strap_covariance is not None:
+            columns["covariance"] = np.nan_to_num(strap_covariance[part])
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
 
     return Outgoing(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)

@@ -14,7 +14,7 @@ from ...errors import RecordingError
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import FrameResiduals, Recovery
 from ..mcap.container import Container
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds
 from ..recording.decode import proto_grouper
 from ..recording.read import RESULT_PREFIX
@@ -49,12 +49,12 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
         return topic.name.startswith(RESULT_PREFIX) and _kind(topic) in _TABLES
 
     tables: dict[str, _Table] = {}
-    for batch in container.rows(wanted):
-        for position, rows in batch.items():
+    for batch in container.by_topic(wanted):
+        for position, messages in batch.items():
             topic = container.topics[position]
             if topic.name not in tables:
                 tables[topic.name] = _TABLES[_kind(topic)](topic)
-            tables[topic.name].feed(rows)
+            tables[topic.name].feed(messages)
     found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
     if not found:
         raise RecordingError(
@@ -184,11 +184,11 @@ class _Table:
         self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
         self.fed = 0
 
-    def feed(self, rows: Rows) -> None:
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+    def feed(self, messages: TopicMessages) -> None:
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
             self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
-        self.fed += len(rows.start)
+        self.fed += len(messages.start)
 
     def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         raise NotImplementedError
@@ -259,8 +259,8 @@ class _CameraTable(_Table):
         super().__init__(topic)
         self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
 
-    def feed(self, rows: Rows) -> None:
-        self.decoder.feed(rows)
+    def feed(self, messages: TopicMessages) -> None:
+        self.decoder.feed(messages)
 
     def tracks(self, name: str, origin: int) -> JointTracks:
         stamp, arms = self.decoder.found()

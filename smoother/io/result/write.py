@@ -12,8 +12,8 @@ from ...result import Recovery
 from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
-from ..mcap.messages import Run, Topic
-from ..mcap.parts import parts_of_time
+from ..mcap.messages import ChunkMessages, Topic
+from ..mcap.time_batches import time_batches
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
@@ -48,9 +48,9 @@ def write_recovery(
     ----------
     recoveries : one arm's recovery, or several of one recording.
     path : the file to write.
-    source : the recording; its topics are carried over as they are.
+    source : the recording; its topics are copied as they are.
     force : overwrite a file that exists.
-    passthrough_images : carry images, depth and point clouds over as well (they show patients).
+    passthrough_images : copy images, depth and point clouds as well (they show patients).
 
     Raises
     ------
@@ -76,11 +76,11 @@ def write_recovery(
             streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
         if source is not None:
             container = Container(source)
-            output.carry(_carried(container, passthrough_images))
-        for part in parts_of_time([axis for each in streams for axis in each.axes()]):
-            rows = [part.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
-            outgoing = [each.part(*mine) for each, mine in zip(streams, rows, strict=True)]
-            output.write(list(chain.from_iterable(outgoing)), part.until_ns)
+            output.interleave(_copied(container, passthrough_images))
+        for batch in time_batches([axis for each in streams for axis in each.axes()]):
+            rows = [batch.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
+            outgoing = [each.batch(*mine) for each, mine in zip(streams, rows, strict=True)]
+            output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
 
@@ -99,10 +99,10 @@ def _version() -> str:
         return "unknown"
 
 
-def _carried(source: Container, passthrough_images: bool) -> Iterator[Run]:
+def _copied(source: Container, passthrough_images: bool) -> Iterator[ChunkMessages]:
     def wanted(topic: Topic) -> bool:
         if topic.name.startswith(RESULT_PREFIX):
             return False
         return passthrough_images or not _IMAGES.search(topic.schema)
 
-    return source.runs(wanted)
+    return source.chunks(wanted)
