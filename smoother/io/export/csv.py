@@ -41,9 +41,12 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
 
     Parameters
     ----------
-    recovery : one arm.
-    path : the file to write.
-    force : overwrite a file that exists.
+    recovery : Recovery
+        One arm.
+    path : path-like
+        The file to write.
+    force : bool
+        Overwrite a file that exists.
 
     Notes
     -----

@@ -22,9 +22,12 @@ class Grid:
 
     Attributes
     ----------
-    t_s : (G,) s after the recovery's origin.
-    rate_hz : rows a second.
-    same : the times are the recovery's own: nothing is interpolated.
+    t_s : ndarray, shape (G,), s
+        After the recovery's origin.
+    rate_hz : float
+        Rows a second.
+    same : bool
+        The times are the recovery's own: nothing is interpolated.
     """
 
     t_s: FloatArray
@@ -37,7 +40,15 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
 
     Parameters
     ----------
-    rate_hz : rows a second; None for the IMU's rate.
+    recovery : Recovery
+        One arm.
+    rate_hz : float, optional
+        Rows a second; None for the IMU's rate.
+
+    Returns
+    -------
+    Grid
+        The times.
 
     Raises
     ------
@@ -64,7 +75,7 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
 def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
     """A recovery's values (N, ..) at the grid's times, by cubic splines; nan where there is none.
 
-    Splines never cross samples that are missing, or a hole in the times.
+    Splines never cross samples that are missing, or a gap in the times.
     """
     from scipy.interpolate import CubicSpline
 
@@ -94,8 +105,19 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
 
     Parameters
     ----------
-    t_s : (F,) frame times on the IMU's clock, s.
-    has : (F,) frames that have a value. One that stands alone goes to the nearest time of the grid.
+    t_s : ndarray, shape (F,), s
+        Frame times on the IMU's clock.
+    values : ndarray, shape (F, C)
+        What to interpolate.
+    has : ndarray of bool, shape (F,)
+        Frames that have a value. One that stands alone goes to the nearest time of the grid.
+    grid : Grid
+        The times to interpolate at.
+
+    Returns
+    -------
+    ndarray, shape (G, C)
+        nan where there is none.
     """
     out = np.full((len(grid.t_s), values.shape[1]), np.nan)
     if not len(grid.t_s):

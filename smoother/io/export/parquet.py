@@ -29,10 +29,14 @@ def export_parquet(
 
     Parameters
     ----------
-    recovery : one arm.
-    path : the file to write.
-    version : of the program that made the recovery.
-    force : overwrite a file that exists.
+    recovery : Recovery
+        One arm.
+    path : path-like
+        The file to write.
+    version : str
+        Of the program that made the recovery.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------

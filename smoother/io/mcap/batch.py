@@ -63,7 +63,8 @@ class Batch:
 
         Parameters
         ----------
-        numbers : the next message's number by channel; zero where there is none.
+        numbers : mapping of int to int
+            The next message's number by channel; zero where there is none.
         """
         if not self._columns:
             nothing = np.empty(0, np.int64)

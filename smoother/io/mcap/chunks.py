@@ -49,7 +49,8 @@ class ChunkedFile:
 
     Parameters
     ----------
-    file : opened for writing in binary.
+    file : IO[bytes]
+        Opened for writing in binary.
     """
 
     def __init__(self, file: IO[bytes]):
@@ -91,8 +92,12 @@ class ChunkedFile:
 
         Parameters
         ----------
-        channel, log_ns : (n,) of the messages.
-        sizes, records : the messages with their heads, and how long they are.
+        channel, log_ns : ndarray of int, shape (n,)
+            Of the messages; log times in ns.
+        sizes : ndarray of int, shape (n,), bytes
+            Of the records.
+        records : sequence of bytes
+            The messages with their heads.
         """
         count, ends = len(records), np.cumsum(sizes)
         start = 0
@@ -183,15 +188,15 @@ class ChunkedFile:
         order = np.argsort(channel.astype(np.uint16), kind="stable")
         rows = np.stack([log_ns[order], offsets[order]], axis=1).astype("<u8").tobytes()
         counts = np.bincount(channel)
-        found, start = {}, 0
+        offset_of, start = {}, 0
         for number in np.flatnonzero(counts).tolist():
             entries = rows[16 * start : 16 * (start + int(counts[number]))]
             start += int(counts[number])
-            found[number] = self._file.tell()
+            offset_of[number] = self._file.tell()
             head = HEAD.pack(Opcode.MESSAGE_INDEX, INDEX.size + len(entries))
             self._file.write(head + INDEX.pack(number, len(entries)) + entries)
             self._counts[number] = self._counts.get(number, 0) + int(counts[number])
-        return found
+        return offset_of
 
     def _named(self, metadata: Metadata) -> None:
         offset = self._file.tell()

@@ -32,9 +32,12 @@ class Outgoing:
 
     Attributes
     ----------
-    channel : the channel's number.
-    time_ns : (N,) log times, ns; negative ones are written as zero.
-    encode : wire form of a slice of the messages.
+    channel : int
+        The channel's number.
+    time_ns : ndarray of int, shape (N,), ns
+        Log times; negative ones are written as zero.
+    encode : callable
+        Wire form of a slice of the messages.
     """
 
     channel: int
@@ -106,8 +109,10 @@ class Output:
 
         Parameters
         ----------
-        outgoing : streams to encode.
-        until : log time before which all of them lie, and from which on others will come, ns.
+        outgoing : sequence of Outgoing
+            Streams to encode.
+        until : int, ns
+            Log time before which all of them lie, and from which on others will come.
         """
         latest = dict(self._latest)
         for stream in outgoing:  # streams that go on where an earlier part of them ended

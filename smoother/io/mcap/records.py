@@ -52,10 +52,14 @@ class RecordPlaces(NamedTuple):
 
     Attributes
     ----------
-    place : (n,) where message records begin.
-    heads : (n,) what they begin with, `MESSAGE`.
-    definitions : schemas and channels, in order.
-    is_cut : the last record goes beyond the end.
+    place : ndarray of int, shape (n,)
+        Where message records begin.
+    heads : ndarray, shape (n,)
+        What they begin with, `MESSAGE`.
+    definitions : list of Definition
+        Schemas and channels, in order.
+    is_cut : bool
+        The last record goes beyond the end.
     """
 
     place: IntArray
@@ -69,8 +73,10 @@ def find(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces:
 
     Parameters
     ----------
-    chunk : its records.
-    index : contents of the message index records behind it.
+    chunk : bytes
+        Its records.
+    index : sequence of bytes
+        Contents of the message index records behind it.
     """
     return _indexed(chunk, index) or _walked(chunk, 0, len(chunk))
 
@@ -89,14 +95,14 @@ def _indexed(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
     length = heads["length"]
     if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _SHORTEST).any() or (length > len(chunk)).any():
         return None
-    begin = np.append(place, len(chunk))
-    end = np.concatenate([np.zeros(1, np.int64), place + HEAD.size + length.astype(np.int64)])
-    gaps = np.flatnonzero(begin != end)
-    if len(gaps) > _MOST_GAPS or (end > begin).any():
+    starts = np.append(place, len(chunk))
+    stops = np.concatenate([np.zeros(1, np.int64), place + HEAD.size + length.astype(np.int64)])
+    gaps = np.flatnonzero(starts != stops)
+    if len(gaps) > _MOST_GAPS or (stops > starts).any():
         return None
     definitions: list[Definition] = []
     for gap in gaps.tolist():
-        between = _walked(chunk, int(end[gap]), int(begin[gap]))
+        between = _walked(chunk, int(stops[gap]), int(starts[gap]))
         if between.is_cut or len(between.place):
             return None
         definitions += between.definitions

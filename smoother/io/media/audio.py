@@ -23,14 +23,18 @@ _ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "au
 
 @dataclass(frozen=True)
 class Track:
-    """A run of sound without a hole.
+    """Sound without a gap.
 
     Attributes
     ----------
-    samples : (N,) the loudest channel, full scale 1.
-    rate_hz : samples a second, as measured by the stamps where there are several.
-    start_s : time of the first sample: 0 for a WAV file, s on the recorder's clock for a topic.
-    source : file, and topic where there is one.
+    samples : ndarray, shape (N,)
+        The loudest channel, full scale 1.
+    rate_hz : float
+        Samples a second, as measured by the stamps where there are several.
+    start_s : float, s
+        Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic.
+    source : str
+        File, and topic where there is one.
     """
 
     samples: FloatArray
@@ -46,9 +50,12 @@ def read_sound(
 
     Parameters
     ----------
-    path : the file; anything that does not end in .mcap is read as WAV.
-    topic : the audio topic, where there are several.
-    ros_rate_hz : sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+    path : path-like
+        The file; anything that does not end in .mcap is read as WAV.
+    topic : str, optional
+        The audio topic, where there are several.
+    ros_rate_hz : int
+        Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
 
     Raises
     ------
@@ -146,10 +153,10 @@ def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[
     first = 0
     while first < len(blocks):
         rate, last, count = blocks[first][2], first, 0
-        begin = blocks[first][0]
+        start = blocks[first][0]
         while last < len(blocks) and blocks[last][2] == rate:
             length = len(blocks[last][1])
-            if abs(blocks[last][0] - begin - count / rate) > max(JUMP_PART * length / rate, 0.05):
+            if abs(blocks[last][0] - start - count / rate) > max(JUMP_PART * length / rate, 0.05):
                 break
             count, last = count + length, last + 1
         part = blocks[first:last]

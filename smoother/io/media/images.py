@@ -43,9 +43,12 @@ class ImageMessage:
 
     Attributes
     ----------
-    topic, frame_id : where it came from.
-    stamp_ns : its stamp; the log time where that is zero.
-    encoding : of the pixels; "" for a compressed image.
+    topic, frame_id : str
+        Where it came from.
+    stamp_ns : int, ns
+        Its stamp; the log time where that is zero.
+    encoding : str
+        Of the pixels; "" for a compressed image.
     """
 
     topic: str
@@ -93,8 +96,10 @@ def read_images(
 
     Parameters
     ----------
-    path : the file.
-    wanted : topics to look at; those of other schemas are passed over in any case.
+    path : path-like
+        The file.
+    wanted : callable
+        Topics to look at; those of other schemas are passed over in any case.
 
     Raises
     ------

@@ -35,10 +35,13 @@ def read_panel_session(
 
     Parameters
     ----------
-    path : MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker)
+    path : path-like
+        MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker).
         or `visualization_msgs/MarkerArray` on a topic named `marker` or `mocap`, m.
-    given : markers by pose that take the place of the recording's; may be empty.
-    lens : takes the place of the recording's.
+    given : list of dict of str to ndarray
+        Markers by pose that take the place of the recording's; may be empty.
+    lens : Intrinsics, optional
+        Takes the place of the recording's.
 
     Raises
     ------

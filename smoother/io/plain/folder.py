@@ -76,11 +76,13 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
 
     Parameters
     ----------
-    folder : holds `recording.toml` and the files that it names.
+    folder : path-like
+        Holds `recording.toml` and the files that it names.
 
     Returns
     -------
-    All IMUs, arms and the truth, in SI units, times as the files have them.
+    RecordingFile
+        All IMUs, arms and the truth, in SI units, times as the files have them.
 
     Raises
     ------

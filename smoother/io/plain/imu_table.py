@@ -18,8 +18,10 @@ def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
 
     Parameters
     ----------
-    path : the file.
-    name : what to call the IMU.
+    path : path-like
+        The file.
+    name : str
+        What to call the IMU.
 
     Raises
     ------

@@ -44,13 +44,19 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
 
     Parameters
     ----------
-    stream : samples as recorded.
-    source : the file, for messages.
-    store : where what is kept is to lie; None = in memory.
+    stream : ImuSamples
+        Samples as recorded.
+    source : str
+        The file, for messages.
+    store : Store, optional
+        Where what is kept is to lie; None = in memory.
 
     Returns
     -------
-    The stream with finite samples and increasing stamps, and what was dropped as sentences.
+    stream : ImuSamples
+        With finite samples and increasing stamps.
+    notes : list of str
+        What was dropped, one sentence each.
 
     Raises
     ------
@@ -60,19 +66,19 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     store = store or Store()
     finite = _finite(stream.acc) & _finite(stream.gyro)
     keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
-    kept = replace(
+    cleaned = replace(
         stream,
         stamp_ns=_kept(stream.stamp_ns, keep, store),
         acc=_kept(stream.acc, keep, store),
         gyro=_kept(stream.gyro, keep, store),
         mag=None if stream.mag is None else _kept(stream.mag, keep, store),
     )
-    if len(kept.stamp_ns) < 2:
+    if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
-            f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
+            f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples; record it again."
         )
-    _check_units(kept, source)
-    return kept, notes
+    _check_units(cleaned, source)
+    return cleaned, notes
 
 
 def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:

@@ -28,8 +28,10 @@ class Decoder:
 
     Attributes
     ----------
-    topic : the topic.
-    grouper : sorts its messages by layout.
+    topic : Topic
+        The topic.
+    grouper : Grouper
+        Sorts its messages by layout.
     """
 
     topic: Topic

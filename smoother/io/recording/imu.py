@@ -17,12 +17,17 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
 
     Parameters
     ----------
-    path : the file.
-    imu : topic (or a part of it, or its frame_id) to take, where there are several.
+    path : path-like
+        The file.
+    imu : str, optional
+        Topic (or a part of it, or its frame_id) to take, where there are several.
 
     Returns
     -------
-    The stream, and what was dropped or chosen, one sentence each.
+    stream : ImuStream
+        Its samples.
+    notes : list of str
+        What was dropped or chosen, one sentence each.
 
     Raises
     ------

@@ -44,14 +44,19 @@ def open_recording(
 
     Parameters
     ----------
-    path : the file.
-    only : topics: read on only until they and an IMU were met, for what holds from the first message on.
-    store : where the samples are to lie; None = in memory.
-    truth : False passes over poses and joints of a reference.
+    path : path-like
+        The file.
+    only : collection of str
+        Topics: read on only until they and an IMU were met, for what holds from the first message on.
+    store : Store, optional
+        Where the samples are to lie; None = in memory.
+    truth : bool
+        False passes over poses and joints of a reference.
 
     Returns
     -------
-    All streams with their samples as recorded, and the list of topics.
+    RecordingFile
+        All streams with their samples as recorded, and the list of topics.
 
     Raises
     ------
@@ -119,18 +124,25 @@ def read_recording(
 
     Parameters
     ----------
-    path : the file.
-    imu, skeleton : topic (or a part of it, or its frame_id) to take.
-    side : "left" or "right".
-    body : the camera's number of the body.
-    prefer_side : side to take where the file leaves it open (a calibration's).
-    store : where samples and frames are to lie: memory stays flat with an `DiskStore`. None = in
-        memory.
-    truth : False passes over the reference motion; the recording has none.
+    path : path-like
+        The file.
+    imu, skeleton : str, optional
+        Topic (or a part of it, or its frame_id) to take.
+    side : str, optional
+        "left" or "right".
+    body : int, optional
+        The camera's number of the body.
+    prefer_side : str, optional
+        Side to take where the file leaves it open (a calibration's).
+    store : Store, optional
+        Where samples and frames are to lie: memory stays flat with a `DiskStore`. None = in memory.
+    truth : bool
+        False passes over the reference motion; the recording has none.
 
     Returns
     -------
-    The recording; `notes` say what was dropped and what was chosen.
+    Recording
+        The recording; `notes` say what was dropped and what was chosen.
 
     Raises
     ------

@@ -137,14 +137,14 @@ class MarkerDecoder:
         self.seen += int(added.sum())
         self.foreign += int((added & (azure >= _AZURE_JOINTS)).sum())
         position = layout.many(block, "position").astype(float)
-        found: list[tuple[NDArray, ...]] = []
+        joints: list[tuple[NDArray, ...]] = []
         for number, (side, joint) in _AZURE.items():
             row, column = np.nonzero(added & (azure == number) & (ids >= 0))
             if len(row):
                 values = (np.full(len(row), value) for value in (side, joint, int(JointState.TRACKED)))
                 message, body = index[row], ids[row, column] // 100
-                found.append((message, message, body, *values, position[row, column]))
-        return found
+                joints.append((message, message, body, *values, position[row, column]))
+        return joints
 
     def arms(self) -> list[ArmFrames]:
         """All arms found, asked for once; none where the markers are of another kind."""

@@ -33,9 +33,12 @@ def write_recording(
 
     Parameters
     ----------
-    recording : one arm, several arms (of one camera), or all that a file held.
-    path : the file to write.
-    force : overwrite a file that exists.
+    recording : Recording or sequence of Recording or RecordingFile
+        One arm, several arms (of one camera), or all that a file held.
+    path : path-like
+        The file to write.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------
@@ -74,11 +77,11 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = recordings[0]
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
-    taken: set[str] = set()
+    topics: set[str] = set()
     sides: set[tuple[int, str]] = set()
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        topic = _free(imu_topic(one.imu.name, one.side), taken)
+        topic = _free(imu_topic(one.imu.name, one.side), topics)
         file.imus.append(
             ImuSamples(
                 topic,
@@ -89,8 +92,8 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
                 one.imu.mag,
             )
         )
-        if one.base_imu is not None and "/imu/base" not in taken:
-            taken.add("/imu/base")
+        if one.base_imu is not None and "/imu/base" not in topics:
+            topics.add("/imu/base")
             base = one.base_imu
             stamp = nanoseconds(base.t_s, one.origin_ns)
             file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
@@ -107,7 +110,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             truth = one.truth
             stamp = nanoseconds(truth.t_s, one.origin_ns)
             score = None if truth.score.all() else truth.score
-            topic = _free(f"/truth{suffix}", taken)
+            topic = _free(f"/truth{suffix}", topics)
             file.poses.append(
                 PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
             )
@@ -122,11 +125,11 @@ def imu_topic(name: str, side: str = "") -> str:
     return f"/imu/{clean or 'forearm' + ('_' + side if side else '')}"
 
 
-def _free(topic: str, taken: set[str]) -> str:
+def _free(topic: str, topics: set[str]) -> str:
     number, free = 2, topic
-    while free in taken:
+    while free in topics:
         free, number = f"{topic}_{number}", number + 1
-    taken.add(free)
+    topics.add(free)
     return free
 
 

@@ -30,13 +30,15 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
 
     Parameters
     ----------
-    path : a file of `write_recovery`.
+    path : path-like
+        A file of `write_recovery`.
 
     Returns
     -------
-    One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
-    rounding; covariances that were nan are nan again. A sample without a position has no pose and no
-    velocity. Arrays in `figures` come back as lists.
+    list of Recovery
+        One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
+        rounding; covariances that were nan are nan again. A sample without a position has no pose and no
+        velocity. Arrays in `figures` come back as lists.
 
     Raises
     ------
@@ -55,12 +57,12 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
             if topic.name not in tables:
                 tables[topic.name] = _TABLES[_kind(topic)](topic)
             tables[topic.name].feed(messages)
-    found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
-    if not found:
+    names = [name for name in container.metadata if name.partition("/")[0] == RESULT]
+    if not names:
         raise RecordingError(
             f"{path} holds no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`."
         )
-    return [_recovery(Path(path), container, tables, name) for name in found]
+    return [_recovery(Path(path), container, tables, name) for name in names]
 
 
 def _recovery(path: Path, container: Container, tables: dict[str, _Table], name: str) -> Recovery:
@@ -195,7 +197,7 @@ class _Table:
 
     def done(self) -> dict[str, NDArray]:
         names = {name for _, columns in self.parts for name in columns}
-        # Times within a topic increase; messages of different layouts come in pieces.
+        # Times within a topic increase; messages of different layouts come one layout after the other.
         order = np.argsort(np.concatenate([columns["stamp"] for _, columns in self.parts]), kind="stable")
         return {name: np.concatenate([columns[name] for _, columns in self.parts])[order] for name in names}
 

@@ -28,11 +28,16 @@ class RecoveryStreams:
 
     Parameters
     ----------
-    output : the file.
-    recovery : what to write.
-    suffix : behind every topic (an arm among several).
-    frame_id : of the camera.
-    shift : log time less stamp, ns.
+    output : Output
+        The file.
+    recovery : Recovery
+        What to write.
+    suffix : str
+        Behind every topic (an arm among several).
+    frame_id : str
+        Of the camera.
+    shift : int, ns
+        Log time less stamp.
     """
 
     def __init__(self, output: Output, recovery: Recovery, suffix: str, frame_id: str, shift: int):
@@ -266,11 +271,11 @@ class RecoveryStreams:
             event = message_class("foxglove.Event")()
             event.start_time.FromNanoseconds(start_ns)
             event.end_time.FromNanoseconds(end_ns)
-            said = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
-            said |= {"side": r.side} if r.side else {}
-            said |= {"open": "start"} if gap.open_start else {}
-            said |= {"open": "end"} if gap.open_end else {}
-            for key, value in said.items():
+            values = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
+            values |= {"side": r.side} if r.side else {}
+            values |= {"open": "start"} if gap.open_start else {}
+            values |= {"open": "end"} if gap.open_end else {}
+            for key, value in values.items():
                 event.metadata.add(key=key, value=value)
             data.append(event.SerializeToString(deterministic=True))
         channel = self.output.channel(f"{RESULT_PREFIX}gaps{self.suffix}", "foxglove.Event")
@@ -304,8 +309,8 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
 
 def _present(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
-    said = np.zeros(len(JOINTS), bool)
+    present = np.zeros(len(JOINTS), bool)
     for part in residuals.blocks():
-        said |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
-        said |= (part.reason != 0).any(axis=0)
-    return np.flatnonzero(said).tolist()
+        present |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
+        present |= (part.reason != 0).any(axis=0)
+    return np.flatnonzero(present).tolist()

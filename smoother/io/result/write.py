@@ -46,11 +46,16 @@ def write_recovery(
 
     Parameters
     ----------
-    recoveries : one arm's recovery, or several of one recording.
-    path : the file to write.
-    source : the recording; its topics are copied as they are.
-    force : overwrite a file that exists.
-    passthrough_images : copy images, depth and point clouds as well (they show patients).
+    recoveries : Recovery or sequence of Recovery
+        One arm's recovery, or several of one recording.
+    path : path-like
+        The file to write.
+    source : path-like, optional
+        The recording; its topics are copied as they are.
+    force : bool
+        Overwrite a file that exists.
+    passthrough_images : bool
+        Copy images, depth and point clouds as well (they show patients).
 
     Raises
     ------
