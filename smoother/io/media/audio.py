@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
+from ..wire.cdr import CdrReader
 from ..wire.schemas import message_class
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
@@ -135,15 +136,12 @@ def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, f
         data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
         values = data.reshape(count, audio.number_of_channels) / 32767.0
         return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
-    raw = bytes(message.data)
-    order = "<" if raw[1] else ">"
-    at, stamp = 4, 1e-9 * message.log_ns
+    cdr, stamp = CdrReader(bytes(message.data)), 1e-9 * message.log_ns
     if not message.topic.schema.endswith("AudioData"):  # std_msgs/Header in front
-        seconds, nanoseconds, length = np.frombuffer(raw, f"{order}u4", 3, at).tolist()
-        stamp = seconds + 1e-9 * nanoseconds or stamp
-        at += 12 + length + -length % 4
-    (size,) = np.frombuffer(raw, f"{order}u4", 1, at).tolist()
-    samples = np.frombuffer(raw, f"{order}i2", size // 2, at + 4) / 32767.0
+        stamp = cdr.number("I") + 1e-9 * cdr.number("I") or stamp
+        cdr.text()
+    raw = cdr.octets()
+    samples = np.frombuffer(raw, f"{cdr.order}i2", len(raw) // 2) / 32767.0
     return stamp, samples[:, None], float(ros_rate_hz)
 
 

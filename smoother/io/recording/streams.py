@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FOREARM_JOINTS, JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, JointState
-
-_FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+from ...measurements.visibility import enough_joints
+from ...recording import BoolArray, CameraFrame, FloatArray, IntArray, JointState
 
 
 @dataclass
@@ -95,7 +94,7 @@ class ArmFrames:
     @property
     def tracked(self) -> int:
         """Number of frames with a tracked forearm joint."""
-        return int((self.state[:, _FOREARM] == JointState.TRACKED).any(axis=1).sum())
+        return int(enough_joints(self.state == JointState.TRACKED, 1).sum())
 
 
 @dataclass
