@@ -20,7 +20,19 @@ _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "fo
 
 @dataclass(frozen=True)
 class TopicRow:
-    """A topic: its schema, number of messages, mean rate, first to last log time."""
+    """A topic.
+
+    Attributes
+    ----------
+    name, schema : str
+        The topic and its schema.
+    count : int
+        Number of messages.
+    rate_hz : float, Hz, optional
+        Mean rate.
+    duration_s : float, s
+        First to last log time.
+    """
 
     name: str
     schema: str
@@ -108,6 +120,19 @@ def describe(
 
     A file that cannot be smoothed is described all the same: what is wrong stands under
     `missing["smooth"]`.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    imu, skeleton, side : str, optional
+    body : int, optional
+        As in `read_recording`.
+
+    Returns
+    -------
+    RecordingInfo
+        What it holds and lacks.
 
     Raises
     ------

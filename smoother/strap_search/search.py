@@ -24,7 +24,7 @@ from ..io.media.strap_cameras import Cameras, StrapFound
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
-from ..io.result.write import _IMAGES
+from ..io.result.write import may_copy
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from ..runtime.atomic import writing
 
@@ -63,7 +63,7 @@ def import_strap(
     skeleton, side : topic and arm that the strap belongs to.
     joint_sigma_m : noise of the camera's elbow and wrist, m an axis.
     colour_topic, depth_topic : (parts of) names, where there are several.
-    passthrough_images : carry the images over as well (they show patients).
+    passthrough_images : copy the images as well (they show patients).
 
     Raises
     ------
@@ -95,7 +95,7 @@ def import_strap(
     better = replace(arm, position=position, state=state)
 
     def wanted(topic: Topic) -> bool:
-        return topic.name != skeleton and (passthrough_images or not _IMAGES.search(topic.schema))
+        return topic.name != skeleton and may_copy(topic, passthrough_images)
 
     with writing(path, force) as temporary, Output(temporary) as output:
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}

@@ -171,7 +171,7 @@ def index_of(places: list[int]) -> bytes:
     st.sets(st.integers(0, 24)),
     st.data(),
 )
-def test_an_index_is_never_believed_against_the_records(
+def test_the_records_count_where_an_index_says_otherwise(
     messages: list[tuple[int, int]], definitions: set[int], data: st.DataObject
 ):
     block, places, short = records(messages, definitions)
@@ -180,14 +180,14 @@ def test_an_index_is_never_believed_against_the_records(
     assert walked.heads["sequence"].tolist() == [i for i, (_, size) in enumerate(messages) if size >= 0]
     assert len(walked.definitions) == len([i for i in definitions if i < len(messages)])
     lies = data.draw(st.sampled_from(["none", "fewer", "other", "bytes", "cut", "twice", "short"]))
-    told, index = list(places), b""
-    if lies == "fewer" and told:
-        del told[data.draw(st.integers(0, len(told) - 1))]
+    stated, index = list(places), b""
+    if lies == "fewer" and stated:
+        del stated[data.draw(st.integers(0, len(stated) - 1))]
     if lies in ("other", "twice"):
-        told += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
-        told += places[:1] if lies == "twice" else []
-    told += short if lies == "short" else []
-    index = index_of(data.draw(st.permutations(told)))
+        stated += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
+        stated += places[:1] if lies == "twice" else []
+    stated += short if lies == "short" else []
+    index = index_of(data.draw(st.permutations(stated)))
     if lies == "bytes":
         index = index[: data.draw(st.integers(0, len(index)))]
     if lies == "cut":

@@ -246,9 +246,6 @@ def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
     np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
 
 
-# The pieces.
-
-
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.integers(0, 40), max_size=12), st.booleans(), st.integers(0, 12))
 @pytest.mark.usefixtures("small_parts")

@@ -65,6 +65,15 @@ class C3dContent:
 def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = False) -> None:
     """Write a C3D file (floating point, millimetres).
 
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    content : C3dContent
+        What it is to hold.
+    force : bool
+        Overwrite a file that exists.
+
     Raises
     ------
     UnoccludeError

@@ -112,6 +112,18 @@ def marker_table(
 def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> FloatArray:
     """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}.
 
+    Parameters
+    ----------
+    recovery : Recovery
+        One arm.
+    level_down : ndarray, shape (3,), optional
+        See `marker_table`.
+
+    Returns
+    -------
+    R_K_O : ndarray, shape (3, 3)
+        By the direction of gravity.
+
     Raises
     ------
     UnoccludeError

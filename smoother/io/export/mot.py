@@ -112,6 +112,17 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
 def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery, force: bool = False) -> None:
     """Write joint angles as OpenSim reads them.
 
+    Parameters
+    ----------
+    table : MotTable
+        The angles.
+    path : path-like
+        The file to write.
+    recovery : Recovery
+        What they are of, for the header.
+    force : bool
+        Overwrite a file that exists.
+
     Raises
     ------
     UnoccludeError

@@ -18,6 +18,16 @@ def read_c3d(path: Path) -> Markers:
     `LABELS3` .. where there are more than 255. Time zero is the trial's frame zero: a file that was cut
     out of a trial begins later.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Markers
+        All points.
+
     Raises
     ------
     RecordingError

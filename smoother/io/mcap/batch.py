@@ -20,7 +20,19 @@ Encoded = NDArray[np.uint8] | list[bytes]
 
 
 class Records(NamedTuple):
-    """Messages with their heads, as they stand in a file: channel, log time (ns) and length of each (n,)."""
+    """Messages with their heads, as they stand in a file.
+
+    Attributes
+    ----------
+    channel : ndarray of int, shape (n,)
+        Numbers of their channels.
+    log_ns : ndarray of int, shape (n,), ns
+        Log times.
+    sizes : ndarray of int, shape (n,), bytes
+        Of the records.
+    records : list of bytes
+        Heads and payloads.
+    """
 
     channel: IntArray
     log_ns: IntArray

@@ -53,7 +53,17 @@ class Topic:
 
 
 class McapMessage(NamedTuple):
-    """A message as it lies in the file."""
+    """A message as it lies in the file.
+
+    Attributes
+    ----------
+    topic : Topic
+        Its topic.
+    log_ns : int, ns
+        Its log time.
+    data : memoryview
+        Its payload.
+    """
 
     topic: Topic
     log_ns: int

@@ -13,7 +13,15 @@ from .stamps import nanoseconds
 
 
 class TimeAxis(NamedTuple):
-    """Times of a stream: seconds (N,) in rising order after an origin, and log time less stamp, ns."""
+    """Times of a stream.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (N,), s
+        After the origin, in rising order.
+    origin_ns, shift_ns : int, ns
+        The origin, and log time less stamp.
+    """
 
     t_s: FloatArray
     origin_ns: int
@@ -25,7 +33,15 @@ class TimeAxis(NamedTuple):
 
 
 class TimeBatch(NamedTuple):
-    """Rows of several streams: the log time that they end before (ns), and the rows of each axis."""
+    """Rows of several streams.
+
+    Attributes
+    ----------
+    until_ns : int, ns
+        Log time that they end before.
+    rows : list of slice
+        Of each axis.
+    """
 
     until_ns: int
     rows: list[slice]
@@ -35,6 +51,18 @@ def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBa
     """Cut streams where the densest of them has `most` rows; there is one batch at the least.
 
     Rows that run back in time are in the batch of those around them.
+
+    Parameters
+    ----------
+    axes : sequence of TimeAxis
+        Of the streams.
+    most : int
+        Rows of a stream in one batch.
+
+    Yields
+    ------
+    TimeBatch
+        Every row is in one of them.
     """
     starts = [0] * len(axes)
     while True:

@@ -58,6 +58,11 @@ def read_sound(
     ros_rate_hz : int
         Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
 
+    Returns
+    -------
+    list of Track
+        In order of time.
+
     Raises
     ------
     RecordingError

@@ -78,7 +78,19 @@ class ImageMessage:
 
 @dataclass(frozen=True)
 class LensMessage:
-    """A camera's intrinsics; distortion as OpenCV orders it, up to five terms."""
+    """A camera's intrinsics.
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Where it came from.
+    width, height : int, pixels
+        Of its images.
+    fx, fy, cx, cy : float, pixels
+        Focal lengths and principal point.
+    distortion : tuple of float
+        As OpenCV orders it, up to five terms.
+    """
 
     topic: str
     frame_id: str
@@ -102,6 +114,11 @@ def read_images(
         The file.
     wanted : callable
         Topics to look at; those of other schemas are passed over in any case.
+
+    Yields
+    ------
+    ImageMessage or LensMessage
+        Those that are damaged are passed over.
 
     Raises
     ------

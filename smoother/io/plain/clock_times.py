@@ -29,6 +29,11 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
     resolution_s : float, s
         Step of the nodes' stamps.
 
+    Returns
+    -------
+    Receptions
+        A row a reception, with the standard deviation of a rounded stamp.
+
     Raises
     ------
     RecordingError

@@ -23,6 +23,11 @@ def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
     name : str
         What to call the IMU.
 
+    Returns
+    -------
+    ImuStream
+        Its samples; without a field where a cell of it is empty.
+
     Raises
     ------
     RecordingError

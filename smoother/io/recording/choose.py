@@ -28,7 +28,23 @@ _POINTS = ("wrist", "strap", "hand", "elbow")
 
 @dataclass
 class StreamChoice:
-    """What is to be used of a file."""
+    """What is to be used of a file.
+
+    Attributes
+    ----------
+    imu : ImuSamples
+        On the forearm.
+    arm : ArmFrames
+        The arm that it is on.
+    side : str
+        "left", "right" or "".
+    base : ImuSamples, optional
+        The IMU on the camera.
+    truth : PoseSamples, optional
+        The reference motion.
+    notes : list of str
+        How it was decided, one sentence each.
+    """
 
     imu: ImuSamples
     arm: ArmFrames
@@ -71,6 +87,21 @@ def choose(
     store: Store | None = None,
 ) -> StreamChoice:
     """Settle which IMU and arm are meant: by option, else by name, else by motion.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    imu, skeleton, side, prefer_side : str, optional
+    body : int, optional
+        As in `read_recording`.
+    store : Store, optional
+        Where joined arms are to lie; in memory if None.
+
+    Returns
+    -------
+    StreamChoice
+        With a sentence for each decision.
 
     Raises
     ------
@@ -140,6 +171,18 @@ def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int
 
 def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
     """The IMU of that name, of whatever limb, or the only one that there is.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    name : str, optional
+        Topic (or a part of it, or its frame_id).
+
+    Returns
+    -------
+    ImuSamples
+        As recorded.
 
     Raises
     ------

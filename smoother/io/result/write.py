@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 
@@ -12,7 +12,7 @@ from ...result import Recovery
 from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
-from ..mcap.messages import ChunkMessages, Topic
+from ..mcap.messages import Topic
 from ..mcap.time_batches import time_batches
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
@@ -81,7 +81,13 @@ def write_recovery(
             streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
         if source is not None:
             container = Container(source)
-            output.interleave(_copied(container, passthrough_images))
+            output.interleave(
+                container.chunks(
+                    lambda topic: (
+                        not topic.name.startswith(RESULT_PREFIX) and may_copy(topic, passthrough_images)
+                    )
+                )
+            )
         for batch in time_batches([axis for each in streams for axis in each.axes()]):
             rows = [batch.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
             outgoing = [each.batch(*mine) for each, mine in zip(streams, rows, strict=True)]
@@ -104,10 +110,6 @@ def _version() -> str:
         return "unknown"
 
 
-def _copied(source: Container, passthrough_images: bool) -> Iterator[ChunkMessages]:
-    def wanted(topic: Topic) -> bool:
-        if topic.name.startswith(RESULT_PREFIX):
-            return False
-        return passthrough_images or not _IMAGES.search(topic.schema)
-
-    return source.chunks(wanted)
+def may_copy(topic: Topic, passthrough_images: bool) -> bool:
+    """Whether a topic of a recording goes into files made of it: not its images unless they are asked for."""
+    return passthrough_images or not _IMAGES.search(topic.schema)

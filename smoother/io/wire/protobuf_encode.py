@@ -23,18 +23,38 @@ HEAD_BYTES = 31
 
 @dataclass(frozen=True)
 class Slot:
-    """Where a column's values go: `count` doubles from component `first`, or one varint."""
+    """Where a column's values go: `count` doubles from component `first`, or one varint.
+
+    Attributes
+    ----------
+    column : str
+        Its name.
+    offset : int, bytes
+        Where it lies in the message.
+    width : int, bytes
+        Of a varint; 0 for doubles.
+    first, count : int
+        Components of the column.
+    """
 
     column: str
     offset: int
-    width: int  # bytes of a varint; 0 for doubles
+    width: int
     first: int = 0
     count: int = 1
 
 
 @dataclass(frozen=True)
 class Template:
-    """Fields of a message: their bytes, and the slots in them."""
+    """Fields of a message.
+
+    Attributes
+    ----------
+    data : bytes
+        Their wire form.
+    slots : tuple of Slot
+        What changes from message to message.
+    """
 
     data: bytes
     slots: tuple[Slot, ...] = ()
