@@ -13,41 +13,62 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from calib.file import read_calibration
+
     from .calibration import ArmCalibration
     from .config import Config
+    from .errors import UnoccludeError
+    from .evaluation.validate import validate
     from .io import read_recording, read_recovery, write_recording, write_recovery
-    from .recording import Recording
+    from .recording import ImuStream, JointState, JointTracks, Recording, Truth
     from .result import Recovery
     from .smoothing import smooth
 
 #: Where each public name lives; loaded at first use, so that the command line starts at once.
 _HOME = {
-    "ArmCalibration": "calibration",
-    "Config": "config",
-    "Recording": "recording",
-    "Recovery": "result",
-    "read_recording": "io",
-    "read_recovery": "io",
-    "write_recording": "io",
-    "write_recovery": "io",
+    "ArmCalibration": "smoother.calibration",
+    "Config": "smoother.config",
+    "ImuStream": "smoother.recording",
+    "JointState": "smoother.recording",
+    "JointTracks": "smoother.recording",
+    "Recording": "smoother.recording",
+    "Recovery": "smoother.result",
+    "Truth": "smoother.recording",
+    "UnoccludeError": "smoother.errors",
+    "read_calibration": "calib.file",
+    "read_recording": "smoother.io",
+    "read_recovery": "smoother.io",
+    "smooth": "smoother.smoothing",
+    "validate": "smoother.evaluation.validate",
+    "write_recording": "smoother.io",
+    "write_recovery": "smoother.io",
 }
 
 __all__ = [
     "ArmCalibration",
     "Config",
+    "ImuStream",
+    "JointState",
+    "JointTracks",
     "Recording",
     "Recovery",
+    "Truth",
+    "UnoccludeError",
+    "read_calibration",
     "read_recording",
     "read_recovery",
     "smooth",
+    "validate",
     "write_recording",
     "write_recovery",
 ]
 
 
 def __getattr__(name: str) -> object:
-    if name == "smooth":
-        return import_module(".smoothing", __name__).smooth
     if name in _HOME:
-        return getattr(import_module(f".{_HOME[name]}", __name__), name)
+        return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

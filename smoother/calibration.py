@@ -1,6 +1,6 @@
-"""The arm's calibration as a plain value: what the smoother takes, and what it found.
+"""The arm's calibration as a plain value: what the smoother takes, and what it answers.
 
-The file it is kept in belongs to the package `calib`.
+Its file belongs to the package `calib`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ class LeverArm:
 
     Attributes
     ----------
-    position_m : (3,) m in {A}.
-    sigma_m : (3,) one standard deviation an axis, m.
+    position_m : ndarray, shape (3,), m
+        In {A}.
+    sigma_m : ndarray, shape (3,), m
+        One standard deviation of each axis.
     """
 
     position_m: FloatArray
@@ -28,7 +30,14 @@ class LeverArm:
 
 @dataclass(frozen=True)
 class Length:
-    """A length and its standard deviation, m."""
+    """A length and its standard deviation.
+
+    Attributes
+    ----------
+    value_m : float, m
+    sigma_m : float, m
+        One standard deviation.
+    """
 
     value_m: float
     sigma_m: float
@@ -40,11 +49,18 @@ class ArmCalibration:
 
     Attributes
     ----------
-    side : "left", "right" or "".
-    lever_arms : by joint (elbow, wrist, hand), m in {A}. `strap` needs none: it is the IMU.
-    upper_arm : shoulder to elbow, or None where it is to be solved.
-    R_F_A : (3, 3) IMU axes to forearm axes (y elbow to wrist, x to the back of the hand), or None.
-    accelerometer_bias, gyroscope_bias : (3,) m/s^2 and rad/s in {A}, or None where unknown.
+    side : {"left", "right", ""}
+        Which arm; "" where the recording does not say.
+    lever_arms : dict of str to LeverArm
+        By joint (elbow, wrist, hand). `strap` needs none: it is the IMU.
+    upper_arm : Length or None
+        Shoulder to elbow; None where it is to be solved.
+    R_F_A : ndarray, shape (3, 3), or None
+        Maps a vector from the IMU's axes to the forearm's (y elbow to wrist, x to the back of the hand).
+    accelerometer_bias : ndarray, shape (3,), m/s^2, or None
+        In {A}; None where unknown.
+    gyroscope_bias : ndarray, shape (3,), rad/s, or None
+        In {A}; None where unknown.
     """
 
     side: str = ""

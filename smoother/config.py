@@ -12,7 +12,7 @@ class _Section(BaseModel):
 
 
 class CameraNoise(_Section):
-    """What the camera's joints are believed to be worth before the recording tells."""
+    """Noise of the camera's joints before the recording itself shows it."""
 
     joint_sigma_m: float = Field(
         default=0.010, gt=0, description="white noise of a joint, m an axis; start value"
@@ -38,7 +38,7 @@ class ImuNoise(_Section):
 
 
 class ArmPrior(_Section):
-    """What is believed of the arm before the recording tells."""
+    """The arm's measures and motion before the recording itself shows them."""
 
     upper_arm_m: float = Field(default=0.30, gt=0, description="shoulder to elbow where nothing is known, m")
     upper_arm_sigma_m: float = Field(default=0.05, gt=0, description="m")
@@ -47,7 +47,7 @@ class ArmPrior(_Section):
 
 
 class Windows(_Section):
-    """How a recording is cut into pieces that are solved side by side."""
+    """How a recording is cut into windows that are solved side by side."""
 
     margin_s: float = Field(default=2.5, gt=0, description="visible time on both sides of a gap, s")
     length_s: float = Field(default=12.0, gt=0, description="length aimed at where no gap decides, s")

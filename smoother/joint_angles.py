@@ -13,14 +13,16 @@ mirrored to a right one first. In degrees:
 - `shoulder_elevation`: 0 = arm hanging, 90 = level (ISB's beta_TH with its sign turned).
 - `shoulder_rotation`: axial rotation of the humerus, internal positive.
 
-A skeleton of one arm does not show the thorax. It is taken to stand upright and to face the camera:
+A skeleton of one arm does not show the thorax. It counts as upright and facing the camera:
 shoulder angles are relative to gravity and the camera.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from .linalg import unit
 from .recording import BoolArray, FloatArray
 from .result import Recovery
 
@@ -32,9 +34,9 @@ ANGLES = (
     "shoulder_elevation",
     "shoulder_rotation",
 )
-#: Nearer than this to a straight elbow, or to an upper arm that hangs, what hangs on it is noise, deg.
+#: Nearer than this to a straight elbow, or to a hanging upper arm, angles that depend on it are noise, deg.
 SINGULAR_DEG = 15.0
-#: A z axis this near to the vertical does not tell where the camera looks (cosine).
+#: A z axis this near to the vertical does not show where the camera looks (cosine).
 _UPRIGHT = 0.8
 
 
@@ -43,6 +45,16 @@ def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
 
     Flexion needs shoulder, elbow and wrist; pronation the forearm's axes in the IMU as well
     (`calibration.R_F_A`); the shoulder's angles the direction of gravity.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Of N samples.
+
+    Returns
+    -------
+    angles : dict of str to ndarray, shape (N,), deg
+        See `arm_angles`.
     """
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
     R_K_F = None if mounting is None else forearm_axes(recovery.quaternion, mounting)
@@ -54,18 +66,19 @@ def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    quaternion : (N, 4) qw, qx, qy, qz of `R_K_A`; nan where there is none.
-    R_F_A : (3, 3) IMU axes to forearm axes (y elbow to wrist, x to the back of the hand).
+    quaternion : ndarray, shape (N, 4)
+        qw, qx, qy, qz of `R_K_A`, of any length; nan where there is none.
+    R_F_A : ndarray, shape (3, 3)
+        Maps IMU axes to forearm axes (y elbow to wrist, x to the back of the hand).
+
+    Returns
+    -------
+    R_K_F : ndarray, shape (N, 3, 3)
+        nan where there is no quaternion.
     """
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    R_K_A = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=1,
-    )
+    R_K_A = np.full((len(quaternion), 3, 3), np.nan)
+    known = np.linalg.norm(quaternion, axis=1) > 0.0  # neither nan nor zero
+    R_K_A[known] = Rotation.from_quat(quaternion[known], scalar_first=True).as_matrix()
     return R_K_A @ np.asarray(R_F_A).T
 
 
@@ -81,17 +94,29 @@ def arm_angles(
 ) -> dict[str, FloatArray]:
     """Angles (count,) by the names in `ANGLES`, degrees in (-180, 180]; nan where not known.
 
-    Values near a singular posture are given as they come out; `defined` tells where to trust them.
+    Values near a singular posture are given as they come out; `defined` says where to trust them.
 
     Parameters
     ----------
-    joints : centres (count, 3) of shoulder, elbow, wrist by name, m in {K}; any may be missing.
-    count : number of samples.
-    R_K_F : (count, 3, 3) forearm axes (y elbow to wrist, x to the back of the hand), or None.
-    side : "left" or "right"; "" counts as right.
-    down : (3,) direction of gravity in {K}, or None.
-    forward : (3,) where the person faces, in {K}; towards the camera if None.
-    flexion_axis : (count, 3) from the medial to the lateral epicondyle in {K}, or None.
+    joints : dict of str to ndarray, shape (count, 3), m
+        Centres of shoulder, elbow and wrist in {K}; any may be missing.
+    count : int
+        Number of samples.
+    R_K_F : ndarray, shape (count, 3, 3), optional
+        Forearm axes (y elbow to wrist, x to the back of the hand).
+    side : {"right", "left", ""}
+        "" counts as right.
+    down : ndarray, shape (3,), optional
+        Direction of gravity in {K}.
+    forward : ndarray, shape (3,), optional
+        Where the person faces, in {K}; towards the camera if None.
+    flexion_axis : ndarray, shape (count, 3), optional
+        From the medial to the lateral epicondyle in {K}.
+
+    Returns
+    -------
+    angles : dict of str to ndarray, shape (count,), deg
+        By the names in `ANGLES` (Wu et al. 2005, sections 2.4.7 and 3.4.1).
     """
     angles = {name: np.full(count, np.nan) for name in ANGLES}
     if "shoulder" not in joints or "elbow" not in joints:
@@ -103,21 +128,21 @@ def arm_angles(
         to_torso = torso_axes(down, forward).T
     if side == "left":
         to_torso = np.diag([1.0, 1.0, -1.0]) @ to_torso  # from here on it is a right arm
-    y_humerus = _unit((joints["shoulder"] - joints["elbow"]) @ to_torso.T)
+    y_humerus = unit((joints["shoulder"] - joints["elbow"]) @ to_torso.T)
     if upright:
         angles["shoulder_plane"] = _degrees(-y_humerus[:, 0], -y_humerus[:, 2])
         angles["shoulder_elevation"] = _degrees(np.hypot(y_humerus[:, 0], y_humerus[:, 2]), y_humerus[:, 1])
     if "wrist" not in joints:
         return angles
 
-    y_forearm = _unit((joints["elbow"] - joints["wrist"]) @ to_torso.T)
+    y_forearm = unit((joints["elbow"] - joints["wrist"]) @ to_torso.T)
     if flexion_axis is None:  # ISB's second definition of the humerus
-        z_humerus = _unit(np.cross(y_humerus, y_forearm))
+        z_humerus = unit(np.cross(y_humerus, y_forearm))
         x_humerus = np.cross(y_humerus, z_humerus)
         across = np.linalg.norm(np.cross(y_humerus, y_forearm), axis=1)
         angles["elbow_flexion"] = _degrees(across, _dot(y_forearm, y_humerus))
     else:
-        x_humerus = _unit(np.cross(y_humerus, flexion_axis @ to_torso.T))
+        x_humerus = unit(np.cross(y_humerus, flexion_axis @ to_torso.T))
         z_humerus = np.cross(x_humerus, y_humerus)
         angles["carrying"] = np.degrees(np.arcsin(np.clip(_dot(y_forearm, z_humerus), -1, 1)))
         angles["elbow_flexion"] = _degrees(-_dot(y_forearm, x_humerus), _dot(y_forearm, y_humerus))
@@ -125,7 +150,7 @@ def arm_angles(
         angles["shoulder_rotation"] = _degrees(-x_humerus[:, 1], z_humerus[:, 1])
     if R_K_F is not None:
         thumb = (R_K_F[:, :, 2] if side != "left" else -R_K_F[:, :, 2]) @ to_torso.T
-        x_forearm = _unit(np.cross(y_forearm, thumb))
+        x_forearm = unit(np.cross(y_forearm, thumb))
         z_forearm = np.cross(x_forearm, y_forearm)
         angles["pronation"] = _degrees(-_dot(x_forearm, z_humerus), _dot(z_forearm, z_humerus))
     return angles
@@ -136,10 +161,16 @@ def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArra
 
     Parameters
     ----------
-    down : (3,) direction of gravity in {K}.
-    forward : (3,) where the person faces; if None, against the camera's z axis (the person faces
-        the camera). Where z is the vertical, x stands for it, and the plane of elevation counts
-        from there.
+    down : ndarray, shape (3,)
+        Direction of gravity in {K}.
+    forward : ndarray, shape (3,), optional
+        Where the person faces; if None, against the camera's z axis (the person faces the camera).
+        Where z is the vertical, x stands for it, and the plane of elevation counts from there.
+
+    Returns
+    -------
+    R_K_T : ndarray, shape (3, 3)
+        Maps a vector from the thorax's axes to the camera's.
     """
     up = -np.asarray(down) / np.linalg.norm(down)
     if forward is None:
@@ -152,9 +183,19 @@ def torso_axes(down: FloatArray, forward: FloatArray | None = None) -> FloatArra
 def defined(angles: dict[str, FloatArray]) -> dict[str, BoolArray]:
     """Where each angle (N,) is known and 15 degrees or more from its singular posture.
 
-    Pronation and axial rotation hang on the plane of the elbow, which a straight arm does not have
+    Pronation and axial rotation depend on the plane of the elbow, which a straight arm does not have
     (unless the epicondyles are known); plane of elevation and axial rotation on an upper arm that
     does not hang.
+
+    Parameters
+    ----------
+    angles : dict of str to ndarray, shape (N,), deg
+        From `arm_angles`.
+
+    Returns
+    -------
+    good : dict of str to ndarray of bool, shape (N,)
+        By the same names.
     """
     bent = _between(angles["elbow_flexion"]) | np.isfinite(angles["carrying"])
     raised = _between(angles["shoulder_elevation"])
@@ -181,8 +222,3 @@ def _degrees(sine: FloatArray, cosine: FloatArray) -> FloatArray:
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((a * b).sum(axis=1))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -8,7 +8,21 @@ from .recording import BoolArray, FloatArray
 
 
 def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation of stacked values (n, ...) at times, held beyond the ends."""
+    """Linear interpolation of stacked values, held beyond the ends.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        Increasing.
+    values : ndarray, shape (n, ...)
+        Anything at these times.
+    at : ndarray, shape (k,), s
+        Where to interpolate.
+
+    Returns
+    -------
+    interpolated : ndarray, shape (k, ...)
+    """
     if len(t) == 1:
         return np.repeat(values, len(at), axis=0)
     right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
@@ -56,6 +70,12 @@ def robust_sigma(residual: FloatArray, axis: int | None = None) -> FloatArray:
         Residuals with their centre taken off already.
     axis : int, optional
         Along which the median is taken; over everything where None.
+
+    Returns
+    -------
+    sigma : ndarray
+        In the residual's unit, without the axis. The factor makes it the standard deviation of a normal
+        distribution (Rousseeuw and Croux, J. Am. Stat. Assoc. 1993).
     """
     return np.asarray(1.4826 * np.median(np.abs(residual), axis=axis))
 
@@ -65,6 +85,16 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
     With M the sum of `w a_i b_i'` over pairs of vectors this is the R of `a = R b` in the sense of least
     squares (Kabsch, Acta Crystallographica A32, 1976).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., 3, 3)
+        M.
+
+    Returns
+    -------
+    R : ndarray, shape (..., 3, 3)
+        Proper rotations.
     """
     U, _, Vt = np.linalg.svd(matrix)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
@@ -72,10 +102,64 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 
 def parabola_vertex(x: FloatArray, y: FloatArray) -> float:
-    """Where the parabola through the lowest sample and its neighbours is lowest; x (n,) evenly spaced."""
+    """Where the parabola through the lowest sample and its neighbours is lowest.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Evenly spaced.
+    y : ndarray, shape (n,)
+        Values at x.
+
+    Returns
+    -------
+    vertex : float
+        The lowest sample's x itself where that is an end, or where the parabola is not curved upwards.
+    """
     k = int(np.argmin(y))
     if k in (0, len(x) - 1):
         return float(x[k])
     before, here, after = y[k - 1], y[k], y[k + 1]
     curvature = before - 2 * here + after
     return float(x[k] + 0.5 * (x[1] - x[0]) * (before - after) / curvature) if curvature > 0 else float(x[k])
+
+
+def masked_correlation(a: FloatArray, b: FloatArray, least_variance: float) -> tuple[FloatArray, FloatArray]:
+    """Pearson's correlation of two series at every shift, over the samples that both have there.
+
+    Parameters
+    ----------
+    a : ndarray, shape (n,)
+        One series on an even grid; nan where it has no value.
+    b : ndarray, shape (m,)
+        The other, on a grid of the same step.
+    least_variance : float
+        Both are scaled to a variance of one first; where what is left of either at a shift varies by less
+        than this, it is at rest and the correlation is zero.
+
+    Returns
+    -------
+    correlation : ndarray, shape (n + m - 1,)
+        By shift; entry k belongs to `a(t + (k - m + 1) step)` with `b(t)`.
+    count : ndarray, shape (n + m - 1,)
+        Samples that both have there, 1 or more.
+    """
+    known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
+    a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
+    # near one: what comes out of the Fourier transform must not drown in its rounding
+    a, b = a / max(float(a.std()), 1e-12), b / max(float(b.std()), 1e-12)
+    size = 1 << (len(a) + len(b) - 2).bit_length()
+
+    def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
+        # as scipy.signal.correlate, whose import would cost more memory than a section of a recording
+        product = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
+        return np.asarray(np.fft.irfft(product, size)[: len(a) + len(b) - 1])
+
+    n = np.maximum(np.round(shifted(known_a, known_b)), 1.0)
+    sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)
+    variance_a = shifted(a * a, known_b) / n - (sum_a / n) ** 2
+    variance_b = shifted(known_a, b * b) / n - (sum_b / n) ** 2
+    still = (variance_a < least_variance) | (variance_b < least_variance)
+    covariance = shifted(a, b) / n - sum_a * sum_b / n**2
+    r = covariance / np.sqrt(np.where(still, 1.0, variance_a * variance_b))
+    return np.where(still, 0.0, np.clip(r, -1.0, 1.0)), n

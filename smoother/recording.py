@@ -7,11 +7,14 @@ IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .errors import RecordingError
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -48,20 +51,31 @@ class CameraFrame(StrEnum):
         }[self]
 
 
+def median_rate_hz(t_s: FloatArray) -> float:
+    """Median rate of increasing times (n,), Hz; nan for fewer than two."""
+    return float(1.0 / np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")
+
+
 @dataclass(frozen=True)
 class ImuStream:
     """Samples of one inertial sensor, on its own clock, in its own axes.
 
     Attributes
     ----------
-    name : where it came from (a topic, a file's section).
-    t_s : (N,) centre of the interval that a sample averages, s after the recording's origin.
-    acc : (N, 3) specific force, m/s^2 (at rest about +9.81 upwards).
-    gyro : (N, 3) angular velocity, rad/s.
-    mag : (N, 3) magnetic field in the sensor's unit, or None.
-    mag_calibrated : `mag` is corrected, of length 1 in the field where it was calibrated.
-    accelerometer_density, gyroscope_density : white noise measured of this sensor, m/s^2/sqrt(Hz) and
-        rad/s/sqrt(Hz); None where nobody did.
+    name : str
+        Where it came from (a topic, a file's section).
+    t_s : ndarray, shape (N,), s
+        Centre of the interval that a sample averages, after the recording's origin.
+    acc : ndarray, shape (N, 3), m/s^2
+        Specific force: at rest about +9.81 upwards.
+    gyro : ndarray, shape (N, 3), rad/s
+        Angular velocity.
+    mag : ndarray, shape (N, 3), optional
+        Magnetic field in the sensor's unit.
+    mag_calibrated : bool
+        `mag` is corrected, of length 1 in the field where it was calibrated.
+    accelerometer_density, gyroscope_density : float, m/s^2/sqrt(Hz) and rad/s/sqrt(Hz), optional
+        White noise measured of this sensor.
     """
 
     name: str
@@ -78,13 +92,13 @@ class ImuStream:
 
     @property
     def rate_hz(self) -> float:
-        """Median sample rate (nan for fewer than two samples)."""
-        return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else float("nan")
+        """Median sample rate, Hz (nan for fewer than two samples)."""
+        return median_rate_hz(self.t_s)
 
-    def select(self, keep: BoolArray | slice) -> ImuStream:
-        """The same stream with the kept samples only."""
-        mag = None if self.mag is None else self.mag[keep]
-        return replace(self, t_s=self.t_s[keep], acc=self.acc[keep], gyro=self.gyro[keep], mag=mag)
+    def select(self, rows: BoolArray | slice) -> ImuStream:
+        """The same stream with some of the samples only."""
+        mag = None if self.mag is None else self.mag[rows]
+        return replace(self, t_s=self.t_s[rows], acc=self.acc[rows], gyro=self.gyro[rows], mag=mag)
 
 
 @dataclass(frozen=True)
@@ -93,10 +107,14 @@ class JointTracks:
 
     Attributes
     ----------
-    name : where it came from (a topic, a file).
-    t_s : (F,) frame times, s after the recording's origin.
-    position : (F, 5, 3) m in {K}, joints in the order of `JOINTS`; nan where there is none.
-    state : (F, 5) `JointState` values, int8.
+    name : str
+        Where it came from (a topic, a file).
+    t_s : ndarray, shape (F,), s
+        Frame times after the recording's origin.
+    position : ndarray, shape (F, 5, 3), m
+        In {K}, joints in the order of `JOINTS`; nan where there is none.
+    state : ndarray of int8, shape (F, 5)
+        `JointState` values.
     """
 
     name: str
@@ -109,14 +127,14 @@ class JointTracks:
 
     @property
     def rate_hz(self) -> float:
-        """Median frame rate (nan for fewer than two frames)."""
-        return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else float("nan")
+        """Median frame rate, Hz (nan for fewer than two frames)."""
+        return median_rate_hz(self.t_s)
 
     @property
     def present(self) -> tuple[str, ...]:
         """Joints that were tracked at least once."""
-        seen = (self.state == JointState.TRACKED).any(axis=0)
-        return tuple(joint for joint, is_seen in zip(JOINTS, seen, strict=True) if is_seen)
+        tracked = (self.state == JointState.TRACKED).any(axis=0)
+        return tuple(joint for joint, is_tracked in zip(JOINTS, tracked, strict=True) if is_tracked)
 
     def joint(self, name: str) -> FloatArray:
         """Positions (F, 3) of a joint, m in {K}, whatever its state."""
@@ -128,9 +146,9 @@ class JointTracks:
         finite = np.isfinite(self.position[:, index]).all(axis=1)
         return (self.state[:, index] == JointState.TRACKED) & finite
 
-    def select(self, keep: BoolArray | slice) -> JointTracks:
-        """The same tracks with the kept frames only."""
-        return JointTracks(self.name, self.t_s[keep], self.position[keep], self.state[keep])
+    def select(self, rows: BoolArray | slice) -> JointTracks:
+        """The same tracks with some of the frames only."""
+        return JointTracks(self.name, self.t_s[rows], self.position[rows], self.state[rows])
 
     def hide(self, hidden: BoolArray, joints: tuple[str, ...] = FOREARM_JOINTS) -> JointTracks:
         """A copy in which the joints are not tracked, and have no position, in the hidden frames (F,)."""
@@ -147,11 +165,16 @@ class Truth:
 
     Attributes
     ----------
-    t_s : (M,) s after the recording's origin.
-    position : (M, 3) m in {K}; nan where the reference has none.
-    quaternion : (M, 4) qw, qx, qy, qz of `R_K_A`; nan where there is none.
-    score : (M,) samples to score on (BROAD scores while the sensor is in motion).
-    joints : further reference positions (M, 3) by joint name, m in {K}.
+    t_s : ndarray, shape (M,), s
+        After the recording's origin.
+    position : ndarray, shape (M, 3), m
+        In {K}; nan where the reference has none.
+    quaternion : ndarray, shape (M, 4)
+        qw, qx, qy, qz of `R_K_A`; nan where there is none.
+    score : ndarray of bool, shape (M,)
+        Samples to score on (BROAD scores while the sensor is in motion).
+    joints : dict of str to ndarray, shape (M, 3), m
+        Further reference positions by joint name, in {K}.
     """
 
     t_s: FloatArray
@@ -164,23 +187,34 @@ class Truth:
         return len(self.t_s)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """One arm, the IMU on its forearm, and what else was recorded with them.
 
     Attributes
     ----------
-    imu : the forearm IMU.
-    arm : the camera's joints of that arm.
-    side : "left", "right", or "" where the recording does not say (`strap` alone).
-    camera_frame : the convention of the camera's axes; None where the recording does not say.
-    gravity_hint : (3,) direction of down in {K}, good to some degrees, or None.
-    base_imu : an IMU fixed to the camera, or None.
-    truth : reference motion, used by validation only, or None.
-    origin_ns : what the times count from, ns (0 or a Unix time).
-    name : what to call the recording in messages (its file's name).
-    notes : what was dropped or decided on reading, one sentence each.
-    gravity_sigma_rad : how well `gravity_hint` is known, an axis; None = to some degrees.
+    imu : ImuStream
+        The forearm IMU.
+    arm : JointTracks
+        The camera's joints of that arm.
+    side : str
+        "left", "right", or "" where the recording does not say (`strap` alone).
+    camera_frame : CameraFrame, optional
+        The convention of the camera's axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Direction of down in {K}, good to some degrees.
+    base_imu : ImuStream, optional
+        An IMU fixed to the camera.
+    truth : Truth, optional
+        Reference motion, used by validation only.
+    origin_ns : int, ns
+        What the times count from (0 or a Unix time).
+    name : str
+        What to call the recording in messages (its file's name).
+    notes : tuple of str
+        What was dropped or decided on reading, one sentence each.
+    gravity_sigma_rad : float, rad, optional
+        How well `gravity_hint` is known, an axis; to some degrees where None.
     """
 
     imu: ImuStream
@@ -194,3 +228,114 @@ class Recording:
     name: str = "recording"
     notes: tuple[str, ...] = ()
     gravity_sigma_rad: float | None = None
+
+    def __repr__(self) -> str:
+        length_s = float(self.imu.t_s[-1] - self.imu.t_s[0]) if len(self.imu) else 0.0
+        side = f"{self.side} arm, " if self.side else ""
+        return (
+            f"Recording({self.name!r}: {side}{length_s:.1f} s, IMU {self.imu.rate_hz:.1f} Hz,"
+            f" camera {self.arm.rate_hz:.1f} Hz with {', '.join(self.arm.present) or 'no joint'})"
+        )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        imu_t_s: FloatArray,
+        acc: FloatArray,
+        gyro: FloatArray,
+        frame_t_s: FloatArray,
+        joints: Mapping[str, FloatArray],
+        *,
+        states: Mapping[str, NDArray] | None = None,
+        mag: FloatArray | None = None,
+        side: str = "",
+        camera_frame: CameraFrame | str | None = None,
+        gravity_hint: FloatArray | None = None,
+        truth: Truth | None = None,
+        name: str = "recording",
+    ) -> Recording:
+        """Build a recording from arrays, in SI units.
+
+        Parameters
+        ----------
+        imu_t_s : array_like, shape (N,), s
+            The IMU's stamps, increasing, on its own clock: centres of the intervals that samples average.
+        acc : array_like, shape (N, 3), m/s^2
+            Specific force in the sensor's axes (at rest about +9.81 upwards).
+        gyro : array_like, shape (N, 3), rad/s
+            Angular velocity in the sensor's axes.
+        frame_t_s : array_like, shape (F,), s
+            The camera's stamps, increasing, on its own clock.
+        joints : mapping of str to array_like, shape (F, 3), m
+            Positions in the camera's frame by name (shoulder, elbow, wrist, hand, strap); nan where the
+            camera has none.
+        states : mapping of str to array_like of int, shape (F,), optional
+            `JointState` values by joint; without them a joint is tracked where its position is finite.
+        mag : array_like, shape (N, 3), optional
+            Magnetic field.
+        side : str
+            "left", "right" or "".
+        camera_frame : CameraFrame or str, optional
+            "kinect", "optical" or "zup".
+        gravity_hint : array_like, shape (3,), optional
+            Direction of down in the camera's frame.
+        truth : Truth, optional
+            Reference motion, for validation.
+        name : str
+            For messages.
+
+        Raises
+        ------
+        RecordingError
+            A shape does not fit, a joint has another name, times do not increase, or samples are not finite.
+        """
+        t = _times(imu_t_s, "imu_t_s", name)
+        frame_t = _times(frame_t_s, "frame_t_s", name)
+        unknown = sorted({*joints, *(states or {})} - set(JOINTS))
+        if unknown:
+            raise RecordingError(f"{name}: {unknown[0]} is no joint; joints are {', '.join(JOINTS)}")
+        if side not in ("", "left", "right"):
+            raise RecordingError(f"{name}: the side is left or right, not {side}")
+        try:
+            frame = None if camera_frame is None else CameraFrame(camera_frame)
+        except ValueError as error:
+            names = ", ".join(CameraFrame)
+            raise RecordingError(
+                f"{name}: the camera's frame is one of {names}, not {camera_frame}"
+            ) from error
+        imu = ImuStream(
+            "imu",
+            t,
+            _rows(acc, (len(t), 3), "acc", name, finite=True),
+            _rows(gyro, (len(t), 3), "gyro", name, finite=True),
+            None if mag is None else _rows(mag, (len(t), 3), "mag", name),
+        )
+        position = np.full((len(frame_t), len(JOINTS), 3), np.nan)
+        state = np.zeros((len(frame_t), len(JOINTS)), np.int8)
+        for joint, values in joints.items():
+            column = JOINTS.index(joint)
+            position[:, column] = _rows(values, (len(frame_t), 3), joint, name)
+            state[np.isfinite(position[:, column]).all(axis=1), column] = JointState.TRACKED
+        for joint, values in (states or {}).items():
+            state[:, JOINTS.index(joint)] = _rows(values, (len(frame_t),), f"the state of {joint}", name)
+        hint = None if gravity_hint is None else _rows(gravity_hint, (3,), "gravity_hint", name, finite=True)
+        arm = JointTracks("camera", frame_t, position, state)
+        return cls(imu, arm, side, frame, hint, truth=truth, name=name)
+
+
+def _rows(
+    values: FloatArray, shape: tuple[int, ...], what: str, name: str, finite: bool = False
+) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise RecordingError(f"{name}: {what} has the shape {array.shape}; it must be {shape}")
+    if finite and not np.isfinite(array).all():
+        raise RecordingError(f"{name}: {what} holds values that are not finite; take those samples out")
+    return array
+
+
+def _times(values: FloatArray, what: str, name: str) -> FloatArray:
+    t = _rows(values, np.shape(values)[:1] or (0,), what, name, finite=True)
+    if len(t) < 2 or not (np.diff(t) > 0).all():
+        raise RecordingError(f"{name}: {what} must hold at least two times that increase")
+    return t

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
+from .errors import UnoccludeError
 from .measurements.visibility import Gap
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
+
+if TYPE_CHECKING:
+    import pandas
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BLOCK = 8192
@@ -22,11 +28,16 @@ class FrameResiduals:
 
     Attributes
     ----------
-    t_s : (F,) frame times on the IMU's clock, s.
-    residual : (F, 5, 3) m in {K}, joints in the order of `JOINTS`; nan where there is no answer.
-    used : (F, 5) the sample took part in the solution.
-    reason : (F, 5) why a tracked sample was set aside: index into `reasons`, 0 where it was not.
-    reasons : the sentences, the first one empty.
+    t_s : ndarray, shape (F,), s
+        Frame times on the IMU's clock.
+    residual : ndarray, shape (F, 5, 3), m
+        In {K}, joints in the order of `JOINTS`; nan where there is no answer.
+    used : ndarray of bool, shape (F, 5)
+        The sample took part in the solution.
+    reason : ndarray of uint8, shape (F, 5)
+        Why a tracked sample was rejected: index into `reasons`, 0 where it was not.
+    reasons : tuple of str
+        The sentences, the first one empty.
     """
 
     t_s: FloatArray
@@ -54,7 +65,7 @@ class FrameResiduals:
             yield self.rows(slice(start, start + BLOCK))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recovery:
     """The arm's motion on the IMU's times and clock, with covariance.
 
@@ -62,25 +73,48 @@ class Recovery:
 
     Attributes
     ----------
-    method : name of the method ("graph" or a peer).
-    t_s : (N,) the IMU's stamps, s after `origin_ns`.
-    occluded : (N,) the camera did not see the forearm at that time.
-    position : (N, 3) of the IMU, m in {K}; nan where there is no answer.
-    quaternion : (N, 4) qw, qx, qy, qz of `R_K_A`.
-    velocity : (N, 3) m/s in {K}.
-    pose_covariance : (N, 6, 6) of (position in {K} m, rotation vector in {K} rad).
-    velocity_covariance : (N, 3, 3) (m/s)^2 in {K}.
-    joints : positions (N, 3) by joint name, m in {K}.
-    joint_covariance : (N, 3, 3) by joint name, m^2 in {K}.
-    gaps : the occluded stretches.
-    calibration : what was used or found for this arm; None for methods that need none.
-    gravity_direction : (3,) unit vector of down in {K}; nan where the method does not solve it.
-    clock_offset_s, clock_offset_sigma_s : t_imu = t_camera + offset.
-    arm : the camera's joints, stamps moved to the IMU's clock.
-    residuals : camera against answer; None for methods that keep none.
-    notes : what a reader must know of this result, one sentence each.
-    config : the effective configuration, as plain values.
-    figures : further numbers worth keeping (biases, noise found, timings), by name.
+    method : str
+        Name of the method ("graph" or a baseline).
+    t_s : ndarray, shape (N,), s
+        The IMU's stamps, after `origin_ns`.
+    occluded : ndarray of bool, shape (N,)
+        The camera did not see the forearm at that time.
+    position : ndarray, shape (N, 3), m
+        Of the IMU, in {K}; nan where there is no answer.
+    quaternion : ndarray, shape (N, 4)
+        qw, qx, qy, qz of `R_K_A`.
+    velocity : ndarray, shape (N, 3), m/s
+        In {K}.
+    pose_covariance : ndarray, shape (N, 6, 6), m and rad
+        Of (position in {K}, rotation vector in {K}).
+    velocity_covariance : ndarray, shape (N, 3, 3), (m/s)^2
+        In {K}.
+    joints : dict of str to ndarray, shape (N, 3), m
+        Positions by joint name, in {K}.
+    joint_covariance : dict of str to ndarray, shape (N, 3, 3), m^2
+        By joint name.
+    gaps : tuple of Gap
+        In the order of time.
+    calibration : ArmCalibration, optional
+        What was used or found for this arm; None for methods that need none.
+    gravity_direction : ndarray, shape (3,)
+        Unit vector of down in {K}; nan where the method does not solve it.
+    clock_offset_s, clock_offset_sigma_s : float, s
+        t_imu = t_camera + offset.
+    arm : JointTracks
+        The camera's joints, stamps moved to the IMU's clock.
+    residuals : FrameResiduals, optional
+        Camera against answer; None for methods that keep none.
+    origin_ns : int, ns
+        What the times count from.
+    side, name : str
+        Of the recording.
+    notes : tuple of str
+        What a reader must know of this result, one sentence each.
+    config : dict
+        The effective configuration, as plain values.
+    figures : dict
+        Further numbers worth keeping (biases, noise found), by name.
     """
 
     method: str
@@ -109,6 +143,31 @@ class Recovery:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    def __repr__(self) -> str:
+        closed = [gap.length_s for gap in self.gaps]
+        longest = f", the longest {max(closed):.1f} s" if closed else ""
+        return (
+            f"Recovery({self.name!r} by {self.method}: {len(self)} samples, {len(closed)} gaps{longest};"
+            f" joints {', '.join(self.joints) or 'none'})"
+        )
+
+    def _repr_html_(self) -> str:
+        """A short table of the gaps, as notebooks show it."""
+        rows = "".join(
+            f"<tr><td>{gap.start_s:.2f}</td><td>{gap.length_s:.2f}</td><td>{self._sigma_in(gap)}</td></tr>"
+            for gap in self.gaps[:20]
+        )
+        more = f"<p>.. and {len(self.gaps) - 20} more</p>" if len(self.gaps) > 20 else ""
+        return (
+            f"<p>{escape(repr(self))}</p><table><tr><th>gap from, s</th><th>length, s</th>"
+            f"<th>largest sigma, cm</th></tr>{rows}</table>{more}"
+        )
+
+    def _sigma_in(self, gap: Gap) -> str:
+        inside = slice(*np.searchsorted(self.t_s, [gap.start_s, gap.end_s]).tolist())
+        sigma = self.rows(inside).worst_sigma_m
+        return f"{100 * np.nanmax(sigma):.1f}" if np.isfinite(sigma).any() else "no answer"
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
@@ -193,3 +252,25 @@ class Recovery:
             arrays[joint] = self.joints[joint]
             arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
         return arrays
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The columns of the CSV export, and the velocity, as a pandas table.
+
+        Raises
+        ------
+        UnoccludeError
+            pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
+        columns: dict[str, NDArray] = {}
+        for name, values in self.to_arrays().items():
+            if values.ndim == 1:
+                columns[name] = values
+                continue
+            axes = ("qw", "qx", "qy", "qz") if values.shape[1] == 4 else ("x", "y", "z")
+            stem = name.removesuffix("_quaternion")
+            columns |= {f"{stem}_{axis}": values[:, k] for k, axis in enumerate(axes)}
+        return pandas.DataFrame(columns)

@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from functools import partial
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 from .calibration import ArmCalibration
 from .config import Config
 from .errors import SolveError
 from .measurements.outliers import reject_by_camera
-from .measurements.timestamps import synthetic_stamps
-from .recording import FOREARM_JOINTS, JOINTS, FloatArray, Recording
-from .recovery.magnetometer import (
-    NO_MAGNETOMETER,
-    FieldMean,
-    Magnetometer,
-    decide,
-    takes_part,
-    usual_strength,
-)
-from .recovery.passes import (
-    FirstAnswer,
-    SecondAnswer,
-    SectionState,
-    Task,
-    first_pass,
-    second_pass,
-    section_field_means,
-)
+from .measurements.timeline import Timeline
+from .recording import FOREARM_JOINTS, Recording
+from .recovery.field_pass import magnetic_field
+from .recovery.first_pass import FirstPass
+from .recovery.merge import merge
+from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
-from .recovery.stitch import Merger
+from .recovery.task import Task
 from .result import Recovery
 from .runtime.pool import Pool
 from .runtime.store import Store
-from .selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from .selfcal.coarse_clock import synchronise_coarsely
-from .selfcal.excerpts import excerpts_of
-from .selfcal.rounds import SelfCalibration, self_calibrate
-from .window.pooling import leave_one_out_priors, pooled
-from .window.priors import calibration_from, first_priors, noise_of, with_measured_noise
-from .window.problem import FieldMeasurements, Message, Priors
+from .selfcal.excerpts import informative_excerpts
+from .selfcal.rounds import self_calibrate
+from .window.pooling import leave_one_out_priors
+from .window.priors import with_measured_noise
 
-#: With so many sections the clock is found anew from all of them: it wanders over a long recording.
-CLOCK_SECTIONS = 5
-
+#: Called with a fraction (0..1) and a word for the step.
 Progress = Callable[[float, str], None]
+Answer = TypeVar("Answer")
 
 
 def smooth(
@@ -59,16 +41,21 @@ def smooth(
     """Recover the arm's motion over a whole recording.
 
     The recording is worked on in sections of about a minute, side by side in processes: each is solved once
-    alone for what all sections share, then again with what the others found. The answer does not depend on
-    the number of processes.
+    alone for what all sections share, then again with what the others know of that. The answer does not
+    depend on the number of processes.
 
     Parameters
     ----------
-    recording : one arm and its forearm IMU.
-    calibration : lever arms and upper-arm length; not needed where `strap` is the only forearm joint.
-    config : settings; the defaults where None.
-    progress : called with a fraction (0..1) and a word for the step.
-    store : where what grows with the recording's length lives; in memory where None.
+    recording : Recording
+        One arm and its forearm IMU.
+    calibration : ArmCalibration, optional
+        Lever arms and upper-arm length, with sigmas; what it lacks is solved.
+    config : Config, optional
+        Settings.
+    progress : callable, optional
+        Called with a fraction (0..1) and a word for the step.
+    store : Store, optional
+        Where what grows with the recording's length lives; in memory where None.
 
     Returns
     -------
@@ -81,139 +68,42 @@ def smooth(
         Nothing of the recording can be solved, in one sentence.
     """
     config = with_measured_noise(config or Config(), recording.imu)
-    calibration = calibration or ArmCalibration(side=recording.side)
-    say, store = progress or (lambda fraction, text: None), store or Store()
-    _check(recording)
+    given = calibration or ArmCalibration(side=recording.side)
+    report, store = progress or (lambda fraction, text: None), store or Store()
+    if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
+        raise SolveError(f"{recording.name}: the camera never tracked the forearm")
 
-    recording, coarse = synchronise_coarsely(recording)
-    with Pool(config.windows.processes, len(recording.arm)) as pool:
-        # clocks, and what the calibration lacks
-        say(0.0, "calibrating")
-        blocks = [reject_by_camera(block) for block in excerpts_of(recording)]
-        if not blocks:
+    # 1. Clocks: bring the camera's stamps to where the fine search finds the rest.
+    report(0.0, "calibrating")
+    timeline = Timeline.of(recording)
+    recording, coarse_clock = synchronise_coarsely(recording, timeline)
+    with Pool(config.windows.processes, len(recording.arm)) as workers:
+        # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
+        excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
+        if not excerpts:
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
-        known = self_calibrate(blocks, calibration, config, pool)
-        # every section alone: what they share
-        sections = Sections(recording, known.clocks[0])
-        task = _task(recording, known, config, sections)
-        first = _First(pool, sections, task, store, lambda share: say(0.2 + 0.35 * share, "first pass"))
-        if not first.messages:
-            raise SolveError(f"{recording.name}: too little of what the camera saw can be believed")
-        known = first.known(synthetic_stamps(recording.arm.t_s))
-        task = replace(task, known=known)
-        arm = pooled(first.messages, task.prior)
-        found = calibration_from(arm, task.prior.layout, known.start, known.bias.sigma_m)
-        told = leave_one_out_priors(first.messages, task.prior)
-        first.messages.clear()
-        # a calibrated magnetometer, where it agrees with them
-        fields, magnetometer = first.magnetometer(found, task)
-        # every section again, told what the others found
-        stitch = Merger(recording, task.joints, store)
-        jobs = (
-            (kept, list(islice(told, b - a)), {k - a: fields[k] for k in range(a, b) if k in fields})
-            for kept, a, b in first.taken()
+        model = self_calibrate(excerpts, given, config, workers)
+        # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
+        sections = Sections(recording, timeline, model.clock)
+        task = Task.of(recording, sections, model, config)
+        first = FirstPass.over(
+            sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")
         )
-        second = partial(_second, found=found, task=task)
-        for count, answer in enumerate(pool.map(second, jobs)):
-            stitch.add(answer.answer, answer.messages)
-            say(0.55 + 0.4 * (count + 1) / len(first.kept), "recovering")
-    recovery = magnetometer.noted(stitch.recovery(found, config, known, known.clocks[0].after(coarse)))
-    say(1.0, "done")
+        # 4. Pooled over all windows: the arm, the clock, the magnetic field.
+        task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
+        magnetometer = magnetic_field(first, task, workers)
+        # 5. Second pass: every section again, with priors from all others.
+        jobs = first.jobs(leave_one_out_priors(first.messages, task.prior), magnetometer.by_window)
+        answers = second_pass(jobs, task, workers)
+        # 6. One trajectory at the IMU's own stamps.
+        answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
+        recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    report(1.0, "done")
     return recovery
 
 
-def _second(
-    job: tuple[SectionState, list[Priors], dict[int, FieldMeasurements]], found: ArmCalibration, task: Task
-) -> SecondAnswer:
-    kept, told, fields = job
-    return second_pass(kept, told, found, fields, task)
-
-
-class _First:
-    """The first pass over all sections: what they say, and what the second pass needs of each.
-
-    Attributes
-    ----------
-    messages : of all windows in the order of time.
-    kept : a handle of the room a section.
-    """
-
-    def __init__(
-        self, pool: Pool, sections: Sections, task: Task, store: Store, say: Callable[[float], None]
-    ) -> None:
-        self._pool, self._task, self._store = pool, task, store
-        self.kept: list[object] = []
-        self.messages: list[Message] = []
-        self._strengths: list[FloatArray] = []
-        self._scores: list[ClockScore] = []
-        self._first_window = [0]
-        answers: Iterator[FirstAnswer | None] = pool.map(partial(first_pass, task=task), sections)
-        for count, answer in enumerate(answers):
-            if answer is not None:
-                self.kept.append(store.put(answer.kept))
-                self.messages += answer.messages
-                self._strengths += answer.strengths
-                self._scores.append(answer.score)
-                self._first_window.append(len(self.messages))
-            say((count + 1) / len(sections.all))
-
-    def taken(self) -> Iterator[tuple[SectionState, int, int]]:
-        """Each section, its first window's number and the next section's, once."""
-        for handle, a, b in zip(self.kept, self._first_window, self._first_window[1:], strict=False):
-            kept = self._store.pop(handle)
-            assert isinstance(kept, SectionState)
-            yield kept, a, b
-
-    def known(self, synthetic_stamps: bool) -> SelfCalibration:
-        """What is known, with the clock as all sections see it."""
-        known = self._task.known
-        if not self._task.with_clock:
-            return known
-        return replace(
-            known, clocks=(refined_clock(known.clocks[0], pooled_score(self._scores), synthetic_stamps),)
-        )
-
-    def magnetometer(
-        self, found: ArmCalibration, task: Task
-    ) -> tuple[dict[int, FieldMeasurements], Magnetometer]:
-        """What a calibrated magnetometer adds, by window, and what became of it."""
-        if not task.magnetometer:
-            return {}, NO_MAGNETOMETER
-        strength, reason = usual_strength(self._strengths)
-        if not strength > 0:
-            return {}, reason
-        job = partial(_field, strength=strength, found=found, task=task)
-        blocks: list[FieldMean] = []
-        kept = []
-        for each, more in self._pool.map(job, self.taken()):
-            kept.append(self._store.put(each))
-            blocks += more
-        self.kept = kept
-        return decide(blocks)
-
-
-def _field(
-    job: tuple[SectionState, int, int], strength: float, found: ArmCalibration, task: Task
-) -> tuple[SectionState, list[FieldMean]]:
-    kept, first_window, _ = job
-    return section_field_means(kept, first_window, strength, found, task)
-
-
-def _task(recording: Recording, known: SelfCalibration, config: Config, sections: Sections) -> Task:
-    windows = sum(max(round(each.length_s / config.windows.length_s), 1) for each in sections.all)
-    present = recording.arm.present
-    return Task(
-        known=known,
-        config=config,
-        prior=first_priors(known.begin, known.start, config),
-        noise=noise_of(config, known.upper_arm_sigma_m),
-        sharing=windows,
-        joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
-        magnetometer=takes_part(recording.imu),
-        with_clock=len(sections.all) >= CLOCK_SECTIONS,
-    )
-
-
-def _check(recording: Recording) -> None:
-    if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
-        raise SolveError(f"{recording.name}: the camera never tracked the forearm")
+def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:
+    """The answers as they come, each followed by the share that is done."""
+    for number, answer in enumerate(answers, start=1):
+        yield answer
+        report(number / count)

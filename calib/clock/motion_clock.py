@@ -92,7 +92,7 @@ def clock_from_motion(
             f"{recording.name}: the forearm was visible too shortly to find the clock; record 20 s of"
             " motion in view"
         )
-    with Pool(config.windows.processes, sum(len(segment.frame_t) for segment in segments)) as pool:
+    with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
         arm = _mounting(stretches, known, config, pool)
         found = [_one(stretch, arm, config, pool) for stretch in stretches]
     rows = [(t, clock) for t, clock in found if clock is not None]
@@ -122,7 +122,7 @@ def _stretches(segments: list[Segment]) -> list[Segment]:
 
 
 def _visible(segment: Segment) -> int:
-    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    inside = (segment.frame_t_camera >= segment.start_s) & (segment.frame_t_camera <= segment.end_s)
     return int((segment.accepted[inside][:, 1:].sum(axis=1) >= segment.needed).sum())
 
 
@@ -130,7 +130,7 @@ def _mounting(stretches: list[Segment], known: ArmCalibration, config: Config, p
     """How the IMU sits, from a few stretches that may each have a clock of their own."""
     chosen = [stretches[k] for k in np.unique(np.linspace(0, len(stretches) - 1, 4).astype(int))]
     numbered = [replace(segment, recording=k) for k, segment in enumerate(chosen)]
-    return self_calibrate(numbered, known, config, pool).calibration
+    return self_calibrate(numbered, known, config, pool).estimate
 
 
 def _one(

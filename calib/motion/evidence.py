@@ -153,11 +153,11 @@ def _rates(segment: Segment) -> tuple[FloatArray, FloatArray]:
 def _visible(segment: Segment, t: FloatArray) -> BoolArray:
     """(n,) whether the frame next to each time shows the forearm; clock offsets are too small to matter."""
     seen = segment.accepted[:, 1:].sum(axis=1) >= segment.needed
-    after = np.clip(np.searchsorted(segment.frame_t, t), 1, len(segment.frame_t) - 1)
+    after = np.clip(np.searchsorted(segment.frame_t_camera, t), 1, len(segment.frame_t_camera) - 1)
     before = after - 1
-    nearer = t - segment.frame_t[before] < segment.frame_t[after] - t
+    nearer = t - segment.frame_t_camera[before] < segment.frame_t_camera[after] - t
     nearest = np.where(nearer, before, after)
-    return seen[nearest] & (np.abs(segment.frame_t[nearest] - t) < 0.1)
+    return seen[nearest] & (np.abs(segment.frame_t_camera[nearest] - t) < 0.1)
 
 
 def _axial(t: FloatArray, angle: FloatArray, seen: BoolArray) -> float:

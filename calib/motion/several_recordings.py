@@ -53,7 +53,7 @@ class MotionCalibration:
     @property
     def found(self) -> ArmEstimates:
         """The same in the form that recoveries share."""
-        bias = self.knowledge.bias
+        bias = self.knowledge.joint_bias
         return ArmEstimates(
             calibration=self.calibration,
             frame=self.frame,
@@ -61,8 +61,8 @@ class MotionCalibration:
             evidence=self.evidence,
             not_determined=self.not_determined,
             camera={
-                joint: JointError(noise.sample_m, float(np.linalg.norm(bias.found_m[JOINTS.index(joint)])))
-                for joint, noise in self.knowledge.noise.items()
+                joint: JointError(noise.sample_m, float(np.linalg.norm(bias.error_m[JOINTS.index(joint)])))
+                for joint, noise in self.knowledge.joint_noise.items()
             },
             joint_bias_sigma_m=bias.sigma_m,
             given=self.given,
@@ -100,9 +100,9 @@ def calibrate_motion(
     ]
     if not segments:
         raise CalibrationError("in none of the recordings do the IMU and a visible forearm come together")
-    with Pool(config.windows.processes, sum(len(segment.frame_t) for segment in segments)) as pool:
+    with Pool(config.windows.processes, sum(len(segment.frame_t_camera) for segment in segments)) as pool:
         knowledge = self_calibrate(segments, known, config, pool)
-    calibration = knowledge.calibration
+    calibration = knowledge.estimate
     frame = forearm_frame(calibration)
     if calibration.R_F_A is None and frame is not None:
         calibration = replace(calibration, R_F_A=frame.R_F_A)
@@ -111,7 +111,7 @@ def calibrate_motion(
         recordings, [coarse for _, coarse in moved], {p.recording for p in segments}, knowledge
     )
     left_open = [
-        *not_determined(calibration, frame, evidence, known, knowledge.bias.sigma_m),
+        *not_determined(calibration, frame, evidence, known, knowledge.joint_bias.sigma_m),
         *clocks_not_determined(offsets),
     ]
     return MotionCalibration(

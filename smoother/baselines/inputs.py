@@ -13,7 +13,7 @@ import numpy as np
 from ..calibration import ArmCalibration
 from ..config import CameraNoise
 from ..errors import SolveError
-from ..measurements.alignment import GRAVITY, Alignment, VectorPairs, align, lever_of, pairs
+from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
 from ..measurements.attitude import inertial_attitude
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
@@ -21,6 +21,7 @@ from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import Gap, enough_joints, joints_needed
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, Recording
 from ..result import Recovery
+from ..units import GRAVITY
 from .orientation import attitude_by
 from .scene import Scene
 
@@ -132,7 +133,7 @@ def _piece(
     return Segment(
         signal=signal,
         attitude=attitude_by(orientation, signal, imu, rate_hz, bias),
-        frame_t=frame_t,
+        frame_t_camera=frame_t,
         position=joints,
         accepted=used,
         reason=np.zeros(used.shape, np.uint8),
@@ -146,8 +147,8 @@ def _piece(
 
 def _aligned(segment: Segment, calibration: ArmCalibration, down: FloatArray) -> Alignment:
     """`R_K_E` over time: heading from what camera and IMU both saw, the vertical from the gravity told."""
-    seen = pairs(segment, segment.frame_t, segment.accepted, calibration)
-    t = segment.frame_t
+    seen = pairs(segment, segment.frame_t_camera, segment.accepted, calibration)
+    t = segment.frame_t_camera
     vertical = VectorPairs(
         t,
         np.tile(-down, (len(t), 1)),

@@ -42,32 +42,39 @@ SLOW_CAMERA_HZ = 14.0
 NOTHING = "Nothing in this recording asks for a change: record the next one in the same way."
 
 
-def advice(recovery: Recovery, found: ArmEstimates | None) -> list[str]:
+def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     """What to do better next time, one sentence each, what helps most first.
 
     Parameters
     ----------
-    recovery : the result, with its residuals.
-    found : what it found of arm, sensor and clock (`calib.motion.estimates.found_in`); None without.
+    recovery : Recovery
+        The result, with its residuals.
+    estimates : ArmEstimates or None
+        Its estimates of arm, sensor and clock (`calib.motion.estimates.found_in`).
+
+    Returns
+    -------
+    sentences : list of str
+        At least one.
     """
-    said = [
-        *_motion(found),
+    sentences = [
+        *_motion(estimates),
         *_gaps(gap_summaries(recovery)),
-        *_clock(found),
+        *_clock(estimates),
         *_shoulder(recovery),
         *_towards_the_camera(recovery),
-        *_camera(recovery, found),
+        *_camera(recovery, estimates),
         *_rates(recovery),
     ]
-    return said or [NOTHING]
+    return sentences or [NOTHING]
 
 
-def _motion(found: ArmEstimates | None) -> list[str]:
-    if found is None or found.all_given:
+def _motion(estimates: ArmEstimates | None) -> list[str]:
+    if estimates is None or estimates.all_given:
         return []
-    evidence, frame = found.evidence, found.frame
+    evidence, frame = estimates.evidence, estimates.frame
     point = is_point(evidence)
-    if little_motion(found):
+    if little_motion(estimates):
         what = "turn and move the sensor" if point else "bend and stretch the elbow and raise the arm"
         return [
             f"Begin with 20 s of lively motion in view ({what}): this recording showed"
@@ -75,39 +82,39 @@ def _motion(found: ArmEstimates | None) -> list[str]:
         ]
     if point:
         return []
-    said = []
+    sentences = []
     if (
         frame is not None
         and frame.roll_sigma_rad > ROLL_SIGMA_RAD
         and not evidence.axial_rad > LITTLE_AXIAL_RAD
-        and found.calibration.R_F_A is None
+        and estimates.calibration.R_F_A is None
     ):
         known = np.degrees(frame.roll_sigma_rad)
         how = f"is known to {known:.0f} degrees only" if known < 180 else "could not be told"
-        said.append(
+        sentences.append(
             "Turn the forearm about its own axis, palm up and palm down, three times in view: on which side"
             f" of the forearm the sensor sits {how}."
         )
     worst = {
-        joint: float(np.max(beyond(lever.sigma_m, found.joint_bias_sigma_m)))
-        for joint, lever in found.calibration.lever_arms.items()
-        if joint not in found.given
+        joint: float(np.max(beyond(lever.sigma_m, estimates.joint_bias_sigma_m)))
+        for joint, lever in estimates.calibration.lever_arms.items()
+        if joint not in estimates.given
     }
     rough = [joint for joint, sigma in worst.items() if sigma > LEVER_SIGMA_M]
     if rough:
-        said.append(
+        sentences.append(
             f"Move the arm about more than one axis in view, sideways too: where the {_listed(rough)}"
             f" {'lies' if len(rough) == 1 else 'lie'} as seen from the sensor is known to"
             f" {100 * max(worst[joint] for joint in rough):.1f} cm only."
         )
-    return said
+    return sentences
 
 
-def little_motion(found: ArmEstimates | None) -> bool:
+def little_motion(estimates: ArmEstimates | None) -> bool:
     """Whether too little was seen to learn the arm and the clock from."""
-    if found is None:
+    if estimates is None:
         return False
-    evidence = found.evidence
+    evidence = estimates.evidence
     return evidence.visible_s < LITTLE_VISIBLE_S or not evidence.turning_rad_s >= LITTLE_TURNING_RAD_S
 
 
@@ -115,69 +122,69 @@ def _degrees(rate_rad_s: float) -> str:
     return f"{np.degrees(rate_rad_s):.0f}" if np.isfinite(rate_rad_s) else "0"
 
 
-def _gaps(found: list[GapSummary]) -> list[str]:
-    said = []
-    early = [each for each in found if each.gap.open_start]
-    late = [each for each in found if each.gap.open_end]
+def _gaps(gaps: list[GapSummary]) -> list[str]:
+    sentences = []
+    early = [each for each in gaps if each.gap.open_start]
+    late = [each for each in gaps if each.gap.open_end]
     if early or late:
         when = [
             *(["before the first movement out of view"] if early else []),
             *(["after the last one"] if late else []),
         ]
-        said.append(
+        sentences.append(
             f"Keep the forearm in view for at least 1.5 s {' and '.join(when)}: the gap"
             f"{_times([*early, *late])} was seen from one side only."
         )
-    two_sided = [each for each in found if not (each.gap.open_start or each.gap.open_end)]
-    weak = [each for each in two_sided if each.sigma_max_m is not None and each.sigma_max_m > WEAK_M]
+    two_sided = [each for each in gaps if not each.one_sided]
+    weak = [each for each in two_sided if each.is_weaker_than(WEAK_M)]
     long = [each for each in weak if each.gap.length_s > LONG_GAP_S]
     if long:
-        said.append(
+        sentences.append(
             f"Bring the forearm into view for a moment every {LONG_GAP_S:.0f} s: in the gap{_times(long)} the"
             f" position is known to {100 * max(each.sigma_max_m or 0.0 for each in long):.0f} cm only."
         )
-    return said
+    return sentences
 
 
-def _times(found: list[GapSummary]) -> str:
-    starts = [f"{each.gap.start_s:.1f} s" for each in found]
+def _times(gaps: list[GapSummary]) -> str:
+    starts = [f"{each.gap.start_s:.1f} s" for each in gaps]
     if len(starts) > 4:
         starts = [*starts[:3], f"{len(starts) - 3} more"]
-    return f"{'s' if len(found) > 1 else ''} at {_listed(starts)}"
+    return f"{'s' if len(gaps) > 1 else ''} at {_listed(starts)}"
 
 
-def _clock(found: ArmEstimates | None) -> list[str]:
-    if found is None:
+def _clock(estimates: ArmEstimates | None) -> list[str]:
+    if estimates is None:
         return []
-    said = []
-    for each in found.offsets:
+    sentences = []
+    for each in estimates.offsets:
         if each.sigma_s > CLOCK_SIGMA_S:
-            said.append(
+            sentences.append(
                 "Move briskly at the start, in view: the clocks of sensor and camera were matched to"
                 f" {1000 * each.sigma_s:.0f} ms only."
             )
         if each.drift_s > CLOCK_DRIFT_S:
-            said.append(
+            sentences.append(
                 "Keep the time stamps that the devices measure, not those of arrival or made up later: the"
                 f" clocks moved against each other by {1000 * each.drift_s:.0f} ms."
             )
-    return said
+    return sentences
 
 
 def _shoulder(recovery: Recovery) -> list[str]:
-    seen = _tracked(recovery, "shoulder")
-    if not seen.any():
+    tracked = _tracked(recovery, "shoulder")
+    if not tracked.any():
         return (
             ["Keep the shoulder in view: it and the upper arm's length say how far away the elbow can be."]
             if _tracked(recovery, "elbow").any() and recovery.gaps
             else []
         )
     hidden = _inside(recovery.arm.t_s, recovery.gaps)
-    if hidden.sum() < 5 or seen[hidden].mean() >= SHOULDER_SHARE:
+    if hidden.sum() < 5 or tracked[hidden].mean() >= SHOULDER_SHARE:
         return []
     return [
         "Keep the shoulder in view while the forearm is hidden: it was seen in"
-        f" {100 * seen[hidden].mean():.0f} % of those frames, and it limits where the elbow can be."
+        f" {100 * tracked[hidden].mean():.0f} % of those frames, and it limits where the elbow can be."
     ]
 
 
@@ -199,12 +206,12 @@ def _inside(t_s: FloatArray, gaps: Iterable[Gap]) -> BoolArray:
 def _towards_the_camera(recovery: Recovery) -> list[str]:
     if not {"elbow", "wrist"} <= recovery.joints.keys():
         return []
-    seen = along = 0
+    visible = along = 0
     for block in recovery.blocks():
         pointing = towards_the_camera(block.joints["elbow"], block.joints["wrist"])
         pointing = pointing[~block.occluded & np.isfinite(pointing)]
-        seen, along = seen + len(pointing), along + int((pointing < RAY_DEG).sum())
-    share = along / max(seen, 1)
+        visible, along = visible + len(pointing), along + int((pointing < RAY_DEG).sum())
+    share = along / max(visible, 1)
     frames = max(int(_tracked(recovery, "wrist").sum()), 1)
     lost = sum(
         row.count for row in rejected(recovery) if row.reason == "viewing ray" and row.joint == "wrist"
@@ -227,38 +234,40 @@ def towards_the_camera(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
         return np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
 
-def _camera(recovery: Recovery, found: ArmEstimates | None) -> list[str]:
-    said = []
+def _camera(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
+    sentences = []
     rows = rejected(recovery)
     frozen = _share(recovery, (row.count for row in rows if row.reason == "frozen"))
     if frozen > FREEZES:
-        said.append(
+        sentences.append(
             f"Check the skeleton tracker's load and settings: {100 * frozen:.0f} % of its samples repeated"
             " the one before while the arm moved."
         )
     # what contradicts a motion that was hardly there says little of the camera
     wrong = (
-        ("jump", "bone length") if little_motion(found) else ("jump", "bone length", "direction", "residual")
+        ("jump", "bone length")
+        if little_motion(estimates)
+        else ("jump", "bone length", "direction", "residual")
     )
     jumping = _share(recovery, (row.count for row in rows if row.reason in wrong))
     if jumping > JUMPS:
-        said.append(
+        sentences.append(
             "Clear the view of other people and of things near the arm, and mind bright light behind:"
             f" {100 * jumping:.0f} % of the tracked samples were on something else than the arm."
         )
-    noise = {} if found is None else {joint: each.sample_m for joint, each in found.camera.items()}
+    noise = {} if estimates is None else {joint: each.sample_m for joint, each in estimates.camera.items()}
     loud = [joint for joint, sigma in noise.items() if sigma > CAMERA_SIGMA_M]
     if loud:
-        said.append(
+        sentences.append(
             "Go nearer to the camera (1.5 to 3 m), with even light and without loose sleeves: the"
             f" {_listed(loud)} jittered by {100 * max(noise[joint] for joint in loud):.1f} cm."
         )
-    if found is not None and found.joint_bias_sigma_m > JOINT_BIAS_M:
-        said.append(
+    if estimates is not None and estimates.joint_bias_sigma_m > JOINT_BIAS_M:
+        sentences.append(
             "Let the camera see the arm from the front and without wide sleeves: it places the joints"
-            f" {100 * found.joint_bias_sigma_m:.1f} cm off, always in the same way."
+            f" {100 * estimates.joint_bias_sigma_m:.1f} cm off, always in the same way."
         )
-    return said
+    return sentences
 
 
 def _share(recovery: Recovery, counts: Iterable[int]) -> float:
@@ -271,14 +280,14 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
 
 
 def _rates(recovery: Recovery) -> list[str]:
-    said = []
+    sentences = []
     if len(recovery) > 1:
         rate = float(1.0 / np.median(np.diff(recovery.t_s), overwrite_input=True))
         if rate < 0.97 * SLOW_IMU_HZ:
-            said.append(f"Set the sensor to 80 samples a second or more: it gave {rate:.0f}.")
+            sentences.append(f"Set the sensor to 80 samples a second or more: it gave {rate:.0f}.")
     if recovery.arm.rate_hz < SLOW_CAMERA_HZ:
-        said.append(f"Let the camera run at 30 frames a second: it gave {recovery.arm.rate_hz:.0f}.")
-    return said
+        sentences.append(f"Let the camera run at 30 frames a second: it gave {recovery.arm.rate_hz:.0f}.")
+    return sentences
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -27,12 +27,18 @@ class Agreement:
 
     Attributes
     ----------
-    rmse : root mean square of answer minus reference.
-    bias : mean of answer minus reference.
-    limits_low, limits_high : limits of agreement, bias -+ 1.96 standard deviations.
-    icc, icc_low, icc_high : ICC(A,1) with its 95 % interval.
-    samples : that were compared.
-    independent : samples as the interval counts them: neighbours in time are not independent.
+    rmse : float or None
+        Root mean square of answer minus reference.
+    bias : float or None
+        Mean of answer minus reference.
+    limits_low, limits_high : float or None
+        Limits of agreement, bias -+ 1.96 standard deviations.
+    icc, icc_low, icc_high : float or None
+        ICC(A,1) with its 95 % interval.
+    samples : int
+        How many were compared.
+    independent : float
+        Samples as the interval counts them: neighbours in time are not independent.
     """
 
     rmse: float | None
@@ -55,8 +61,10 @@ def agreement(answer: FloatArray, reference: FloatArray, *, degrees: bool = Fals
 
     Parameters
     ----------
-    answer, reference : (N,), in the order of time.
-    degrees : angles, whose differences are taken the short way round.
+    answer, reference : ndarray, shape (n,)
+        In the order of time.
+    degrees : bool
+        Angles, whose differences are taken the short way round.
     """
     good = np.isfinite(answer) & np.isfinite(reference)
     answer, reference = answer[good], reference[good]
@@ -111,8 +119,10 @@ def icc_a1(
 
     Parameters
     ----------
-    ratings : (n, k): n subjects (here samples) by k raters.
-    independent : number of independent subjects for the interval; n if None.
+    ratings : ndarray, shape (n, k)
+        n subjects (here samples) by k raters.
+    independent : float, optional
+        Number of independent subjects for the interval; n if None.
     """
     from scipy.stats import f as f_distribution
 
@@ -120,8 +130,8 @@ def icc_a1(
     rows, columns, grand = ratings.mean(axis=1), ratings.mean(axis=0), ratings.mean()
     between_rows = k * ((rows - grand) ** 2).sum() / (n - 1)
     column_variance = ((columns - grand) ** 2).sum() / (k - 1)
-    left = ratings - rows[:, None] - columns + grand
-    error = (left**2).sum() / ((n - 1) * (k - 1))
+    residual = ratings - rows[:, None] - columns + grand
+    error = (residual**2).sum() / ((n - 1) * (k - 1))
     icc = _icc(between_rows, n * column_variance, error, n, k)
     if icc is None:
         return None, None, None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
+from ..linalg import unit
 from ..recording import BoolArray, FloatArray, Truth
 from ..result import Recovery
 from .agreement import Agreement, agreement
@@ -29,10 +30,14 @@ class AngleComparison:
 
     Attributes
     ----------
-    t_s : (N,) s.
-    answer, truth : (N,) by the names of `smoother.joint_angles.ANGLES`.
-    carrying_truth_deg : median of the truth's carrying angle, None without markers on the epicondyles.
-    notes : what to know of the comparison, one sentence each.
+    t_s : ndarray, shape (n,), s
+        Times.
+    answer, truth : dict[str, ndarray], shape (n,)
+        By the names of `smoother.joint_angles.ANGLES`.
+    carrying_truth_deg : float, degrees, or None
+        Median of the truth's carrying angle, None without markers on the epicondyles.
+    notes : tuple of str
+        What to know of the comparison, one sentence each.
     """
 
     t_s: FloatArray
@@ -69,9 +74,13 @@ def compare_angles(
 
     Parameters
     ----------
-    reference : the truth at the recovery's times, with joints.
-    landmarks, landmark_t_s : positions (M, 3) of markers on the bones, m in {K}, at these times. The
-        styloids give the truth's forearm its own axes, the epicondyles its carrying angle.
+    reference : Truth
+        The truth at the recovery's times, with joints.
+    landmarks : dict[str, ndarray], shape (m, 3), m, optional
+        Positions of markers on the bones, in {K}. The styloids give the truth's forearm its own axes, the
+        epicondyles its carrying angle.
+    landmark_t_s : ndarray, shape (m,), s, optional
+        Their times.
     """
     count = len(recovery)
     joints = {
@@ -114,9 +123,9 @@ def _true_forearm(
         " not compared.",
     ]
     if {"radial_styloid", "ulnar_styloid", "elbow", "wrist"} <= at.keys() | joints.keys():
-        y = _unit(joints["wrist"] - joints["elbow"])
+        y = unit(joints["wrist"] - joints["elbow"])
         thumb = (at["radial_styloid"] - at["ulnar_styloid"]) * (-1.0 if recovery.side == "left" else 1.0)
-        x = _unit(np.cross(y, thumb))
+        x = unit(np.cross(y, thumb))
         notes.append("The truth's pronation is that of the styloids' markers.")
         return np.stack([x, y, np.cross(x, y)], axis=2), notes
     mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
@@ -127,8 +136,3 @@ def _true_forearm(
         "Pronation of truth and answer share the forearm's axes in the IMU: its error is not in the figure."
     )
     return forearm_axes(reference.quaternion, mounting), notes
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

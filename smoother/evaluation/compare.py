@@ -1,8 +1,8 @@
-"""Every method on one recording, held against one truth: errors, honesty, and the lag that is left."""
+"""Every method on one recording, held against one truth: errors, consistency, and the lag that is left."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,15 +13,12 @@ from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording, Truth
 from ..result import Recovery
 from .align import truth_at
-from .lag_left import lag_left_s
+from .gaps import Method, Progress
+from .lag import lag_s
 from .metrics import Figures
 from .reference import ReferenceAlignment
 from .validate import Validation, validate
 
-#: A method: recording in, recovery out.
-Method = Callable[[Recording], Recovery]
-#: Called with the part done (0 to 1) and what is being done.
-Progress = Callable[[float, str], None]
 #: The point that is compared where the truth has it; joints where it has no IMU.
 SENSOR = "sensor"
 POINTS = (SENSOR, "wrist", "hand", "elbow")
@@ -34,12 +31,18 @@ class MethodResult:
 
     Attributes
     ----------
-    method : its name.
-    validation : its figures, or None where it failed.
-    lag_s : lag of its answer behind the truth over all samples, s; None where none can be told.
-    lag_occluded_s : the same over the samples in gaps.
-    path : (N, 3) the compared point at the IMU's times, m in {K}; nan where there is no answer.
-    failure : why there is no answer, "" where there is one.
+    method : str
+        Its name.
+    validation : Validation or None
+        Its figures, or None where it failed.
+    lag_s : float, s, or None
+        Lag of its answer behind the truth over all samples; None where there is none.
+    lag_occluded_s : float, s, or None
+        The same over the samples in gaps.
+    path : ndarray, shape (n, 3), m, or None
+        The compared point at the IMU's times, in {K}; nan where there is no answer.
+    failure : str
+        Why there is no answer, "" where there is one.
     """
 
     method: str
@@ -56,15 +59,25 @@ class Comparison:
 
     Attributes
     ----------
-    rows : the methods, the best first (by the rms of the compared point in gaps, else over all
-        samples); those without an answer last.
-    point : what is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
-    clock_offset_s, clock_offset_sigma_s : t_imu = t_camera + offset, found by the graph, told to all.
-    camera_lag_s : by joint, lag of the camera's own samples behind the truth, stamps as they came, s.
-    t_s : (N,) the IMU's times.
-    gaps : of the recording, on the IMU's clock.
-    truth, alignment : what all were held against, and how it was brought there.
-    notes : what a reader must know, one sentence each.
+    rows : tuple of MethodResult
+        The methods, the best first (by the rms of the compared point in gaps, else over all samples); those
+        without an answer last.
+    point : str
+        What is compared: "sensor" (the forearm IMU), or a joint where the truth has no IMU.
+    clock_offset_s, clock_offset_sigma_s : float, s
+        `t_imu = t_camera + offset`, estimated by the graph, given to all.
+    camera_lag_s : dict[str, float], s
+        By joint, lag of the camera's own samples behind the truth, stamps as they came.
+    t_s : ndarray, shape (n,), s
+        The IMU's times.
+    gaps : tuple of Gap
+        Of the recording, on the IMU's clock.
+    truth : Truth
+        What all were held against.
+    alignment : ReferenceAlignment
+        How it was brought there.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     rows: tuple[MethodResult, ...]
@@ -130,17 +143,17 @@ class Comparison:
         }
 
     def _method(self, row: MethodResult) -> dict[str, Any]:
-        found: dict[str, Any] = {"failure": row.failure}
+        plain: dict[str, Any] = {"failure": row.failure}
         if row.validation is not None:
             whole = row.validation.to_dict()
-            found |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
-            found |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
-        return found
+            plain |= {key: whole[key] for key in (*PARTS, "points", "gaps")}
+            plain |= {"lag_s": row.lag_s, "lag_occluded_s": row.lag_occluded_s}
+        return plain
 
 
 def compare(
     recording: Recording,
-    told: Recovery,
+    graph: Recovery,
     truth: Truth,
     methods: Mapping[str, Method],
     alignment: ReferenceAlignment | None = None,
@@ -150,12 +163,18 @@ def compare(
 
     Parameters
     ----------
-    recording : what the methods are given; it should hold no truth.
-    told : the graph's recovery of this very recording, which also gave the clock.
-    truth : in the camera frame and on the IMU's clock.
-    methods : by name, a function from a recording to its recovery.
-    alignment : how the truth was brought there; None where it came so.
-    progress : called with (part done, what is being done).
+    recording : Recording
+        What the methods are given; it should hold no truth.
+    graph : Recovery
+        The graph's recovery of this very recording, which also gave the clock.
+    truth : Truth
+        In the camera frame and on the IMU's clock.
+    methods : dict[str, Method]
+        By name, a function from a recording to its recovery.
+    alignment : ReferenceAlignment, optional
+        How the truth was brought there; None where it came so.
+    progress : Progress, optional
+        Called with (part done, what is being done).
 
     Raises
     ------
@@ -163,7 +182,7 @@ def compare(
         Truth and recording do not overlap.
     """
     alignment = alignment or ReferenceAlignment()
-    point = compared_point(validate(told, truth, alignment), told)
+    point = compared_point(validate(graph, truth, alignment), graph)
     rows = []
     for place, (name, method) in enumerate(methods.items()):
         if progress is not None:
@@ -174,18 +193,18 @@ def compare(
     return Comparison(
         rows=tuple(sorted(rows, key=lambda row: _rank(row, point))),
         point=point,
-        clock_offset_s=told.clock_offset_s,
-        clock_offset_sigma_s=told.clock_offset_sigma_s,
+        clock_offset_s=graph.clock_offset_s,
+        clock_offset_sigma_s=graph.clock_offset_sigma_s,
         camera_lag_s=_camera_lag(recording, truth),
-        t_s=told.t_s,
-        gaps=told.gaps,
+        t_s=graph.t_s,
+        gaps=graph.gaps,
         truth=truth,
         alignment=alignment,
-        notes=tuple(_notes(rows, alignment, told)),
+        notes=tuple(_notes(rows, alignment, graph)),
     )
 
 
-def compared_point(found: Validation, recovery: Recovery) -> str:
+def compared_point(validation: Validation, recovery: Recovery) -> str:
     """The first of `POINTS` that truth and answer share.
 
     Raises
@@ -194,7 +213,7 @@ def compared_point(found: Validation, recovery: Recovery) -> str:
         They share none.
     """
     for point in POINTS:
-        figures = figures_of(found, point, "all")
+        figures = figures_of(validation, point, "all")
         if figures is not None and figures.samples:
             return point
     raise RecordingError(
@@ -203,12 +222,12 @@ def compared_point(found: Validation, recovery: Recovery) -> str:
     )
 
 
-def figures_of(found: Validation, point: str, part: str) -> Figures | None:
+def figures_of(validation: Validation, point: str, part: str) -> Figures | None:
     """Figures of a point over a part, the IMU's orientation with the IMU; None where there are none."""
     if point == SENSOR:
-        figures: Figures = getattr(found, part)
+        figures: Figures = getattr(validation, part)
         return figures
-    return found.points.get(point, {}).get(part)
+    return validation.points.get(point, {}).get(part)
 
 
 def _result(
@@ -216,7 +235,7 @@ def _result(
 ) -> MethodResult:
     try:
         recovery = method(recording)
-        found = validate(recovery, truth, alignment)
+        validation = validate(recovery, truth, alignment)
     except UnoccludeError as error:
         return MethodResult(name, None, failure=str(error))
     path = recovery.position if point == SENSOR else recovery.joints[point]
@@ -225,9 +244,9 @@ def _result(
     hidden = np.where(recovery.occluded[:, None], path, np.nan)
     return MethodResult(
         name,
-        found,
-        lag_s=lag_left_s(recovery.t_s, path, truth.t_s, reference),
-        lag_occluded_s=lag_left_s(recovery.t_s, hidden, truth.t_s, reference),
+        validation,
+        lag_s=lag_s(recovery.t_s, path, reference, truth.t_s),
+        lag_occluded_s=lag_s(recovery.t_s, hidden, reference, truth.t_s),
         path=path,
     )
 
@@ -245,19 +264,19 @@ def _rank(row: MethodResult, point: str) -> tuple[bool, float]:
 
 def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
     """Lag of what the camera tracked, before anything was done about it."""
-    found = {}
+    lags = {}
     references = {**truth.joints, "strap": truth.position}
     for joint in recording.arm.present:
         if joint not in references or joint == "shoulder":
             continue
         tracked = np.where(recording.arm.tracked(joint)[:, None], recording.arm.joint(joint), np.nan)
-        lag = lag_left_s(recording.arm.t_s, tracked, truth.t_s, references[joint])
+        lag = lag_s(recording.arm.t_s, tracked, references[joint], truth.t_s)
         if lag is not None:
-            found[joint] = lag
-    return found
+            lags[joint] = lag
+    return lags
 
 
-def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, told: Recovery) -> list[str]:
+def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, graph: Recovery) -> list[str]:
     notes = [*alignment.notes]
     if alignment.kind != "none":
         notes.append("The truth was aligned by the graph's answer, once for all methods.")
@@ -268,6 +287,6 @@ def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, told: Recove
         elif row.validation.all.unanswered:
             count = row.validation.all.unanswered
             notes.append(f"{row.method} left {count} samples with truth unanswered; they are in no figure.")
-    if not told.occluded.any():
+    if not graph.occluded.any():
         notes.append("The recording has no gap: methods are compared where the camera sees the arm.")
     return list(dict.fromkeys(notes))

@@ -25,9 +25,12 @@ class StatedAndActual:
 
     Attributes
     ----------
-    squared : (n,) squared error in sigmas; chi-square with three degrees of freedom where honest.
-    sigma_m : (n,) stated standard deviation, m an axis (mean over the axes).
-    error_m : (n,) length of the error over the square root of 3, m an axis.
+    squared : ndarray, shape (n,)
+        Squared error in sigmas; chi-square with three degrees of freedom where the statement is consistent.
+    sigma_m : ndarray, shape (n,), m
+        Stated standard deviation, mean over the axes.
+    error_m : ndarray, shape (n,), m
+        Length of the error over the square root of 3: an axis's part of it.
     """
 
     squared: FloatArray
@@ -67,17 +70,17 @@ def stated_and_actual(error_m: FloatArray, covariance: FloatArray) -> StatedAndA
 def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
     """The camera's samples that took part, by joint: residual against camera noise and joint covariance.
 
-    The part of a joint's covariance that is there all the time (lever arms, what the camera's joints have in
-    common) is one error for all samples, which shows in no residual, and is left out. Constant errors that
-    were found of the joints are taken off. Joints whose noise is not stated are left out; there is none for
-    methods that keep no residuals. Of long recordings `MOST` samples a joint are taken.
+    The part of a joint's covariance that is there all the time (lever arms, the common part of the camera's
+    constant errors) is one error for all samples, which shows in no residual, and is left out. Estimated
+    constant errors of the joints are subtracted. Joints whose noise is not stated are left out; there is none
+    for methods that keep no residuals. Of long recordings `MOST` samples a joint are used.
     """
-    kept = recovery.residuals
+    residuals = recovery.residuals
     noise = recovery.figures.get("camera_sigma_m")
-    if kept is None or not isinstance(noise, dict) or len(recovery) < 1:
+    if residuals is None or not isinstance(noise, dict) or len(recovery) < 1:
         return {}
     bias = recovery.figures.get("joint_bias_m")
-    found = {}
+    by_joint = {}
     for joint, sigma_m in noise.items():
         spread = recovery.joint_covariance.get(joint)
         if spread is None and joint == "strap":
@@ -85,16 +88,16 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
         if spread is None:
             continue
         column = JOINTS.index(joint)
-        used = _evenly(np.flatnonzero(kept.used[:, column]), MOST)
+        used = _evenly(np.flatnonzero(residuals.used[:, column]), MOST)
         off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
-        nearest = np.clip(np.searchsorted(recovery.t_s, kept.t_s[used]), 0, len(recovery) - 1)
+        nearest = np.clip(np.searchsorted(recovery.t_s, residuals.t_s[used]), 0, len(recovery) - 1)
         own = spread[nearest]
         variance = np.einsum("nii->n", own) / 3.0
         shared = np.nanmin(variance) if np.isfinite(variance).any() else 0.0
         # rather by a factor than by a difference: what is left is a covariance for certain
         covariance = own * (1.0 - shared / variance)[:, None, None] + float(sigma_m) ** 2 * np.eye(3)
-        found[joint] = stated_and_actual(kept.residual[:, column][used] - off, covariance)
-    return {joint: each for joint, each in found.items() if len(each.squared)}
+        by_joint[joint] = stated_and_actual(residuals.residual[:, column][used] - off, covariance)
+    return {joint: each for joint, each in by_joint.items() if len(each.squared)}
 
 
 def _evenly(index: IntArray, most: int) -> IntArray:

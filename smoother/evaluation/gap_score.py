@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..linalg import robust_sigma
 from ..recording import JOINTS, BoolArray, FloatArray, Recording
 from ..result import Recovery
 from .align import linear_at, position_at, truth_at
@@ -19,16 +20,21 @@ REFERENCES = ("wrist", "strap", "hand", "elbow")
 
 
 @dataclass(frozen=True)
-class Hidden:
+class GapErrors:
     """Errors sample by sample inside a gap.
 
     Attributes
     ----------
-    reference : what the answer was compared with: "truth" or a joint.
-    distance_m, angle_deg, squared_sigmas : (N,) as in `metrics`; nan where there is no answer.
-    unanswered : samples with a reference and without an answer.
-    sigma_max_m : largest stated standard deviation, m an axis, or None.
-    path_m : length of the hidden path, m, or None.
+    reference : str
+        What the answer was compared with: "truth" or a joint.
+    distance_m, angle_deg, squared_sigmas : ndarray, shape (n,)
+        As in `metrics`; nan where there is no answer.
+    unanswered : int
+        Samples with a reference and without an answer.
+    sigma_max_m : float, m, or None
+        Largest stated standard deviation, on one axis.
+    path_m : float, m, or None
+        Length of the hidden path.
     """
 
     reference: str
@@ -44,14 +50,14 @@ class Hidden:
         return summarise(self.distance_m, self.angle_deg, self.squared_sigmas, self.unanswered)
 
     @staticmethod
-    def empty(reference: str = "", unanswered: int = 0) -> Hidden:
+    def empty() -> GapErrors:
         """A gap in which nothing can be compared."""
-        return Hidden(reference, np.zeros(0), np.zeros(0), np.zeros(0), unanswered)
+        return GapErrors("", np.zeros(0), np.zeros(0), np.zeros(0))
 
     @staticmethod
-    def pooled(parts: Sequence[Hidden]) -> Hidden:
+    def pooled(parts: Sequence[GapErrors]) -> GapErrors:
         """The samples of several gaps together."""
-        return Hidden(
+        return GapErrors(
             reference=parts[0].reference,
             distance_m=np.concatenate([part.distance_m for part in parts]),
             angle_deg=np.concatenate([part.angle_deg for part in parts]),
@@ -60,7 +66,7 @@ class Hidden:
         )
 
 
-def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> Hidden:
+def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> GapErrors:
     """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
     offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
     if recording.truth is not None and len(recording.truth):
@@ -68,7 +74,7 @@ def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> Hidde
     return _against_camera(recording, recovery, gap, offset)
 
 
-def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> Hidden:
+def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> GapErrors:
     assert recording.truth is not None
     inside = gap.contains(recovery.t_s - offset)
     truth = truth_at(recording.truth, recovery.t_s[inside])
@@ -76,15 +82,15 @@ def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, off
     position = np.where(scored[:, None], recovery.position[inside], np.nan)
     covariance = recovery.pose_covariance[inside, :3, :3]
     angle = orientation_error_deg(recovery.quaternion[inside], truth.quaternion)
-    return _hidden(
+    return _errors(
         "truth", position, truth.position, covariance, np.where(truth.score, angle, np.nan), scored
     )
 
 
-def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> Hidden:
+def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> GapErrors:
     joint = _reference_joint(recording, recovery, gap)
     if joint is None:
-        return Hidden.empty()
+        return GapErrors.empty()
     frames = gap.contains(recording.arm.t_s) & recording.arm.tracked(joint)
     reference = recording.arm.joint(joint)[frames]
     t_s = recording.arm.t_s[frames] + offset
@@ -98,7 +104,7 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, of
     # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
     noise = camera_noise(recovery, joint)
     scored = np.ones(len(t_s), dtype=bool)
-    return _hidden(joint, answer, reference, stated + noise, np.full(len(t_s), np.nan), scored, stated)
+    return _errors(joint, answer, reference, stated + noise, np.full(len(t_s), np.nan), scored, stated)
 
 
 def strap_position(recovery: Recovery) -> FloatArray:
@@ -133,11 +139,10 @@ def camera_noise(recovery: Recovery, joint: str) -> FloatArray:
     residual = residual[np.isfinite(residual).all(axis=1)]
     if len(residual) < 10:
         return np.zeros((3, 3))
-    spread = 1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0)
-    return np.diag(spread**2)
+    return np.diag(robust_sigma(residual - np.median(residual, axis=0), axis=0) ** 2)
 
 
-def _hidden(
+def _errors(
     name: str,
     answer: FloatArray,
     reference: FloatArray,
@@ -145,13 +150,13 @@ def _hidden(
     angle: FloatArray,
     scored: BoolArray,
     stated: FloatArray | None = None,
-) -> Hidden:
+) -> GapErrors:
     difference = answer - reference
     distance = np.linalg.norm(difference, axis=1)
     variance = np.einsum("nii->ni", covariance if stated is None else stated)
     finite = variance[np.isfinite(variance).all(axis=1)]
     path = reference[np.isfinite(reference).all(axis=1)]
-    return Hidden(
+    return GapErrors(
         reference=name,
         distance_m=distance,
         angle_deg=angle,

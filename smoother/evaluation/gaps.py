@@ -1,4 +1,4 @@
-"""Validation without mocap: hide visible stretches, recover them, compare with what was hidden."""
+"""Validation without mocap: hide visible frames, recover them, compare with what was hidden."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
-from .gap_score import Hidden, score_gap
+from .gap_score import GapErrors, score_gap
 from .metrics import Figures, summarise
 from .placement import HiddenGap, place_gaps
 
@@ -26,15 +26,24 @@ class GapRow:
 
     Attributes
     ----------
-    length_s : length asked for, s.
-    method : name of the method.
-    run : which copy of the recording the gap was hidden in.
-    gap : the stretch, on the camera's clock.
-    reference : "truth", "wrist", "strap" ..: what the answer was compared with.
-    figures : errors inside the gap.
-    sigma_max_m : largest stated standard deviation inside the gap, m an axis, or None.
-    path_m : length of the hidden path, m.
-    failure : why there is no answer, "" where there is one.
+    length_s : float, s
+        Length asked for.
+    method : str
+        Name of the method.
+    run : int
+        Which copy of the recording the gap was hidden in.
+    gap : HiddenGap
+        Where it was hidden, on the camera's clock.
+    reference : str
+        "truth", "wrist", "strap" ..: what the answer was compared with.
+    figures : Figures
+        Errors inside the gap.
+    sigma_max_m : float, m, or None
+        Largest stated standard deviation inside the gap, on one axis.
+    path_m : float, m, or None
+        Length of the hidden path.
+    failure : str
+        Why there is no answer, "" where there is one.
     """
 
     length_s: float
@@ -107,9 +116,12 @@ class GapTable:
 
     Attributes
     ----------
-    lengths : by gap length (s), by method, its figures over all gaps of that length.
-    rows : each gap by itself.
-    notes : what a reader must know, one sentence each.
+    lengths : dict[float, dict[str, GapFigures]]
+        By gap length (s), by method, its figures over all gaps of that length.
+    rows : tuple of GapRow
+        Each gap by itself.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     lengths: dict[float, dict[str, GapFigures]]
@@ -133,7 +145,7 @@ class _Collected:
     """Rows and their samples while the runs go on."""
 
     rows: list[GapRow] = field(default_factory=list)
-    hidden: list[Hidden] = field(default_factory=list)
+    hidden: list[GapErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
@@ -148,38 +160,46 @@ def evaluate_gaps(
     margin_s: float = 1.5,
     progress: Progress | None = None,
 ) -> GapTable:
-    """Hide visible stretches at random, recover them, and measure the error in them.
+    """Hide visible frames at random, recover them, and measure the error there.
 
     Each method gets a copy of the recording in which elbow, wrist, hand and strap are not tracked
     inside the gaps and which has no truth: no step of it, calibration included, can see what is
-    scored. All methods get the same gaps. The hidden stretch is compared with the recording's truth
+    scored. All methods get the same gaps. The answer in a gap is compared with the recording's truth
     at the IMU's times where there is one, else with the hidden camera samples (wrist, or the
-    recording's only joint) at the frames' times plus the clock offset that the method found.
+    recording's only joint) at the frames' times plus the clock offset that the method estimated.
 
     Parameters
     ----------
-    recording : the recording, whole.
-    lengths_s : gap lengths to try, s.
-    methods : by name, a function from a recording to its recovery.
-    seed : where the gaps fall.
-    repetitions : copies with other gaps, a length.
-    gaps_per_run : most gaps hidden in one copy.
-    margin_s : visible time kept on both sides of a gap.
-    progress : called with (part done, what is being done).
+    recording : Recording
+        The recording, whole.
+    lengths_s : sequence of float, s
+        Gap lengths to try.
+    methods : dict[str, Method]
+        By name, a function from a recording to its recovery.
+    seed : int
+        Where the gaps fall.
+    repetitions : int
+        Copies with other gaps, a length.
+    gaps_per_run : int
+        Most gaps hidden in one copy.
+    margin_s : float, s
+        Visible time kept on both sides of a gap.
+    progress : Progress, optional
+        Called with (part done, what is being done).
 
     Raises
     ------
     RecordingError
-        No stretch of the recording can be hidden at any of the lengths.
+        At none of the lengths can a gap be hidden.
     """
     collected = _Collected()
-    placed = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
-    for number, (length, run, gaps) in enumerate(placed):
+    trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
+    for number, (length, run, gaps) in enumerate(trials):
         copy = hide(recording, gaps)
         for place, (name, method) in enumerate(methods.items()):
             if progress is not None:
-                done = (number + place / len(methods)) / len(placed)
-                progress(done, f"gaps of {length:g} s, {name}")
+                share = (number + place / len(methods)) / len(trials)
+                progress(share, f"gaps of {length:g} s, {name}")
             _run(recording, copy, length, run, gaps, name, method, collected)
     if progress is not None:
         progress(1.0, "done")
@@ -204,23 +224,23 @@ def _place_all(
     collected: _Collected,
 ) -> list[tuple[float, int, list[HiddenGap]]]:
     """The gaps of every run, as (length, run, gaps)."""
-    placed = []
+    trials = []
     for length in lengths_s:
         for run in range(repetitions):
             # a generator a length and run: adding a length to the list moves no other gap
             rng = np.random.default_rng([seed, round(1000 * length), run])
             gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
             if gaps:
-                placed.append((length, run, gaps))
-        if not any(entry[0] == length for entry in placed):
+                trials.append((length, run, gaps))
+        if not any(entry[0] == length for entry in trials):
             collected.notes.append(f"No visible stretch has room for a gap of {length:g} s.")
-    if not placed:
+    if not trials:
         shortest = min(lengths_s, default=0.0)
         raise RecordingError(
             f"{recording.name}: no stretch in which the camera sees the forearm has room for a gap of"
             f" {shortest:g} s with 0.4 s visible on both sides"
         )
-    return placed
+    return trials
 
 
 def _run(
@@ -241,7 +261,7 @@ def _run(
         for gap in gaps:
             nothing = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
             collected.rows.append(GapRow(length_s, name, run, gap, "", nothing, failure=str(error)))
-            collected.hidden.append(Hidden.empty())
+            collected.hidden.append(GapErrors.empty())
         return
     for gap in gaps:
         hidden = score_gap(recording, recovery, gap)
@@ -272,7 +292,7 @@ def _table(lengths_s: Sequence[float], methods: Mapping[str, Method], collected:
                 if row.length_s == length and row.method == name
             ]
             if chosen:
-                pooled = Hidden.pooled([hidden for _, hidden in chosen])
+                pooled = GapErrors.pooled([hidden for _, hidden in chosen])
                 failed = sum(bool(row.failure) for row, _ in chosen)
                 figures = GapFigures(pooled.figures(), gaps=len(chosen), failed=failed)
                 lengths.setdefault(float(length), {})[name] = figures

@@ -1,71 +1,81 @@
-"""How late an answer is against a reference: the peak of their cross-correlation (Feng 2014, 4.5.3)."""
+"""How late an answer, or the camera's own samples, are against a reference: the peak of their correlation.
+
+Sliding two whole signals over each other cuts every gap short at every lag. Here the samples stay as they are
+and the reference, which is known everywhere, is read earlier or later: the same samples take part at every
+lag, so that short gaps do not bias the peak (Feng 2014, 4.5.3, unbiased).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..linalg import parabola_vertex
+from ..recording import FloatArray
+from .align import linear_at
 
-#: Lags looked at, s.
-LONGEST_S = 0.5
-#: Fewer samples than this tell no lag.
-FEWEST = 20
+#: Lags looked at, s: up to this in coarse steps, then about the best one in finer steps.
+LONGEST_S, COARSE_S, FINE_S = 0.5, 0.02, 0.002
+#: From fewer samples no lag is read; more than the second make it no surer.
+FEWEST, MOST = 20, 20_000
 
 
-def lag_s(t_s: FloatArray, answer: FloatArray, reference: FloatArray) -> float | None:
-    """Lag, s; positive where the answer is late. None where nothing moves, or too little is known.
-
-    Both are read on an even grid; at every lag the correlation is taken over the samples that both have,
-    over all columns together, and the peak is the vertex of the parabola through the three highest.
+def lag_s(
+    t_s: FloatArray,
+    samples: FloatArray,
+    reference: FloatArray,
+    reference_t_s: FloatArray | None = None,
+) -> float | None:
+    """Lag of samples behind a reference.
 
     Parameters
     ----------
-    t_s : (N,) rising.
-    answer, reference : (N, D) at these times; nan where there is none.
+    t_s : ndarray, shape (n,), s
+        Times of the samples, rising.
+    samples : ndarray, shape (n, d)
+        nan rows take no part.
+    reference : ndarray, shape (m, d)
+        In the same unit; nan where there is none.
+    reference_t_s : ndarray, shape (m,), s, optional
+        Its times, rising, on the same clock; those of the samples if None.
+
+    Returns
+    -------
+    lag : float or None, s
+        Positive where the samples are late. None where nothing moves, too little is known, or the peak lies
+        beyond half a second: then the samples do not follow the reference.
     """
-    known: BoolArray = np.asarray(np.isfinite(answer).all(axis=1) & np.isfinite(reference).all(axis=1))
-    if known.sum() < FEWEST:
+    known = np.flatnonzero(np.isfinite(samples).all(axis=1))
+    known = known[:: max(1, len(known) // MOST)]
+    if len(known) < FEWEST:
         return None
-    period = float(np.median(np.diff(t_s)))
-    grid = np.arange(t_s[0], t_s[-1], period)
-    nearest = np.clip(np.searchsorted(t_s, grid), 1, len(t_s) - 1)
-    close = np.abs(
-        np.where(grid - t_s[nearest - 1] < t_s[nearest] - grid, t_s[nearest - 1], t_s[nearest]) - grid
-    )
-    inside = (close <= period) & known[nearest] & known[nearest - 1]
-    a, b = (
-        np.where(
-            inside[:, None], np.column_stack([np.interp(grid, t_s[known], c) for c in x[known].T]), np.nan
-        )
-        for x in (answer, reference)
-    )
-    most = max(2, round(LONGEST_S / period))
-    shifts = np.arange(-most, most + 1)
-    lags: FloatArray = np.asarray(period * shifts, dtype=np.float64)
-    r = np.array([_correlation(a, b, int(shift)) for shift in shifts])
-    return peak(lags, r)
+    t_reference = t_s if reference_t_s is None else reference_t_s
+    t, a = t_s[known], samples[known]
+
+    def correlation(lag: float) -> float:
+        b = linear_at(t_reference, reference, t - lag)
+        both = np.isfinite(b).all(axis=1)
+        return _correlation(a[both], b[both]) if both.sum() >= FEWEST else float("nan")
+
+    coarse = np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
+    roughly = _peak(coarse, np.array([correlation(float(lag)) for lag in coarse]))
+    if roughly is None:
+        return None
+    fine = np.linspace(roughly - 10 * FINE_S, roughly + 10 * FINE_S, 21)
+    exactly = _peak(fine, np.array([correlation(float(lag)) for lag in fine]))
+    return roughly if exactly is None else exactly
 
 
-def peak(lags: FloatArray, r: FloatArray) -> float | None:
+def _peak(lags: FloatArray, r: FloatArray) -> float | None:
     """The vertex of the parabola through the three highest; None at the ends."""
-    if not np.isfinite(r).any():
+    best = int(np.nanargmax(r)) if np.isfinite(r).any() else 0
+    around = slice(best - 1, best + 2)
+    if not 0 < best < len(r) - 1 or not np.isfinite(r[around]).all():
         return None
-    best = int(np.nanargmax(r))
-    if not 0 < best < len(r) - 1 or not np.isfinite(r[best - 1 : best + 2]).all():
-        return None
-    before, at, after = r[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    vertex = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(lags[best] + vertex * (lags[1] - lags[0]))
+    return parabola_vertex(lags[around], -r[around])
 
 
-def _correlation(a: FloatArray, b: FloatArray, shift: int) -> float:
-    """Correlation of a(t + shift) with b(t) over all columns, each about its own mean."""
-    late = a[shift:] if shift >= 0 else a[:shift]
-    early = b[: len(b) - shift] if shift >= 0 else b[-shift:]
-    both = np.isfinite(late[:, 0]) & np.isfinite(early[:, 0])
-    if both.sum() < FEWEST:
-        return float("nan")
-    x, y = late[both] - late[both].mean(axis=0), early[both] - early[both].mean(axis=0)
-    scale = np.sqrt((x * x).sum() * (y * y).sum())
-    return float((x * y).sum() / scale) if scale > 1e-12 else float("nan")
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    """Over all columns together, each about its own mean; nan where one stands still."""
+    x, y = a - a.mean(axis=0), b - b.mean(axis=0)
+    scale = float(np.sqrt((x * x).sum() * (y * y).sum()))
+    return float((x * y).sum()) / scale if scale > 1e-9 * len(a) else float("nan")

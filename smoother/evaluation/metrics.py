@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..linalg import unit
 from ..recording import FloatArray
 
 #: 95 % quantile of chi-square with three degrees of freedom: the 95 % region of a position.
@@ -31,9 +32,10 @@ def orientation_error_deg(answer: FloatArray, reference: FloatArray) -> FloatArr
 
     Parameters
     ----------
-    answer, reference : (N, 4) unit quaternions qw, qx, qy, qz of the same frames.
+    answer, reference : ndarray, shape (n, 4)
+        Unit quaternions qw, qx, qy, qz of the same frames.
     """
-    a, b = _unit(answer), _unit(reference)
+    a, b = unit(answer), unit(reference)
     real = np.abs(np.einsum("ni,ni->n", a, b))  # the sign of a quaternion means nothing: eq 15
     # imaginary part of conj(a) * b
     imaginary = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
@@ -45,10 +47,11 @@ def rotation_error(answer: FloatArray, reference: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    answer, reference : (N, 4) quaternions qw, qx, qy, qz of `R_K_A`.
+    answer, reference : ndarray, shape (n, 4)
+        Quaternions qw, qx, qy, qz of `R_K_A`.
     """
     result = np.full((len(answer), 3), np.nan)
-    a, b = _unit(answer), _unit(reference)
+    a, b = unit(answer), unit(reference)
     good = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     turned, true = (Rotation.from_quat(q[good], scalar_first=True) for q in (a, b))
     result[good] = (turned * true.inv()).as_rotvec()
@@ -61,19 +64,15 @@ def mean_vector(vectors: FloatArray) -> list[float] | None:
     return [float(x) for x in finite.mean(axis=0)] if len(finite) else None
 
 
-def _unit(quaternion: FloatArray) -> FloatArray:
-    norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(norm > 0, quaternion / norm, np.nan)
-
-
 def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:
     """Squared error in sigmas, e' P^-1 e, (N,); nan where the covariance is missing or not positive.
 
     Parameters
     ----------
-    error : (N, 3) m.
-    covariance : (N, 3, 3) m^2.
+    error : ndarray, shape (n, 3), m
+        Answer minus reference.
+    covariance : ndarray, shape (n, 3, 3), m^2
+        As stated with the answer.
     """
     result = np.full(len(error), np.nan)
     usable = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
@@ -105,16 +104,16 @@ def percentile(values: FloatArray, percent: float) -> float | None:
 
 
 def nees(squared: FloatArray) -> float | None:
-    """Mean squared position error in sigmas / 3: 1 where the stated covariance is honest.
+    """Mean squared position error in sigmas / 3: 1 where the stated covariance is consistent.
 
-    Above 1 the result is surer of itself than it may be, below 1 it is shyer.
+    Above 1 the result is over-confident, below 1 under-confident.
     """
     finite = _finite(squared)
     return float(finite.mean() / 3.0) if len(finite) else None
 
 
 def coverage_95(squared: FloatArray) -> float | None:
-    """Part of the samples whose error lies inside the stated 95 % region (0.95 is honest)."""
+    """Part of the samples whose error lies inside the stated 95 % region (0.95 is consistent)."""
     finite = _finite(squared)
     return float((finite <= CHI2_95_3).mean()) if len(finite) else None
 
@@ -130,17 +129,28 @@ class Figures:
 
     Attributes
     ----------
-    position_rms_m, position_median_m, position_p95_m, position_max_m : of the position error, m.
-    orientation_rms_deg, orientation_max_deg : degrees of rotation.
-    nees : mean squared position error in sigmas / 3.
-    coverage_95 : part of the samples inside the stated 95 % region.
-    samples : samples with a reference and an answer.
-    unanswered : samples with a reference where the method gave no position.
-    joint_rms_m : rms of the position error of each joint that the reference has, m.
-    position_bias_m : (3,) mean of answer minus reference, m in {K}.
-    orientation_p95_deg : 95 % of the orientation errors are smaller.
-    orientation_bias_deg : (3,) mean rotation vector from reference to answer, degrees in {K}.
-    orientation_nees, orientation_coverage_95 : as for the position, of the rotation vector.
+    position_rms_m, position_median_m, position_p95_m, position_max_m : float, m, or None
+        Of the position error.
+    orientation_rms_deg, orientation_max_deg : float, degrees, or None
+        Of the angle of rotation between answer and reference.
+    nees : float or None
+        Mean squared position error in sigmas / 3.
+    coverage_95 : float or None
+        Part of the samples inside the stated 95 % region.
+    samples : int
+        Samples with a reference and an answer.
+    unanswered : int
+        Samples with a reference where the method gave no position.
+    joint_rms_m : dict[str, float | None], m
+        Rms of the position error of each joint that the reference has.
+    position_bias_m : list of float, shape (3,), m, or None
+        Mean of answer minus reference, in {K}.
+    orientation_p95_deg : float, degrees, or None
+        95 % of the orientation errors are smaller.
+    orientation_bias_deg : list of float, shape (3,), degrees, or None
+        Mean rotation vector from reference to answer, in {K}.
+    orientation_nees, orientation_coverage_95 : float or None
+        As for the position, of the rotation vector.
     """
 
     position_rms_m: float | None
@@ -172,9 +182,12 @@ def summarise(
 
     Parameters
     ----------
-    distance_m : (N,) position errors, nan where there is none.
-    angle_deg : (N,) orientation errors, nan where there is none.
-    squared : (N,) squared position errors in sigmas, nan where there is none.
+    distance_m : ndarray, shape (n,), m
+        Position errors, nan where there is none.
+    angle_deg : ndarray, shape (n,), degrees
+        Orientation errors, nan where there is none.
+    squared : ndarray, shape (n,)
+        Squared position errors in sigmas, nan where there is none.
     """
     return Figures(
         position_rms_m=rms(distance_m),

@@ -42,11 +42,17 @@ class ReferenceAlignment:
 
     Attributes
     ----------
-    kind : "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the
-        frame from a calibration file, the clock solved) or "solved" (both solved from the recording).
-    clock, frame : what was used; None where the kind is "none".
-    landmarks : positions (M, 3) m in {K} of single markers on the bones, by name, at the truth's times.
-    notes : what a reader must know, one sentence each.
+    kind : {"none", "calibration", "solved"}
+        "none" (the truth came in the camera's frame and on the IMU's clock), "calibration" (the frame from a
+        calibration file, the clock solved) or "solved" (both solved from the recording).
+    clock : MocapClock or None
+        The truth's clock; None where the kind is "none".
+    frame : CameraFromMocap or None
+        The truth's frame; likewise.
+    landmarks : dict[str, ndarray], shape (m, 3), m, or None
+        Positions in {K} of single markers on the bones, by name, at the truth's times.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     kind: Literal["none", "calibration", "solved"] = "none"
@@ -67,7 +73,7 @@ class ReferenceAlignment:
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name, as `--json` writes them."""
         clock, frame = self.clock, self.frame
-        found: dict[str, Any] = {
+        plain: dict[str, Any] = {
             "alignment": self.kind,
             "clock": {
                 "offset_s": 0.0 if clock is None else clock.offset_s,
@@ -79,7 +85,7 @@ class ReferenceAlignment:
         }
         if frame is not None:
             quaternion = Rotation.from_matrix(frame.R_K_E).as_quat(canonical=True, scalar_first=True)
-            found["camera_from_mocap"] = {
+            plain["camera_from_mocap"] = {
                 "rotation": quaternion,
                 "translation": frame.t_K_E,
                 "rotation_sigma_deg": frame.rotation_sigma_deg,
@@ -87,7 +93,7 @@ class ReferenceAlignment:
                 "residual_rms_m": frame.residual_m,
                 "axes": "those of the recording's camera frame",
             }
-        return found
+        return plain
 
 
 def read_reference(
@@ -103,12 +109,18 @@ def read_reference(
 
     Parameters
     ----------
-    path : `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
-    recovery : the result that it is for.
-    markers : map of the markers, see `marker_map`; markers called as joints need none.
-    calibration : file with `[camera_from_mocap]`; without it, the frame of markers is solved.
-    camera_frame : axes of the recording's camera, which a calibration is turned into.
-    align : align a truth of poses too, though it should need none.
+    path : path-like
+        `.csv` or `.mcap` of poses (as in `read_truth`), or markers, `.c3d` or `.trc`.
+    recovery : Recovery
+        The result that it is for.
+    markers : path-like, optional
+        Map of the markers, see `marker_map`; markers called as joints need none.
+    calibration : path-like, optional
+        A file with `[camera_from_mocap]`; without it, the frame of markers is solved.
+    camera_frame : CameraFrame, optional
+        Axes of the recording's camera, which a calibration is turned into.
+    align : bool
+        Align a truth of poses too, though it should need none.
 
     Raises
     ------
@@ -126,9 +138,9 @@ def read_reference(
             return truth, ReferenceAlignment()
         motion = motion_of_truth(truth, str(path))
     else:
-        found = read_markers(path)
-        chosen = map_by_names(found.names, str(path)) if markers is None else read_marker_map(markers)
-        motion = motion_of_markers(found, chosen)
+        trajectories = read_markers(path)
+        chosen = map_by_names(trajectories.names, str(path)) if markers is None else read_marker_map(markers)
+        motion = motion_of_markers(trajectories, chosen)
     frame = None
     if calibration is not None:
         from calib.file import read_calibration
@@ -146,7 +158,8 @@ def bring(
 
     Parameters
     ----------
-    frame : the transform where it is known; else it is solved from what the camera saw.
+    frame : CameraFromMocap or None
+        The transform where it is known; else it is solved from what the camera saw.
     """
     clock = align_clock(recovery, motion)
     notes = [*motion.notes, _clock_words(clock), *clock.notes]

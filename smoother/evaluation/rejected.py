@@ -1,25 +1,33 @@
-"""Camera samples that called themselves tracked and were set aside: how many, of what, why, when."""
+"""Camera samples that called themselves tracked and were rejected: how many, of what, why, when."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS
 from ..result import Recovery
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """The samples of one joint that were set aside for one reason.
+    """The samples of one joint that were rejected for one reason.
 
     Attributes
     ----------
-    reason : the reason's name ("jump"), `why` in words.
-    joint : the joint.
-    count, share : samples, and their part of the joint's tracked ones.
-    first_s, last_s : times of the first and the last, on the IMU's clock.
+    reason : str
+        The reason's name ("jump").
+    why : str
+        The same in words.
+    joint : str
+        The joint.
+    count : int
+        Samples.
+    share : float
+        Their part of the joint's tracked ones.
+    first_s, last_s : float, s
+        Times of the first and the last, on the IMU's clock.
     """
 
     reason: str
@@ -32,52 +40,29 @@ class Rejected:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
-        return {
-            "reason": self.reason,
-            "why": self.why,
-            "joint": self.joint,
-            "count": self.count,
-            "share": self.share,
-            "first_s": self.first_s,
-            "last_s": self.last_s,
-        }
+        return asdict(self)
 
 
 def rejected(recovery: Recovery) -> list[Rejected]:
     """A row a reason and joint, the most frequent reason first, joints from the shoulder down."""
-    kept = recovery.residuals
-    if kept is None:
+    residuals = recovery.residuals
+    if residuals is None:
         return []
-    at: dict[tuple[int, int], _Seen] = {}
+    times: dict[tuple[int, int], tuple[int, float, float]] = {}  # count, first and last by reason and joint
     tracked = np.zeros(len(JOINTS), np.int64)
-    for block in kept.blocks():
+    for block in residuals.blocks():
         tracked += np.count_nonzero(block.used | (block.reason != 0), axis=0)
         for code in np.unique(block.reason[block.reason != 0]).tolist():
             for column in np.flatnonzero((block.reason == code).any(axis=0)).tolist():
-                seen = at.setdefault((code, column), _Seen())
-                seen.add(block.t_s[block.reason[:, column] == code])
-    totals = {code: sum(seen.count for (each, _), seen in at.items() if each == code) for code, _ in at}
+                t_s = block.t_s[block.reason[:, column] == code]
+                count, first_s, _ = times.get((code, column), (0, float(t_s[0]), 0.0))
+                times[code, column] = count + len(t_s), first_s, float(t_s[-1])
+    totals = {code: sum(row[0] for (other, _), row in times.items() if other == code) for code, _ in times}
     rows = []
-    for code in sorted(totals, key=lambda code: (-totals[code], kept.reasons[code])):
-        name, _, why = kept.reasons[code].partition(": ")
+    for code in sorted(totals, key=lambda code: (-totals[code], residuals.reasons[code])):
+        name, _, why = residuals.reasons[code].partition(": ")
         for column, joint in enumerate(JOINTS):
-            if (code, column) in at:
-                seen = at[code, column]
-                share = seen.count / int(tracked[column])
-                rows.append(Rejected(name, why, joint, seen.count, share, seen.first_s, seen.last_s))
+            if (code, column) in times:
+                count, first_s, last_s = times[code, column]
+                rows.append(Rejected(name, why, joint, count, count / int(tracked[column]), first_s, last_s))
     return rows
-
-
-@dataclass
-class _Seen:
-    """How often something was met, and when."""
-
-    count: int = 0
-    first_s: float = float("nan")
-    last_s: float = float("nan")
-
-    def add(self, t_s: FloatArray) -> None:
-        """More of it, later."""
-        self.first_s = self.first_s if self.count else float(t_s[0])
-        self.last_s = float(t_s[-1])
-        self.count += len(t_s)

@@ -17,16 +17,29 @@ class GapSummary:
 
     Attributes
     ----------
-    gap : the stretch, on the IMU's clock.
-    sigma_max_m : largest standard deviation of the IMU's position in it, m an axis; None without one.
-    sigma_max_deg : largest standard deviation of the orientation in it, degrees; None without one.
-    answered : part of the samples in it that have an answer, 0 to 1.
+    gap : Gap
+        On the IMU's clock.
+    sigma_max_m : float or None, m
+        Largest standard deviation of the IMU's position in it, on one axis.
+    sigma_max_deg : float or None, degrees
+        Largest standard deviation of the orientation in it.
+    answered : float
+        Part of the samples in it that have an answer, 0 to 1.
     """
 
     gap: Gap
     sigma_max_m: float | None
     sigma_max_deg: float | None
     answered: float
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether the camera saw the forearm on one side of the gap only, or on none."""
+        return self.gap.open_start or self.gap.open_end
+
+    def is_weaker_than(self, sigma_m: float) -> bool:
+        """Whether the position is stated, and less certain than this somewhere in the gap."""
+        return self.sigma_max_m is not None and self.sigma_max_m > sigma_m
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
@@ -98,23 +111,23 @@ def _sigmas(sigma: np.ndarray, chosen: BoolArray) -> dict[str, float | None]:
 
 
 def _largest(values: np.ndarray) -> float | None:
-    found = np.max(values, initial=-np.inf, where=np.isfinite(values))
-    return float(found) if np.isfinite(found) else None
+    largest = np.max(values, initial=-np.inf, where=np.isfinite(values))
+    return float(largest) if np.isfinite(largest) else None
 
 
 def _calibration(recovery: Recovery) -> dict[str, object] | None:
-    found = recovery.calibration
-    if found is None:
+    arm = recovery.calibration
+    if arm is None:
         return None
     return {
-        "side": found.side,
+        "side": arm.side,
         "lever_arms": {
             joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
-            for joint, lever in found.lever_arms.items()
+            for joint, lever in arm.lever_arms.items()
         },
-        "upper_arm_m": None if found.upper_arm is None else found.upper_arm.value_m,
-        "upper_arm_sigma_m": None if found.upper_arm is None else found.upper_arm.sigma_m,
-        "R_F_A": found.R_F_A,
-        "accelerometer_bias": found.accelerometer_bias,
-        "gyroscope_bias": found.gyroscope_bias,
+        "upper_arm_m": None if arm.upper_arm is None else arm.upper_arm.value_m,
+        "upper_arm_sigma_m": None if arm.upper_arm is None else arm.upper_arm.sigma_m,
+        "R_F_A": arm.R_F_A,
+        "accelerometer_bias": arm.accelerometer_bias,
+        "gyroscope_bias": arm.gyroscope_bias,
     }

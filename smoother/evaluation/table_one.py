@@ -18,9 +18,12 @@ class TableRow:
 
     Attributes
     ----------
-    errors : "Orientation errors (degree)" ...
-    figure : "RMS" or "Maximum".
-    camera, answer : the errors, in the unit of the line; None where there is none.
+    errors : str
+        "Orientation errors (degree)" ...
+    figure : str
+        "RMS" or "Maximum".
+    camera, answer : float or None
+        The errors, in the unit of the line; None where there is none.
     """
 
     errors: str
@@ -52,9 +55,12 @@ class TableOne:
 
     Attributes
     ----------
-    rows : its lines.
-    camera_share : part of the scored samples for which the camera states a position at all.
-    note : what to know of it.
+    rows : tuple of TableRow
+        Its lines.
+    camera_share : float
+        Part of the scored samples for which the camera states a position at all.
+    note : str
+        What a reader must know of it, in a sentence.
     """
 
     rows: tuple[TableRow, ...]
@@ -81,9 +87,12 @@ def table_one(
 
     Parameters
     ----------
-    reference : the truth at the recovery's times.
-    scored : (N,) samples to score.
-    distance_m, angle_deg : (N,) errors of the answer.
+    reference : Truth
+        The truth at the recovery's times.
+    scored : ndarray of bool, shape (n,)
+        Samples to score.
+    distance_m, angle_deg : ndarray, shape (n,), m and degrees
+        Errors of the answer.
     """
     position, direction = camera_estimate(recovery)
     own = np.where(scored, np.linalg.norm(position - reference.position, axis=1), np.nan)

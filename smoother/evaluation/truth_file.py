@@ -22,9 +22,11 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
 
     Parameters
     ----------
-    path : `.csv` with the columns t_s, x, y, z, qw, qx, qy, qz (m; the orientation columns may be
-        missing or empty), or `.mcap` with `PoseInFrame`, `PoseStamped` or a recording's `/truth`.
-    recovery : whose origin the times are to count from.
+    path : path-like
+        `.csv` with the columns t_s, x, y, z, qw, qx, qy, qz (m; the orientation columns may be missing or
+        empty), or `.mcap` with `PoseInFrame`, `PoseStamped` or a recording's `/truth`.
+    recovery : Recovery
+        Whose origin the times are to count from.
 
     Raises
     ------

@@ -36,16 +36,26 @@ class SampleErrors:
 
     Attributes
     ----------
-    reference : the truth at the recovery's times.
-    scored : (N,) the reference has a position there that is to be scored.
-    distance_m : (N,) position error, m.
-    angle_deg : (N,) orientation error, degrees of rotation.
-    squared_sigmas : (N,) squared position error in sigmas.
-    joint_distance_m : by joint, (N,) position error of the joints that the reference has, m.
-    difference_m : (N, 3) answer minus reference, m in {K}.
-    turn_rad : (N, 3) rotation vector from reference to answer, rad in {K}.
-    turn_squared_sigmas : (N,) squared orientation error in sigmas.
-    joint_difference_m, joint_squared_sigmas : likewise by joint.
+    reference : Truth
+        The truth at the recovery's times.
+    scored : ndarray of bool, shape (n,)
+        The reference has a position there that is to be scored.
+    distance_m : ndarray, shape (n,), m
+        Position error.
+    angle_deg : ndarray, shape (n,), degrees
+        Orientation error, as an angle of rotation.
+    squared_sigmas : ndarray, shape (n,)
+        Squared position error in sigmas.
+    joint_distance_m : dict[str, ndarray], shape (n,), m
+        Position error of the joints that the reference has, by joint.
+    difference_m : ndarray, shape (n, 3), m
+        Answer minus reference, in {K}.
+    turn_rad : ndarray, shape (n, 3), rad
+        Rotation vector from reference to answer, in {K}.
+    turn_squared_sigmas : ndarray, shape (n,)
+        Squared orientation error in sigmas.
+    joint_difference_m, joint_squared_sigmas : dict[str, ndarray], shape (n, 3) and (n,)
+        Likewise by joint.
     """
 
     reference: Truth
@@ -87,19 +97,28 @@ class SampleErrors:
 
 @dataclass(frozen=True)
 class Validation:
-    """What `validate` found.
+    """A recovery held against a reference.
 
     Attributes
     ----------
-    all, occluded, visible : figures of all samples, of those in gaps, and of the others.
-    notes : what a reader must know of the comparison, one sentence each.
-    points : figures of each joint that truth and answer share, by joint and part.
-    gaps : figures of each gap that holds a sample with truth.
-    angles : joint angles of both, or None.
-    angle_figures : agreement of the angles by part and angle.
-    lag_s : how late the answer's position is against the truth's, or None.
-    table : the layout of Jatesiktat and Ang's table I.
-    alignment : how the truth was brought to the result.
+    all, occluded, visible : Figures
+        Figures of all samples, of those in gaps, and of the others.
+    notes : tuple of str
+        What a reader must know of the comparison, one sentence each.
+    points : dict[str, dict[str, Figures]]
+        Figures of each joint that truth and answer share, by joint and part.
+    gaps : tuple[tuple[Gap, Figures], ...]
+        Figures of each gap that holds a sample with truth.
+    angles : AngleComparison or None
+        Joint angles of both.
+    angle_figures : dict[str, dict[str, Agreement]]
+        Agreement of the angles by part and angle.
+    lag_s : float, s, or None
+        How late the answer's position is against the truth's.
+    table : TableOne or None
+        The layout of Jatesiktat and Ang's table I.
+    alignment : ReferenceAlignment
+        How the truth was brought to the result.
     """
 
     all: Figures
@@ -182,10 +201,13 @@ def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | N
 
     Parameters
     ----------
-    recovery : the result to judge.
-    truth : pose of the forearm IMU in the camera frame, on the IMU's clock; times count from the
-        recovery's origin. Samples outside `truth.score` are not scored.
-    alignment : how the truth was brought there; None where it came so.
+    recovery : Recovery
+        The result to judge.
+    truth : Truth
+        Pose of the forearm IMU in the camera frame, on the IMU's clock; times count from the recovery's
+        origin. Samples outside `truth.score` are not scored.
+    alignment : ReferenceAlignment, optional
+        How the truth was brought there; None where it came so.
 
     Raises
     ------
@@ -212,7 +234,7 @@ def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | N
         gaps=tuple(_gaps(recovery, errors)),
         angles=angles,
         angle_figures={name: angles.figures(chosen) for name, chosen in parts.items()} if angles else {},
-        lag_s=_lag(recovery, errors),
+        lag_s=_lag(recovery, truth, errors),
         table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
     )
@@ -233,24 +255,24 @@ def _notes(errors: SampleErrors, figures: Figures) -> list[str]:
 
 
 def _gaps(recovery: Recovery, errors: SampleErrors) -> list[tuple[Gap, Figures]]:
-    found = []
+    rows = []
     for gap in recovery.gaps:
         inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & recovery.occluded
         figures = errors.figures(inside)
         if figures.samples or any(value is not None for value in figures.joint_rms_m.values()):
-            found.append((gap, figures))
-    return found
+            rows.append((gap, figures))
+    return rows
 
 
-def _lag(recovery: Recovery, errors: SampleErrors) -> float | None:
+def _lag(recovery: Recovery, truth: Truth, errors: SampleErrors) -> float | None:
     """Lag of the IMU's position, or of the wrist where the truth has no IMU."""
-    if errors.scored.any():
-        true = np.where(errors.scored[:, None], errors.reference.position, np.nan)
-        return lag_s(recovery.t_s, recovery.position, true)
-    for joint in ("wrist", "hand", "elbow"):
-        if joint in errors.joint_distance_m:
-            return lag_s(recovery.t_s, recovery.joints[joint], errors.reference.joints[joint])
-    return None
+    answer, position = recovery.position, truth.position
+    if not errors.scored.any():
+        shared = [joint for joint in ("wrist", "hand", "elbow") if joint in errors.joint_distance_m]
+        if not shared:
+            return None
+        answer, position = recovery.joints[shared[0]], truth.joints[shared[0]]
+    return lag_s(recovery.t_s, answer, np.where(truth.score[:, None], position, np.nan), truth.t_s)
 
 
 def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErrors) -> None:
@@ -272,7 +294,7 @@ def _refuse_without_overlap(recovery: Recovery, truth: Truth, errors: SampleErro
         )
     if len(known) > 1 and np.median(np.diff(known)) > 0.1:
         raise RecordingError(
-            "the truth's samples lie more than 0.1 s apart, and holes that long are not bridged:"
+            "the truth's samples lie more than 0.1 s apart, and gaps that long are not bridged:"
             " give a truth with at least 10 samples a second"
         )
     raise RecordingError("no sample of the truth that is to be scored falls on a sample of the result")

@@ -2,7 +2,7 @@
 
 Variables: X pose `T_K_A` and V velocity a node, B bias every few seconds, G gravity's direction,
 L lever arms of the joints in {A}, S shoulder knots, U correction of the upper-arm length.
-All factors are GTSAM's own; see each function for the class.
+All factors are GTSAM's own; see each function for the class. Preintegration: Forster et al., TRO 2017.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..window.problem import JointMeasurements, Window
 from ..window.shared import SharedLayout
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
-BIAS_SPAN_S = 4.0
+BIAS_LENGTH_S = 4.0
 #: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
 #: not become so much stiffer than the rest that the solver calls the rest free.
 INTEGRATION_VARIANCE = 1e-6
@@ -28,15 +28,26 @@ DENSITY_STEP = 1.25
 
 
 def bias_of_intervals(window: Window) -> IntArray:
-    """Which bias variable each interval uses, (n - 1,)."""
+    """Which bias variable each of a window's intervals uses, (n - 1,)."""
     duration = window.t[-1] - window.t[0]
-    count = max(1, round(duration / BIAS_SPAN_S))
+    count = max(1, round(duration / BIAS_LENGTH_S))
     middle = 0.5 * (window.t[1:] + window.t[:-1]) - window.t[0]
     return np.minimum((middle / duration * count).astype(int), count - 1)
 
 
 def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The graph of a window and its start values."""
+    """The graph of a window and its initial values.
+
+    Parameters
+    ----------
+    window : Window
+
+    Returns
+    -------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Every variable of the graph.
+    """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     biases = bias_of_intervals(window)
     _add_states(values, window)
@@ -61,17 +72,17 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
 def _add_increments(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
     """`ImuFactorWithGravityDirection` between neighbours."""
     increments = window.increments
-    removed = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
+    bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
     acc = increments.acc + increments.bias[:3]
     gyro = increments.gyro + increments.bias[3:]
     first = increments.first
-    level = _noise_levels(window)
-    params = {each: _parameters(window, *each) for each in set(level)}
+    levels = _noise_levels(window)
+    params = {level: _parameters(window, *level) for level in set(levels)}
     for i in range(len(window.t) - 1):
-        pim = gtsam.PreintegratedImuMeasurements(params[level[i]], removed)
-        for block in range(first[i], first[i + 1]):
-            pim.integrateMeasurement(acc[block, 0], gyro[block], increments.h[block])
-            pim.integrateMeasurement(acc[block, 1], gyro[block], increments.h[block])
+        pim = gtsam.PreintegratedImuMeasurements(params[levels[i]], bias)
+        for step in range(first[i], first[i + 1]):
+            pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
+            pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
         graph.add(
             gtsam.ImuFactorWithGravityDirection(
                 X(i), V(i), X(i + 1), V(i + 1), B(biases[i]), G(0), pim, window.gravity_magnitude
@@ -82,19 +93,19 @@ def _add_increments(graph: gtsam.NonlinearFactorGraph, window: Window, biases: I
 def _noise_levels(window: Window) -> list[tuple[int, int]]:
     """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
     increments, noise = window.increments, window.noise
-    blocks = np.diff(increments.first)
+    count = np.diff(increments.first)
     force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - window.gravity_magnitude
     rate = np.linalg.norm(increments.gyro, axis=1)
-    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / blocks
-    turning = np.add.reduceat(rate, increments.first[:-1]) / blocks
-    knocks = increments.velocity_error / np.sqrt(np.diff(window.t))
+    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
+    turning = np.add.reduceat(rate, increments.first[:-1]) / count
+    impacts = increments.velocity_error / np.sqrt(np.diff(window.t))
     acc = np.hypot(
         np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
-        knocks / noise.accelerometer_density,
+        impacts / noise.accelerometer_density,
     )
     gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
-    steps = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
-    return [(int(a), int(g)) for a, g in steps]
+    level = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
+    return [(int(a), int(g)) for a, g in level]
 
 
 def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationParams:
@@ -108,7 +119,19 @@ def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationPara
 
 
 def shared_keys(window: Window, biases: IntArray) -> list[int]:
-    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle."""
+    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle.
+
+    Parameters
+    ----------
+    window : Window
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+
+    Returns
+    -------
+    keys : list of int
+        As many as there are shared quantities.
+    """
     layout = window.priors.layout
     keys = [B((int(biases[-1]) + 1) // 2), G(0)]
     keys += [U(0)] if layout.has_upper_arm else []
@@ -118,8 +141,18 @@ def shared_keys(window: Window, biases: IntArray) -> list[int]:
 def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
     """Shared vector's change for a change of GTSAM's own coordinates.
 
-    They differ for gravity (its tangent basis) and for the upper arm: the range factor's error is
-    range + U - length, so the length falls as U grows.
+    They differ for gravity (its tangent basis, `Unit3.basis`) and for the upper arm: the range factor's
+    error is range + U - length, so the length falls as U grows.
+
+    Parameters
+    ----------
+    layout : SharedLayout
+    down : gtsam.Unit3
+        Gravity's direction in {K}.
+
+    Returns
+    -------
+    jacobian : ndarray, shape (s, s)
     """
     jacobian = np.eye(layout.size)
     jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
@@ -145,7 +178,7 @@ def _add_shared(
         values.insert(U(0), 0.0)
     for joint in layout.joints:
         values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
-    # the prior's mean is the start value, so only its information matrix is needed
+    # the prior's mean is the initial value, so only its information matrix is needed
     jacobian = shared_jacobian(layout, down)
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
     keys = shared_keys(window, biases)
@@ -204,10 +237,25 @@ def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
 def stacked_measurements(
     measured: JointMeasurements, cauchy: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """A joint's samples node by node: nodes (m,), positions at the node (m, 3), sigmas (m,).
+    """A joint's samples node by node.
 
     Samples that share a node are averaged, each weighted by Cauchy's loss about their median, so that one
     that is far off costs itself and not the others.
+
+    Parameters
+    ----------
+    measured : JointMeasurements
+    cauchy : float
+        Length of a residual, in sigmas, where its weight is halved.
+
+    Returns
+    -------
+    node : ndarray of int, shape (m,)
+        Increasing, each once.
+    position : ndarray, shape (m, 3), m
+        The joint at the node in {K}.
+    sigma_m : ndarray, shape (m,), m
+        Standard deviation an axis.
     """
     at_node = measured.position - measured.shift
     node, first, count = np.unique(measured.node, return_index=True, return_counts=True)
@@ -215,7 +263,7 @@ def stacked_measurements(
         return measured.node, at_node, measured.sigma_m
     rank = np.arange(len(measured.node)) - np.repeat(first, count)
     group = np.repeat(np.arange(len(node)), count)
-    table = np.full((len(node), int(count.max()), 3), np.inf)  # what is missing sorts last
+    table = np.full((len(node), int(count.max()), 3), np.inf)  # short groups: the rest sorts last
     table[group, rank] = at_node
     table.sort(axis=1)
     median = table[np.arange(len(node)), (count - 1) // 2]
@@ -228,7 +276,7 @@ def stacked_measurements(
 
 
 def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window) -> None:
-    """Smooth knots (`BetweenFactorPoint3`), seen by the camera, an upper arm away from the elbow."""
+    """Smooth knots (`BetweenFactorPoint3`), camera samples (`PriorFactorPoint3`), the upper arm's length."""
     shoulder, noise = window.shoulder, window.noise
     assert shoulder is not None
     for k in range(len(shoulder.node)):
@@ -236,9 +284,8 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
         if np.isfinite(shoulder.position[k, 0]):
             model = robust(float(shoulder.sigma_m[k]), noise.cauchy)
             graph.add(gtsam.PriorFactorPoint3(S(k), shoulder.position[k], model))
-    gaps = np.diff(window.t[shoulder.node])
-    for k, gap_s in enumerate(gaps):
-        walk = isotropic(3, round(noise.shoulder_walk * float(np.sqrt(gap_s)), 6))
+    for k, dt in enumerate(np.diff(window.t[shoulder.node])):
+        walk = isotropic(3, round(noise.shoulder_walk * float(np.sqrt(dt)), 6))
         graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), np.zeros(3), walk))
     if not np.isfinite(shoulder.position[:, 0]).any():
         graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
@@ -254,14 +301,14 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
 
 
 def _add_constant_velocity(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
-    """`BetweenFactorVector` on the velocities inside gaps: a quiet arm keeps its velocity."""
+    """`BetweenFactorVector` on the velocities inside gaps: a still arm keeps its velocity."""
     for i in np.flatnonzero(np.isfinite(window.velocity_change)).tolist():
         model = isotropic(3, float(window.velocity_change[i]))
         graph.add(gtsam.BetweenFactorVector(V(i), V(i + 1), np.zeros(3), model))
 
 
 def _add_attitude(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
-    """`PoseRotationPrior3D`: the start orientation, weakly, at one node."""
+    """`PoseRotationPrior3D`: the initial orientation, weakly, at one node."""
     R = window.attitude
     covariance = R.T @ window.attitude_covariance @ R
     graph.add(gtsam.PoseRotationPrior3D(X(window.attitude_node), Rot3(R), gaussian(covariance)))

@@ -1,4 +1,4 @@
-"""What a window's samples say of the clock offset once everything else has settled again."""
+"""Information of a window's samples on the clock offset, all other variables free to follow it."""
 
 from __future__ import annotations
 
@@ -10,25 +10,40 @@ from ..recording import FloatArray
 from ..window.problem import States, Window
 from .build import stacked_measurements
 
-#: Part of its bound that the information usually is; stands in where the elimination takes a weak direction
+#: Share of its bound that the information usually is; stands in where the elimination takes a weak direction
 #: for a free one.
-USUAL_PART = 0.3
+USUAL_SHARE = 0.3
 
 
 def offset_information(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
 ) -> float:
-    """Information 1/s^2 on one clock offset for the whole window, all other variables eliminated.
+    """Information on one clock offset for the whole window, all other variables eliminated.
 
     A later offset moves every camera factor's error by the joint's velocity. The linearised graph gets that
     column as one more variable, and elimination (`GaussianFactorGraph.marginal`) gives what the other
-    variables leave of it: states can follow a part of any shift.
+    variables leave of it: states can follow a part of any shift. The robust loss counts with its weights at
+    the solution.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Of the window (`build`).
+    values : gtsam.Values
+        The solution.
+    window : Window
+    states : States
+        The solution's, at the nodes.
+
+    Returns
+    -------
+    information : float, 1/s^2
     """
     linear = graph.linearize(values)
     velocities, scatter = _velocities(window, states)
     velocity = iter(velocities)
     bound = 0.0
-    whole = gtsam.GaussianFactorGraph()
+    extended = gtsam.GaussianFactorGraph()
     unit = gtsam.noiseModel.Unit.Create(3)
     for i in range(graph.size()):
         factor = linear.at(i)
@@ -43,13 +58,13 @@ def offset_information(
                 factor = gtsam.JacobianFactor(*pose, keys[1], A[:, 6:], D(0), column, b, unit)
             else:
                 factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
-        whole.push_back(factor)
+        extended.push_back(factor)
     try:
-        marginal = whole.marginal([D(0)])
+        marginal = extended.marginal([D(0)])
     except RuntimeError as error:
         if "ndetermin" not in str(error):
             raise
-        return scatter + USUAL_PART * bound
+        return scatter + USUAL_SHARE * bound
     return scatter + float(sum(marginal.at(i).information()[0, 0] for i in range(marginal.size())))
 
 
@@ -58,14 +73,14 @@ def _velocities(window: Window, states: States) -> tuple[list[FloatArray], float
 
     And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
     """
-    found: list[FloatArray] = []
+    velocities: list[FloatArray] = []
     scatter = 0.0
     for measured in window.joint_measurements:
         node, _, _ = stacked_measurements(measured, window.noise.cauchy)
-        each = states.v[measured.node] + measured.velocity
+        velocity = states.v[measured.node] + measured.velocity
         group = np.searchsorted(node, measured.node)
-        total = np.stack([np.bincount(group, each[:, axis]) for axis in range(3)], axis=1)
+        total = np.stack([np.bincount(group, velocity[:, axis]) for axis in range(3)], axis=1)
         mean = total / np.bincount(group)[:, None]
-        found += list(mean)
-        scatter += float(np.sum((each - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))
-    return found, scatter
+        velocities += list(mean)
+        scatter += float(np.sum((velocity - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))
+    return velocities, scatter

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..recording import FloatArray
 
-#: Dimension of a variable by the letter of its key (see `graph`).
+#: Dimension of a variable by the letter of its key (see `build`).
 _DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
 
 
@@ -30,42 +30,52 @@ def marginals_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Mar
     Its elimination calls a variable indeterminate when one pivot is 4096 times smaller than the one
     before, which stiff short intervals reach on a system that is well determined.
 
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Where the graph is linearised.
+
+    Returns
+    -------
+    marginals : Marginals
+
     Raises
     ------
     numpy.linalg.LinAlgError
         The information matrix is singular indeed.
     """
-    return _Careful(graph, values)
+    return _WithFallback(graph, values)
 
 
-class _Careful:
+class _WithFallback:
     """GTSAM's marginals; it may give up when they are made, or at a single variable later."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self._problem = graph, values
-        self._of: Marginals
+        self._marginals: Marginals
         try:
-            self._of = gtsam.Marginals(graph, values)
+            self._marginals = gtsam.Marginals(graph, values)
         except RuntimeError as error:
             self._give_up(error)
 
     def marginalCovariance(self, key: int) -> FloatArray:
-        return self._or_dense(lambda: self._of.marginalCovariance(key))
+        return self._or_dense(lambda: self._marginals.marginalCovariance(key))
 
     def jointMarginalCovariance(self, keys: Sequence[int]) -> Any:
-        return self._or_dense(lambda: self._of.jointMarginalCovariance(keys))
+        return self._or_dense(lambda: self._marginals.jointMarginalCovariance(keys))
 
-    def _or_dense(self, wanted: Callable[[], Any]) -> Any:
+    def _or_dense(self, covariance: Callable[[], Any]) -> Any:
         try:
-            return wanted()
+            return covariance()
         except RuntimeError as error:
             self._give_up(error)
-            return wanted()
+            return covariance()
 
     def _give_up(self, error: RuntimeError) -> None:
         if "ndetermin" not in str(error):
             raise error
-        self._of = _Dense(*self._problem)
+        self._marginals = _Dense(*self._problem)
 
 
 class _Dense:

@@ -17,11 +17,11 @@ from .build import bias_of_intervals, build, shared_jacobian, shared_keys
 from .clock_information import offset_information
 from .marginals import Marginals, marginals_of
 
-#: What `solve` stops at unless told otherwise.
+#: Where `solve` stops by default.
 RELATIVE_TOLERANCE = 1e-4
 MAX_ITERATIONS = 12
-#: Sigmas of the attitude prior that are tried one after the other, as parts of it: the solver takes a
-#: direction for free once its square-root information is 4096 times weaker than its neighbour's.
+#: Sigmas of the attitude prior that are tried one after the other, as shares of it: the solver calls a
+#: direction free once its square-root information is 4096 times weaker than its neighbour's.
 TIGHTEN = (1.0, 0.3, 0.1, 0.03)
 #: Spacing of the covariances that are computed rather than interpolated, s.
 COVARIANCE_S = 0.5
@@ -37,14 +37,23 @@ def solve(
     with_message: bool = True,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Solution:
-    """Optimise a window with Levenberg-Marquardt and read its answer.
+    """Optimise a window (`LevenbergMarquardtOptimizer`) and read its answer.
 
     Parameters
     ----------
-    with_covariance : also the covariance of every node (a third of the time).
-    with_offset : also what the window says of the clock offset.
-    with_message : also the covariance of the message; its mean is there in any case.
-    tolerance : the optimiser stops when an iteration lowers the error by less than this part of it.
+    window : Window
+    with_covariance : bool
+        Also the covariance of every node (a third of the time).
+    with_offset : bool
+        Also the information on the clock offset.
+    with_message : bool
+        Also the covariance of the message; its mean is there in any case.
+    tolerance : float
+        The optimiser stops when an iteration lowers the error by less than this share of it.
+
+    Returns
+    -------
+    solution : Solution
 
     Raises
     ------
@@ -76,7 +85,7 @@ def _solved(
             pose_covariance = velocity_covariance = None
             if with_covariance:
                 pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
-                pose_covariance[:, 3:, 3:] += _held(pose_covariance[:, 3:, 3:], window, tighten)
+                pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
             shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
             message = _message(values, marginals, window, biases, with_message)
         except np.linalg.LinAlgError:
@@ -102,8 +111,8 @@ def _solved(
     raise np.linalg.LinAlgError
 
 
-def _held(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
-    """What a tightened prior took from the attitude's covariance (3, 3) in {K} where it alone holds it."""
+def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
+    """What tightening took from the attitude's covariance (3, 3) in {K} where only the prior holds it."""
     used, axes = np.linalg.eigh(window.attitude_covariance * tighten**2)
     stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
     missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
@@ -135,24 +144,19 @@ def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[F
     """
     t = window.t
     in_gap = np.isfinite(window.velocity_change)
-    some = _some(t, in_gap, COVARIANCE_S)
-    body = np.array([marginals.marginalCovariance(X(i)) for i in some])
-    velocity = np.array([marginals.marginalCovariance(V(i)) for i in some])
+    nodes = _spaced(t, in_gap, COVARIANCE_S)
+    body = np.array([marginals.marginalCovariance(X(i)) for i in nodes])
+    velocity = np.array([marginals.marginalCovariance(V(i)) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]
-    turn = np.zeros((len(some), 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = R[some]
+    turn = np.zeros((len(nodes), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = R[nodes]
     pose = turn @ body @ np.swapaxes(turn, 1, 2)
-    return interpolate(t[some], pose, t), interpolate(t[some], velocity, t)
+    return interpolate(t[nodes], pose, t), interpolate(t[nodes], velocity, t)
 
 
-def _some(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
-    """Nodes about so far apart, and finer in and near gaps, where covariances change.
-
-    Parameters
-    ----------
-    in_gap : (n - 1,) intervals in which the camera saw too little.
-    """
+def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
+    """Nodes about so far apart, and finer in and near gaps (intervals `in_gap`), where covariances change."""
 
     def every(step_s: float) -> BoolArray:
         chosen: BoolArray = np.diff(np.floor((t - t[0]) / step_s + 1e-6), prepend=-1.0) > 0
@@ -179,20 +183,21 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if not with_covariance:
         return position, None
-    some = _some(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
-    return position, interpolate(t[some], np.array([marginals.marginalCovariance(S(k)) for k in some]), t)
+    knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
+    covariance = np.array([marginals.marginalCovariance(S(k)) for k in knots])
+    return position, interpolate(t[knots], covariance, t)
 
 
 def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
     """Bias at the nodes, (n, 6)."""
-    each = np.array([values.atConstantBias(B(k)).vector() for k in range(int(biases[-1]) + 1)])
-    return each[np.append(biases, biases[-1])]
+    bias = np.array([values.atConstantBias(B(k)).vector() for k in range(int(biases[-1]) + 1)])
+    return bias[np.append(biases, biases[-1])]
 
 
 def _message(
     values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray, with_covariance: bool
 ) -> Message:
-    """The shared variables, jointly, in the shared vector's coordinates; nan for a covariance not wanted."""
+    """The shared variables, jointly, in the shared vector's coordinates; without covariance it is nan."""
     layout = window.priors.layout
     keys = shared_keys(window, biases)
     down = values.atUnit3(G(0))

@@ -1,1 +1,1 @@
-"""What was measured, made ready: inertial signal, attitude, clocks, what is visible, outliers."""
+"""Measurements made ready: inertial signal, attitude, clocks, visibility, outliers."""

@@ -1,4 +1,4 @@
-"""Start values, from visible data only.
+"""Initial values, from visible data only.
 
 Orientation: an offline inertial filter (VQF; Laidig and Seel, Information Fusion 2023) gives the
 sensor in a frame {E} with z up whose heading drifts slowly; the camera's view of the forearm's
@@ -16,22 +16,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..calibration import ArmCalibration
-from ..linalg import interpolate
+from ..linalg import interpolate, nearest_rotation
 from ..recording import JOINTS, BoolArray, FloatArray
+from ..units import GRAVITY
 from .attitude import InertialAttitude
 from .inertial import InertialSignal
 from .segment import Segment
 
-GRAVITY = 9.81
-
 #: How fast the inertial filter's heading may drift: alignments share data over this time, s.
-ALIGN_SPAN_S = 30.0
+ALIGN_MEMORY_S = 30.0
 ALIGN_STEP_S = 2.0
-#: Camera accelerations are taken over windows of this half width, s.
+#: Camera accelerations are fitted over this time on both sides, s.
 ACCELERATION_HALF_S = 0.4
 #: Frames that a parabola needs.
 FEWEST_FRAMES = 6
-#: Standard deviations of the pairs that are matched.
+#: Standard deviations: of a joint an axis, of the inertial filter's attitude, of an acceleration (m/s^2),
+#: of the rough direction of gravity.
 POINT_SIGMA_M = 0.012
 FILTER_SIGMA_RAD = np.radians(3.0)
 ACCELERATION_SIGMA = 0.1
@@ -40,7 +40,17 @@ HINT_SIGMA_RAD = np.radians(15.0)
 
 @dataclass(frozen=True)
 class VectorPairs:
-    """Unit or physical vectors seen from both frames: in_K = R_K_E in_E, weight = 1 / variance."""
+    """Unit or physical vectors in both frames: in_K = R_K_E in_E.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        On the IMU's clock.
+    in_K, in_E : ndarray, shape (n, 3)
+        In the camera's and in the inertial frame.
+    weight : ndarray, shape (n,)
+        1 / variance.
+    """
 
     t: FloatArray
     in_K: FloatArray
@@ -51,7 +61,23 @@ class VectorPairs:
 def direction_pairs(
     t: FloatArray, elbow: FloatArray, wrist: FloatArray, attitude: InertialAttitude, along_A: FloatArray
 ) -> VectorPairs:
-    """The forearm's direction in both frames, at frames where both joints are seen."""
+    """The forearm's direction in both frames, at frames where both joints are visible.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        Frames on the IMU's clock.
+    elbow, wrist : ndarray, shape (n, 3), m
+        In {K}.
+    attitude : InertialAttitude
+    along_A : ndarray, shape (3,)
+        Unit vector elbow to wrist in {A}.
+
+    Returns
+    -------
+    pairs : VectorPairs
+        Of n unit vectors.
+    """
     along_K = wrist - elbow
     length = np.linalg.norm(along_K, axis=1)
     in_E = attitude.at(t).apply(along_A)
@@ -61,7 +87,21 @@ def direction_pairs(
 
 @dataclass(frozen=True)
 class AccelerationPairs:
-    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A), (n, ...) each."""
+    """A joint's acceleration from camera and IMU: in_K = R_K_E (in_E + turn lever_A).
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        On the IMU's clock.
+    in_K : ndarray, shape (n, 3), m/s^2
+        By the camera.
+    in_E : ndarray, shape (n, 3), m/s^2
+        Of the IMU itself.
+    turn : ndarray, shape (n, 3, 3), 1/s^2
+        What a lever arm in {A} adds to `in_E`.
+    weight : ndarray, shape (n,)
+        1 / variance.
+    """
 
     t: FloatArray
     in_K: FloatArray
@@ -81,6 +121,22 @@ def acceleration_pairs(
 
     The camera's samples p(t_j), the IMU's double integral and the lever's turning go through the same
     linear functional (the quadratic coefficient of a least-squares parabola), so no filter differs.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        Frames on the IMU's clock, increasing.
+    point : ndarray, shape (n, 3), m
+        The joint in {K}.
+    attitude : InertialAttitude
+    signal : InertialSignal
+        Of the same segment.
+    gravity : float, m/s^2
+
+    Returns
+    -------
+    pairs : AccelerationPairs
+        Of no vectors where frames are too few or too far apart.
     """
     step = 0.01
     grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
@@ -96,13 +152,13 @@ def acceleration_pairs(
     if not len(centre) or (hi - lo).max() < FEWEST_FRAMES:
         none = np.zeros((0, 3))
         return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
-    # every window as one row of indices, short ones filled up and masked
+    # every parabola as one row of indices, short ones filled up and masked
     index = np.minimum(lo[:, None] + np.arange((hi - lo).max()), len(t) - 1)
     inside = np.arange(index.shape[1]) < (hi - lo)[:, None]
     u = np.where(inside, t[index] - centre[:, None], 0.0)
     first, last = t[lo], t[np.maximum(hi - 1, 0)]
-    hole = np.where(inside[:, 1:], np.diff(t[index], axis=1), 0.0).max(axis=1)
-    good = (hi - lo >= FEWEST_FRAMES) & (hole < 0.35 * half) & (last - first > 1.6 * half)
+    longest = np.where(inside[:, 1:], np.diff(t[index], axis=1), 0.0).max(axis=1)
+    good = (hi - lo >= FEWEST_FRAMES) & (longest < 0.35 * half) & (last - first > 1.6 * half)
     u, index, inside, centre = u[good], index[good], inside[good], centre[good]
     basis = np.stack([inside.astype(float), u, u**2], axis=2)
     functional = (
@@ -120,7 +176,17 @@ def acceleration_pairs(
 
 @dataclass(frozen=True)
 class Alignment:
-    """`R_K_E` over time and its covariance (3, 3) rad^2 in {K} at each of the times t (n,)."""
+    """`R_K_E` over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        On the IMU's clock, increasing.
+    R_K_E : Rotation, of n
+        Maps a vector from the inertial frame to the camera's.
+    covariance : ndarray, shape (n, 3, 3), rad^2
+        In {K}.
+    """
 
     t: FloatArray
     R_K_E: Rotation
@@ -142,28 +208,33 @@ class Alignment:
 
 
 def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatArray) -> Alignment:
-    """`R_K_E` over time by Wahba's problem on pairs weighted by their distance in time.
+    """`R_K_E` over time by Wahba's problem (SIAM Review 1965) on pairs weighted by their distance in time.
 
     Parameters
     ----------
-    down_K : (3,) rough direction of gravity in {K}; decides only what the pairs leave open.
+    pairs : list of VectorPairs
+    start_s, end_s : float, s
+        What the alignment covers, on the IMU's clock.
+    down_K : ndarray, shape (3,)
+        Rough direction of gravity in {K}; decides only what the pairs leave open.
+
+    Returns
+    -------
+    alignment : Alignment
+        Every `ALIGN_STEP_S`.
     """
     t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
     times = np.concatenate([pair.t for pair in pairs])
     in_K = np.vstack([pair.in_K for pair in pairs])
     in_E = np.vstack([pair.in_E for pair in pairs])
     weight = np.concatenate([pair.weight for pair in pairs])
-    cell = np.clip(((times - start_s) / ALIGN_STEP_S).astype(int), 0, len(t) - 1)
+    nearest = np.clip(((times - start_s) / ALIGN_STEP_S).astype(int), 0, len(t) - 1)
     profile = np.zeros((len(t), 3, 3))
     outer = weight[:, None, None] * in_K[:, :, None] * in_E[:, None, :]
-    np.add.at(profile, cell, outer)
-    profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_SPAN_S))
+    np.add.at(profile, nearest, outer)
+    profile = _spread(profile, np.exp(-ALIGN_STEP_S / ALIGN_MEMORY_S))
     profile += np.outer(down_K, [0.0, 0.0, -1.0]) / HINT_SIGMA_RAD**2
-    U, _, Vt = np.linalg.svd(profile)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    middle = np.tile(np.eye(3), (len(t), 1, 1))
-    middle[:, 2, 2] = sign
-    R = U @ middle @ Vt
+    R = nearest_rotation(profile)
     # information of Wahba's loss about the attitude, in {K}: tr(M) I - M with M = R B' symmetrised
     M = R @ np.swapaxes(profile, 1, 2)
     information = np.trace(M, axis1=1, axis2=2)[:, None, None] * np.eye(3) - 0.5 * (M + np.swapaxes(M, 1, 2))
@@ -171,13 +242,13 @@ def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatA
     return Alignment(t, Rotation.from_matrix(R), covariance)
 
 
-def _spread(cells: FloatArray, keep: float) -> FloatArray:
+def _spread(profiles: FloatArray, decay: float) -> FloatArray:
     """Exponentially weighted sum over the neighbours on both sides."""
-    forward, backward = cells.copy(), cells.copy()
-    for i in range(1, len(cells)):
-        forward[i] += keep * forward[i - 1]
-        backward[-1 - i] += keep * backward[-i]
-    return forward + backward - cells
+    forward, backward = profiles.copy(), profiles.copy()
+    for i in range(1, len(profiles)):
+        forward[i] += decay * forward[i - 1]
+        backward[-1 - i] += decay * backward[-i]
+    return forward + backward - profiles
 
 
 def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
@@ -188,24 +259,39 @@ def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
 
 
 def pairs(
-    segment: Segment, frame_t: FloatArray, accepted: BoolArray, calibration: ArmCalibration
+    segment: Segment, frame_t_imu: FloatArray, accepted: BoolArray, calibration: ArmCalibration
 ) -> list[VectorPairs]:
-    """What camera and IMU both saw: the forearm's direction, and the acceleration of one joint."""
-    found: list[VectorPairs] = []
+    """What camera and IMU both measure: the forearm's direction, and the acceleration of one joint.
+
+    Parameters
+    ----------
+    segment : Segment
+    frame_t_imu : ndarray, shape (f,), s
+        Its frames on the IMU's clock.
+    accepted : ndarray of bool, shape (f, 5)
+        Samples that may take part.
+    calibration : ArmCalibration
+        Its lever arms say which joints can take part.
+
+    Returns
+    -------
+    pairs : list of VectorPairs
+        None to two.
+    """
+    vectors: list[VectorPairs] = []
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     along_A = calibration.forearm_direction
     both = accepted[:, elbow] & accepted[:, wrist]
     if along_A is not None and both.any():
         position = segment.position[both]
-        found.append(
-            direction_pairs(frame_t[both], position[:, elbow], position[:, wrist], segment.attitude, along_A)
-        )
+        t = frame_t_imu[both]
+        vectors.append(direction_pairs(t, position[:, elbow], position[:, wrist], segment.attitude, along_A))
     for joint in ("strap", "wrist", "hand", "elbow"):  # the first that is known: nearest to the IMU
         lever, column = lever_of(calibration, joint), JOINTS.index(joint)
         rows = accepted[:, column]
         if lever is not None and rows.sum() >= 8:
-            point = segment.position[rows, column]
-            both_saw = acceleration_pairs(frame_t[rows], point, segment.attitude, segment.signal, GRAVITY)
-            found.append(both_saw.with_lever(lever))
+            t, point = frame_t_imu[rows], segment.position[rows, column]
+            accelerations = acceleration_pairs(t, point, segment.attitude, segment.signal, GRAVITY)
+            vectors.append(accelerations.with_lever(lever))
             break
-    return found
+    return vectors

@@ -11,20 +11,32 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..recording import FloatArray
 from .inertial import InertialSignal
 
-#: Half width of the time over which the sensor's liveliness is judged, s.
+#: Half width of the time that the acceleration's standard deviation is taken over, s.
 ACCELERATION_STD_HALF_S = 0.5
 
 
 @dataclass(frozen=True)
 class InertialAttitude:
-    """The sensor's orientation in {E}: `R_E_A` at times t (n,), and the gyro bias (3,) rad/s."""
+    """The sensor's orientation in {E} (z up, heading drifting).
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        Increasing, on the IMU's clock.
+    R_E_A : Rotation, of n
+        Maps a vector from the sensor's axes to {E}.
+    gyroscope_bias : ndarray, shape (3,), rad/s
+        In {A}.
+    """
 
     t: FloatArray
     R_E_A: Rotation
     gyroscope_bias: FloatArray
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name != "_curve"}  # made again
+        return {
+            name: value for name, value in self.__dict__.items() if name != "_curve"
+        }  # cheap to build anew
 
     @cached_property
     def _curve(self) -> Slerp:
@@ -36,7 +48,20 @@ class InertialAttitude:
 
 
 def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitude:
-    """Run the offline filter on the signal, resampled evenly."""
+    """Orientation by the offline filter VQF (Laidig and Seel, Information Fusion 2023).
+
+    Parameters
+    ----------
+    signal : InertialSignal
+        Of one segment.
+    rate_hz : float, Hz
+        The filter runs at this rate, on means of the signal.
+
+    Returns
+    -------
+    attitude : InertialAttitude
+        At the ends of the filter's samples.
+    """
     from vqf import offlineVQF
 
     count = max(int(np.floor((signal.end_s - signal.start_s) * rate_hz)), 2)
@@ -51,10 +76,23 @@ def inertial_attitude(signal: InertialSignal, rate_hz: float) -> InertialAttitud
 
 
 def acceleration_std(signal: InertialSignal, attitude: InertialAttitude, t: FloatArray) -> FloatArray:
-    """How much the sensor's acceleration varies about each time, m/s^2 (n,), one sigma over its axes.
+    """How much the sensor's acceleration varies about each time.
 
     Standard deviation over `ACCELERATION_STD_HALF_S` on both sides, so that the inertial attitude's slow
     error, which turns gravity into a constant acceleration, does not count.
+
+    Parameters
+    ----------
+    signal : InertialSignal
+    attitude : InertialAttitude
+        Of the same segment.
+    t : ndarray, shape (n,), s
+        Increasing.
+
+    Returns
+    -------
+    std : ndarray, shape (n,), m/s^2
+        One sigma, root mean square over the axes.
     """
     step = 0.02
     around = ACCELERATION_STD_HALF_S + step

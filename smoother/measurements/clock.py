@@ -1,10 +1,4 @@
-"""The camera's clock against the IMU's: an offset that may drift, found from the residuals.
-
-A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
-Their projection, summed over a second or less, is a local estimate of the offset; how fast the offset may
-wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural
-time series models, 1989), and their smoothed mean is the clock.
-"""
+"""The camera's clock against the IMU's, as a value: an offset that may drift."""
 
 from __future__ import annotations
 
@@ -18,7 +12,7 @@ from ..recording import FloatArray
 LARGEST_OFFSET_S = 0.4
 OFFSET_SIGMA_S = 0.15
 
-#: Times that are taken together, so that a long recording's need no memory of their own.
+#: Times of a batch, so that a long recording's need no memory of their own.
 BATCH_TIMES = 1 << 16
 
 
@@ -28,13 +22,19 @@ class Clock:
 
     Attributes
     ----------
-    t : (k,) knots, camera's clock, s.
-    offset : (k,) s.
-    sigma_s : standard deviation of the mean offset, s.
-    walk : how fast it was found to wander, s/sqrt(s).
-    skew : steady drift, s/s; zero where none shows.
-    local_sigma_s : standard deviation of the offset at any one time, s: the mean's, what its wandering
-        leaves open, and for stamps that were made up a part of the frame period.
+    t : ndarray, shape (k,), s
+        Knots on the camera's clock.
+    offset : ndarray, shape (k,), s
+        At the knots.
+    sigma_s : float, s
+        Standard deviation of the mean offset.
+    walk : float, s/sqrt(s)
+        How fast the offset wanders.
+    local_sigma_s : float, s
+        Standard deviation of the offset at any one time: the mean's, what its wandering leaves open, and
+        for synthetic stamps a part of the frame period.
+    skew : float, s/s
+        Steady drift; zero where none shows.
     """
 
     t: FloatArray
@@ -45,16 +45,31 @@ class Clock:
     skew: float = 0.0
 
     def at(self, t: FloatArray) -> FloatArray:
-        """Offsets at camera times, s; beyond the knots they go on with the skew."""
+        """Offsets at camera times; beyond the knots they go on with the skew.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,), s
+            On the camera's clock.
+
+        Returns
+        -------
+        offset : ndarray, shape (n,), s
+            IMU time less camera time.
+        """
         offset = np.empty(len(t))
         for start in range(0, len(t), BATCH_TIMES):
-            part = np.asarray(t[start : start + BATCH_TIMES])
-            outside = np.minimum(part - self.t[0], 0.0) + np.maximum(part - self.t[-1], 0.0)
-            offset[start : start + BATCH_TIMES] = np.interp(part, self.t, self.offset) + self.skew * outside
+            batch = np.asarray(t[start : start + BATCH_TIMES])
+            outside = np.minimum(batch - self.t[0], 0.0) + np.maximum(batch - self.t[-1], 0.0)
+            offset[start : start + BATCH_TIMES] = np.interp(batch, self.t, self.offset) + self.skew * outside
         return offset
 
+    def to_imu(self, t_camera: FloatArray) -> FloatArray:
+        """Camera times on the IMU's clock, s."""
+        return t_camera + self.at(t_camera)
+
     def after(self, coarse: Clock | None) -> Clock:
-        """The clock of the stamps themselves, where it was found after `coarse` had moved them."""
+        """The clock of the stamps themselves, where this one was estimated after `coarse` had moved them."""
         if coarse is None:
             return self
         t = self.t - coarse.mean_s

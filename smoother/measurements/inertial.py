@@ -13,25 +13,23 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from ..recording import FloatArray, ImuStream
+from ..recording import FloatArray, ImuStream, IntArray
 
-#: Longest step of the fine integration, s.
+#: Longest fine step of the integration, s.
 FINE_STEP_S = 1.0 / 240.0
 #: Intervals are done together when their step counts differ by less than this; the finer count counts.
 STEP_FACTOR = 1.42
-#: Longest stretch that one pair of equivalent samples stands for, s (see `Preintegration`).
+#: Longest step that one pair of equivalent samples stands for, s (see `equivalent_samples`).
 STEP_S = 0.036
-
-
-#: Share of a knock's impulse that the samples may have missed.
+#: Share of an impact's impulse that the samples may have missed.
 IMPACT_SHARE = 0.2
 
 
 def _impact_size(imu: ImuStream) -> FloatArray:
     """How far each sample's specific force is from its neighbours' mean, m/s^2 (N,)."""
-    rough = np.zeros(len(imu))
-    rough[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
-    return rough
+    size = np.zeros(len(imu))
+    size[1:-1] = np.linalg.norm(imu.acc[1:-1] - 0.5 * (imu.acc[:-2] + imu.acc[2:]), axis=1)
+    return size
 
 
 class InertialSignal:
@@ -39,7 +37,13 @@ class InertialSignal:
 
     Parameters
     ----------
-    imu : samples with increasing times, without a pause.
+    imu : ImuStream
+        Samples with increasing times, without a pause.
+
+    Attributes
+    ----------
+    edges : ndarray, shape (N + 1,), s
+        Between the samples' intervals.
     """
 
     def __init__(self, imu: ImuStream) -> None:
@@ -51,7 +55,7 @@ class InertialSignal:
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
         self._integral = CubicSpline(self.edges, integral)
-        self._rough = np.concatenate(([0.0], np.cumsum((_impact_size(imu) * np.diff(self.edges)) ** 2)))
+        self._impacts = np.concatenate(([0.0], np.cumsum((_impact_size(imu) * np.diff(self.edges)) ** 2)))
 
     def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
         return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
@@ -67,15 +71,36 @@ class InertialSignal:
         return float(self.edges[-1])
 
     def velocity_error(self, t: FloatArray) -> FloatArray:
-        """Velocity that each interval of consecutive times may have lost to knocks, m/s (n,).
+        """Velocity that each interval of consecutive times may have lost to impacts.
 
-        Between neighbouring samples a knock is faster than the sensor follows: part of the impulse
+        Between neighbouring samples an impact is faster than the sensor follows: part of the impulse
         is filtered, aliased or clipped. Root sum of squares over the samples.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n + 1,), s
+            Increasing.
+
+        Returns
+        -------
+        error : ndarray, shape (n,), m/s
+            One sigma.
         """
-        return IMPACT_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._rough)), 0.0))
+        return IMPACT_SHARE * np.sqrt(np.maximum(np.diff(np.interp(t, self.edges, self._impacts)), 0.0))
 
     def mean(self, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Mean (specific force m/s^2, angular rate rad/s) over intervals, (..., 6) in {A}."""
+        """Mean of the signal over any intervals.
+
+        Parameters
+        ----------
+        start_s, end_s : ndarray, shape (...), s
+            Of the intervals.
+
+        Returns
+        -------
+        mean : ndarray, shape (..., 6), m/s^2 and rad/s
+            Specific force and angular rate in {A}.
+        """
         return (self._integral(end_s) - self._integral(start_s)) / (end_s - start_s)[..., None]
 
 
@@ -85,9 +110,14 @@ class Preintegration:
 
     Attributes
     ----------
-    delta_R : (n, 3, 3) rotation of the later axes in the earlier ones.
-    delta_v, delta_p : (n, 3) velocity and position increments in the earlier axes, m/s and m.
-    dt : (n,) s.
+    delta_R : ndarray, shape (n, 3, 3)
+        Rotation of the later axes in the earlier ones.
+    delta_v : ndarray, shape (n, 3), m/s
+        Velocity increments in the earlier axes.
+    delta_p : ndarray, shape (n, 3), m
+        Position increments in the earlier axes.
+    dt : ndarray, shape (n,), s
+        Lengths.
     """
 
     delta_R: FloatArray
@@ -101,8 +131,16 @@ def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preint
 
     Parameters
     ----------
-    t : (n + 1,) increasing times inside the signal, s.
-    bias : (6,) or (n, 6) accelerometer and gyroscope bias to take off, m/s^2 and rad/s.
+    signal : InertialSignal
+    t : ndarray, shape (n + 1,), s
+        Increasing times inside the signal.
+    bias : ndarray, shape (6,) or (n, 6), m/s^2 and rad/s
+        Accelerometer and gyroscope bias to subtract.
+
+    Returns
+    -------
+    motion : Preintegration
+        Of the n intervals.
     """
     return integrate_between(signal, t[:-1], t[1:], bias)
 
@@ -110,16 +148,29 @@ def integrate(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> Preint
 def integrate_between(
     signal: InertialSignal, start_s: FloatArray, end_s: FloatArray, bias: FloatArray
 ) -> Preintegration:
-    """Integrate the signal over any intervals, (n,) each; as `integrate`."""
+    """Integrate the signal over any intervals; as `integrate`.
+
+    Parameters
+    ----------
+    signal : InertialSignal
+    start_s, end_s : ndarray, shape (n,), s
+        Of the intervals.
+    bias : ndarray, shape (6,) or (n, 6), m/s^2 and rad/s
+        Accelerometer and gyroscope bias to subtract.
+
+    Returns
+    -------
+    motion : Preintegration
+    """
     dt = end_s - start_s
     bias = np.broadcast_to(bias, (len(dt), 6))
     delta_R = np.tile(np.eye(3), (len(dt), 1, 1))
     delta_v, delta_p = np.zeros((len(dt), 3)), np.zeros((len(dt), 3))
     steps = np.ceil(dt / FINE_STEP_S - 1e-6)
     group = np.maximum(np.ceil(np.log(np.maximum(steps, 1.0)) / np.log(STEP_FACTOR) - 1e-9), 0.0)
-    for each in np.unique(group):  # intervals of about equal step count go together
-        rows = np.flatnonzero(group == each)
-        count = int(np.ceil(STEP_FACTOR**each - 1e-9))
+    for number in np.unique(group):  # intervals of about equal step count go together
+        rows = np.flatnonzero(group == number)
+        count = int(np.ceil(STEP_FACTOR**number - 1e-9))
         h = dt[rows] / count
         edges = start_s[rows, None] + h[:, None] * np.arange(count + 1)
         rate = signal.mean(edges[:, :-1], edges[:, 1:]) - bias[rows, None]
@@ -136,34 +187,50 @@ def integrate_between(
     return Preintegration(delta_R, delta_v, delta_p, dt)
 
 
-def split_steps(t: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Cut the intervals between times into blocks no longer than `STEP_S`.
+def split_steps(t: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Cut the intervals between times into steps no longer than `STEP_S`.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n + 1,), s
+        Increasing.
 
     Returns
     -------
-    block_t : (m + 1,) times of the blocks' edges, s.
-    first : (n,) index of each interval's first block, and after the last one m: (n + 1,).
+    step_t : ndarray, shape (m + 1,), s
+        Edges of the steps.
+    first : ndarray of int, shape (n + 1,)
+        Index of each interval's first step, and m at the end.
     """
     count = np.maximum(np.ceil(np.diff(t) / STEP_S - 1e-9).astype(int), 1)
     first = np.concatenate(([0], np.cumsum(count)))
     inside = np.arange(first[-1]) - np.repeat(first[:-1], count)
     start = np.repeat(t[:-1], count)
-    block_t = start + np.repeat(np.diff(t) / count, count) * inside
-    return np.append(block_t, t[-1]), first
+    step_t = start + np.repeat(np.diff(t) / count, count) * inside
+    return np.append(step_t, t[-1]), first
 
 
 def equivalent_samples(motion: Preintegration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Two constant samples a block whose simple integration gives the block's motion exactly.
+    """Two constant samples a step whose simple integration gives the step's motion exactly.
 
-    GTSAM's preintegration advances by p += v h + R a h^2/2, v += R a h, R = R Exp(w h) with R at the
-    step's start. Two such steps of half the block with one common rate have six unknowns in a: they
-    reproduce (delta_v, delta_p) of the fine integration, so that two calls stand for any number.
+    GTSAM's `PreintegratedImuMeasurements` advances by p += v h + R a h^2/2, v += R a h, R = R Exp(w h) with R
+    at the beginning of a sample. Two such samples over half the step each, with one common rate, have six
+    unknowns in a: they reproduce (delta_v, delta_p) of the fine integration, so that two calls stand for any
+    number.
+
+    Parameters
+    ----------
+    motion : Preintegration
+        Of m steps.
 
     Returns
     -------
-    acc : (n, 2, 3) m/s^2.
-    gyro : (n, 3) rad/s, the same in both halves.
-    h : (n,) s, half of the block.
+    acc : ndarray, shape (m, 2, 3), m/s^2
+        Specific force in each half.
+    gyro : ndarray, shape (m, 3), rad/s
+        The same in both halves.
+    h : ndarray, shape (m,), s
+        Half of the step.
     """
     h = 0.5 * motion.dt
     gyro = Rotation.from_matrix(motion.delta_R).as_rotvec() / motion.dt[:, None]

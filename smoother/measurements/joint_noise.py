@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class JointNoise:
-    """Noise of a joint's samples, m an axis.
+    """Noise of a joint's samples, one standard deviation of each axis.
 
-    `sample_m` is the deviation of one sample; `effective_m` that of a white noise with the same
-    long-run variance, which is what a graph of independent samples must be told; `memory_m` the part
-    that neighbours share.
+    Attributes
+    ----------
+    sample_m : float, m
+        Of one sample.
+    effective_m : float, m
+        Of a white noise with the same long-run variance, which a graph of independent samples needs.
+    memory_m : float, m
+        The part that neighbours share.
     """
 
     sample_m: float

@@ -1,4 +1,4 @@
-"""Camera samples that call themselves tracked and are not to be believed: found, set aside, reason kept.
+"""Rejects camera samples that call themselves tracked and are wrong, and keeps the reason.
 
 By what the camera alone says (frozen, jump, bone length), by what the inertial attitude says (Jatesiktat
 and Ang 2017, II-J: direction, viewing ray, strap), and by what a first solution leaves (residual).
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import median_filter
 
+from ..linalg import runs, unit
 from ..recording import JOINTS, BoolArray, FloatArray
 from .alignment import Alignment
 from .joint_noise import JointNoise
@@ -23,7 +24,7 @@ DIRECTION = "direction: forearm more than 30 degrees off the inertial one"
 RAY = "viewing ray: the forearm points at the camera and is misjudged"
 STRAP = "strap: off the elbow-wrist line or nearer the elbow"
 RESIDUAL = "residual: does not agree with the recovered motion"
-#: All of them by their code (`Segment.reason`); nothing was wrong with 0.
+#: All of them by their code (`Segment.reason`); 0 = nothing wrong.
 REASONS = ("", FROZEN, JUMP, BONE, DIRECTION, RAY, STRAP, RESIDUAL)
 
 #: A value that repeats exactly so often is frozen, if the sensor turns or is moved meanwhile.
@@ -39,7 +40,7 @@ RAY_DEG = 15.0
 RAY_BONE_PART = 0.15
 RAY_DIRECTION_DEG = 15.0
 STRAP_M = 0.05
-#: A residual longer than this (m, and in deviations of a sample) is set aside.
+#: A residual longer than this (m, and in deviations of a sample) is rejected.
 RESIDUAL_M = 0.05
 RESIDUAL_SIGMAS = 5.0
 
@@ -48,7 +49,17 @@ _FOREARM = [ELBOW, WRIST, HAND]
 
 
 def reject_by_camera(segment: Segment) -> Segment:
-    """Set aside what the camera's samples show by themselves."""
+    """Reject what is wrong by the camera's samples alone: frozen, jump, bone length, strap.
+
+    Parameters
+    ----------
+    segment : Segment
+
+    Returns
+    -------
+    segment : Segment
+        With fewer accepted samples, their reasons noted.
+    """
     for column in range(len(JOINTS)):
         segment = _reject(segment, _only(_frozen(segment, column), column), FROZEN)
     for column in range(len(JOINTS)):
@@ -64,40 +75,60 @@ def reject_by_camera(segment: Segment) -> Segment:
 
 
 def reject_by_attitude(
-    segment: Segment, frame_t: FloatArray, alignment: Alignment, along_A: FloatArray
+    segment: Segment, frame_t_imu: FloatArray, alignment: Alignment, along_A: FloatArray
 ) -> Segment:
-    """Set aside frames whose forearm does not point where the inertial attitude says.
+    """Reject frames whose forearm does not point where the inertial attitude says.
+
+    Source: Jatesiktat and Ang (2017), II-J.
 
     Parameters
     ----------
-    frame_t : (f,) frames on the IMU's clock, s.
-    along_A : (3,) unit vector elbow to wrist in {A}.
+    segment : Segment
+    frame_t_imu : ndarray, shape (f,), s
+        Its frames on the IMU's clock.
+    alignment : Alignment
+        Of the inertial frame to the camera.
+    along_A : ndarray, shape (3,)
+        Unit vector elbow to wrist in {A}.
+
+    Returns
+    -------
+    segment : Segment
+        With fewer accepted samples, their reasons noted.
     """
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
     if not both.any():
         return segment
-    inertial = (alignment.at(frame_t) * segment.attitude.at(frame_t)).apply(along_A)
-    seen = _unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
-    ray = _unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
-    off = both & (np.sum(seen * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
+    inertial = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).apply(along_A)
+    by_camera = unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
+    ray = unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
+    off = both & (np.sum(by_camera * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
     segment = _reject(segment, _only(off, *_FOREARM), DIRECTION)
-    # a forearm that points at the camera is no reason by itself: it must also look wrong
+    # pointing at the camera is no reason by itself: the forearm must also look wrong
     pointing = both & (np.abs(np.sum(ray * inertial, axis=1)) > np.cos(np.radians(RAY_DEG)))
     length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
     usual = float(np.median(length[both]))
     short = np.abs(length - usual) > RAY_BONE_PART * usual
-    turned = np.sum(seen * inertial, axis=1) < np.cos(np.radians(RAY_DIRECTION_DEG))
+    turned = np.sum(by_camera * inertial, axis=1) < np.cos(np.radians(RAY_DIRECTION_DEG))
     pointing &= short | turned
     return _reject(segment, _only(pointing, *_FOREARM), RAY)
 
 
 def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, JointNoise]) -> Segment:
-    """Set aside samples far from a first solution.
+    """Reject samples far from a first solution.
 
     Parameters
     ----------
-    residual : (f, 5, 3) camera minus answer, m; nan where there is none.
-    noise : of the joints, from `residuals.joint_noise`.
+    segment : Segment
+    residual : ndarray, shape (f, 5, 3), m
+        Camera minus answer; nan where there is none.
+    noise : dict of str to JointNoise
+        By joint; samples of a joint without are not rejected.
+
+    Returns
+    -------
+    segment : Segment
+        With fewer accepted samples, their reasons noted.
     """
     length = np.linalg.norm(residual, axis=2)
     limit = np.array(
@@ -111,7 +142,7 @@ def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, 
 
 
 def _reject(segment: Segment, wrong: BoolArray, why: str) -> Segment:
-    """The piece without the wrong samples (f, 5), the reason kept for those that were accepted."""
+    """The segment without the wrong samples (f, 5), the reason noted for those that were accepted."""
     wrong = wrong & segment.accepted
     if not wrong.any():
         return segment
@@ -126,21 +157,16 @@ def _only(frames: BoolArray, *columns: int) -> BoolArray:
     return wrong
 
 
-def _unit(v: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return v / np.linalg.norm(v, axis=1)[:, None]
-
-
 def _frozen(segment: Segment, column: int) -> BoolArray:
     """Frames that repeat the one before, in runs of repeats during which the sensor moved."""
     x, accepted = segment.position[:, column], segment.accepted[:, column]
     same = np.zeros(len(x), dtype=bool)
     same[1:] = accepted[1:] & accepted[:-1] & (x[1:] == x[:-1]).all(axis=1)
     frozen = np.zeros(len(x), dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.view(np.int8), [0]))))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        if b - a >= FROZEN_REPEATS and _moved(segment, segment.frame_t[a - 1], segment.frame_t[b - 1]):
-            frozen[a:b] = True
+    for rows in runs(same):
+        start_s, end_s = segment.frame_t_camera[rows.start - 1], segment.frame_t_camera[rows.stop - 1]
+        if rows.stop - rows.start >= FROZEN_REPEATS and _moved(segment, start_s, end_s):
+            frozen[rows] = True
     return frozen
 
 
@@ -161,7 +187,7 @@ def _jumps(segment: Segment, column: int) -> BoolArray:
     x = segment.position[rows, column]
     middle = median_filter(x, size=(JUMP_FRAMES, 1), mode="nearest")
     half = JUMP_FRAMES // 2
-    t = segment.frame_t[rows]
+    t = segment.frame_t_camera[rows]
     spread = np.full(len(rows), np.inf)
     spread[half:-half] = t[2 * half :] - t[: -2 * half]
     usual = float(np.median(np.diff(t))) * (JUMP_FRAMES - 1)
@@ -172,7 +198,7 @@ def _jumps(segment: Segment, column: int) -> BoolArray:
 def _strap_off(segment: Segment) -> BoolArray:
     """Strap more than 5 cm off the elbow-wrist line, or nearer the elbow."""
     elbow, wrist, strap = (segment.position[:, column] for column in (ELBOW, WRIST, STRAP_COLUMN))
-    along = _unit(wrist - elbow)
+    along = unit(wrist - elbow)
     at = np.sum((strap - elbow) * along, axis=1)
     distance = np.linalg.norm(strap - elbow - at[:, None] * along, axis=1)
     nearer_elbow = at < 0.5 * np.linalg.norm(wrist - elbow, axis=1)

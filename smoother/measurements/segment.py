@@ -1,4 +1,4 @@
-"""A recording taken apart at the pauses of its IMU, each piece with its inertial attitude."""
+"""The segments of a recording, between the pauses of its IMU, each with its inertial attitude."""
 
 from __future__ import annotations
 
@@ -7,44 +7,60 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointTracks, Recording
+from ..recording import BoolArray, FloatArray, ImuStream, JointTracks, Recording
 from .attitude import InertialAttitude, inertial_attitude
-from .clock import LARGEST_OFFSET_S
+from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import InertialSignal
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
-from .visibility import accepted_samples, joints_needed
+from .visibility import accepted_samples, enough_joints, joints_needed
 
 #: The inertial filter runs no faster than this, Hz.
 FILTER_RATE_HZ = 120.0
-#: A piece shorter than this is not worth a filter, samples.
+#: A segment shorter than this is not worth a filter, samples.
 FEWEST_SAMPLES = 8
-#: Frames kept beside a part of a piece: the largest clock offset and what a local fit needs, s.
+#: Frames kept on both sides of a time range: the largest clock offset and what a local fit needs, s.
 AROUND_S = LARGEST_OFFSET_S + 1.0
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of the recording without a pause of the IMU, as it was recorded.
+    """A segment of the recording (no pause of the IMU) as it was recorded, or a time range of it.
 
     Attributes
     ----------
-    signal, attitude : the IMU, and its orientation in {E} (z up, heading drifting).
-    frame_t : (f,) camera frames on the camera's clock, s.
-    position, accepted : (f, 5, 3) m in {K}, (f, 5) samples that may take part.
-    reason : (f, 5) why a tracked sample was set aside, as a code of `screen.REASONS`.
-    down : (3,) rough direction of gravity in {K}; zero where nothing is known.
-    needed : accepted forearm joints that make a frame visible.
-    frames : rows of the recording's frames.
-    start_s, end_s : the part to look at, on the IMU's clock.
-    core_start_s, core_end_s : the part of it to answer for; the rest is there for its sake.
-    recording : which recording of several.
-    synthetic_stamps : the camera's stamps were made up (`clock.stamps_made_up`).
-    down_sigma_rad : how well `down` is known, an axis; None = roughly.
+    signal : InertialSignal
+        The IMU, always of the whole segment.
+    attitude : InertialAttitude
+        Its orientation in {E} (z up, heading drifting).
+    frame_t_camera : ndarray, shape (f,), s
+        Frames on the camera's clock.
+    position : ndarray, shape (f, 5, 3), m
+        The joints in {K}.
+    accepted : ndarray of bool, shape (f, 5)
+        Samples that may take part.
+    reason : ndarray of uint8, shape (f, 5)
+        Why a tracked sample was rejected, as a code of `outliers.REASONS`.
+    down : ndarray, shape (3,)
+        Rough direction of gravity in {K}; zero where nothing is known.
+    needed : int
+        Accepted forearm joints that make a frame visible.
+    frames : slice
+        Rows of the recording's frames.
+    start_s, end_s : float, s
+        The time range to use, on the IMU's clock.
+    recording : int
+        Which recording of several.
+    synthetic_stamps : bool
+        The camera's stamps were not measured (`timestamps.synthetic_stamps`).
+    down_sigma_rad : float, rad, or None
+        How well `down` is known, an axis; None = roughly.
+    core_start_s, core_end_s : float, s
+        What the answer is wanted for; the time around it only supports it.
     """
 
     signal: InertialSignal
     attitude: InertialAttitude
-    frame_t: FloatArray
+    frame_t_camera: FloatArray
     position: FloatArray
     accepted: BoolArray
     reason: NDArray[np.uint8]
@@ -60,25 +76,40 @@ class Segment:
     core_end_s: float = np.inf
 
     def between(self, start_s: float, end_s: float) -> Segment:
-        """The same piece, of which only a part (IMU clock) is looked at, with the frames around it."""
+        """The same segment with a narrower time range (IMU clock), and the frames in and around it.
+
+        Parameters
+        ----------
+        start_s, end_s : float, s
+            What exceeds the present range does not count.
+
+        Returns
+        -------
+        segment : Segment
+            With the frames up to `AROUND_S` beyond the range.
+        """
         start_s, end_s = max(start_s, self.start_s), min(end_s, self.end_s)
-        first, last = np.searchsorted(self.frame_t, [start_s - AROUND_S, end_s + AROUND_S])
-        some = slice(int(first), int(last))
+        first, last = np.searchsorted(self.frame_t_camera, [start_s - AROUND_S, end_s + AROUND_S])
+        rows = slice(int(first), int(last))
         return replace(
             self,
-            frame_t=self.frame_t[some],
-            position=self.position[some],
-            accepted=self.accepted[some],
-            reason=self.reason[some],
-            frames=slice(self.frames.start + some.start, self.frames.start + some.stop),
+            frame_t_camera=self.frame_t_camera[rows],
+            position=self.position[rows],
+            accepted=self.accepted[rows],
+            reason=self.reason[rows],
+            frames=slice(self.frames.start + rows.start, self.frames.start + rows.stop),
             start_s=start_s,
             end_s=end_s,
         )
 
+    def frame_t_imu(self, clock: Clock) -> FloatArray:
+        """The frames (f,) on the IMU's clock, s."""
+        return self.frame_t_camera + clock.at(self.frame_t_camera)
+
 
 @dataclass(frozen=True)
 class SegmentTraits:
-    """What holds for all pieces of a recording; see `Segment`."""
+    """What all segments of a recording have in common; see `Segment`."""
 
     down: FloatArray
     down_sigma_rad: float | None
@@ -88,7 +119,7 @@ class SegmentTraits:
 
 
 def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
-    """The traits of a recording; `number`: which of several."""
+    """The traits of a recording, the `number`-th of several."""
     return SegmentTraits(
         down=down_hint(recording),
         down_sigma_rad=None if recording.gravity_hint is None else recording.gravity_sigma_rad,
@@ -99,12 +130,20 @@ def traits_of(recording: Recording, number: int = 0) -> SegmentTraits:
 
 
 def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -> list[Segment]:
-    """The pieces of a recording that hold at least two frames with a forearm joint.
+    """The segments of a recording that hold at least two frames with a forearm joint.
 
     Parameters
     ----------
-    slack_s : clock offset that frames at the ends are kept for, s.
-    number : which recording of several.
+    recording : Recording
+    slack_s : float, s
+        Frames that lie up to this clock offset beyond the IMU's samples are kept.
+    number : int
+        Which recording of several.
+
+    Returns
+    -------
+    segments : list of Segment
+        In order of time.
     """
     traits = traits_of(recording, number)
     segments = []
@@ -121,24 +160,36 @@ def split_into_segments(recording: Recording, slack_s: float, number: int = 0) -
 
 
 def make_segment(
-    imu: ImuStream, steady_t: FloatArray, arm: JointTracks, frames: slice, traits: SegmentTraits
+    imu: ImuStream, even_t: FloatArray, arm: JointTracks, frames: slice, traits: SegmentTraits
 ) -> Segment | None:
-    """One piece with its inertial attitude; None without two frames with a forearm joint.
+    """One segment with its inertial attitude.
 
     Parameters
     ----------
-    imu : samples without a pause; `steady_t` (n,) their steadied times (`timing.steady`).
-    arm : its frames, which are the rows `frames` of the recording's.
+    imu : ImuStream
+        n samples without a pause.
+    even_t : ndarray, shape (n,), s
+        Their times without jitter (`timestamps.dejitter`).
+    arm : JointTracks
+        The segment's frames.
+    frames : slice
+        Their rows of the recording's frames.
+    traits : SegmentTraits
+        Of the recording.
+
+    Returns
+    -------
+    segment : Segment or None
+        None without two frames with a forearm joint.
     """
     accepted = accepted_samples(arm)
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    if accepted[:, forearm].any(axis=1).sum() < 2:
+    if enough_joints(accepted, 1).sum() < 2:
         return None
-    signal = InertialSignal(replace(imu, t_s=steady_t))
+    signal = InertialSignal(replace(imu, t_s=even_t))
     return Segment(
         signal=signal,
         attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
-        frame_t=arm.t_s,
+        frame_t_camera=arm.t_s,
         position=arm.position,
         accepted=accepted,
         reason=np.zeros(accepted.shape, np.uint8),

@@ -1,4 +1,4 @@
-"""Times: where the IMU stream pauses, and which nodes a stretch of it is solved at."""
+"""Stamps: where the IMU stream pauses, jitter taken off, stamps that nobody measured."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..linalg import robust_sigma
 from ..recording import FloatArray, ImuStream
 
 #: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
@@ -18,14 +19,15 @@ RATE_TOLERANCE = 0.01
 #: Longest interval between IMU samples that is bridged, s (or so many sample periods).
 PAUSE_S = 0.1
 PAUSE_SAMPLES = 5.0
-#: Stamps that scatter by more than this part of a sample are steadied, over a span of time, s.
+#: Stamps that scatter by more than this part of a tick are dejittered; what departs from the tick more
+#: slowly than this stays, s.
 JITTER_SCATTER = 0.08
-JITTER_SPAN_S = 4.0
+JITTER_AVERAGE_S = 4.0
 JITTER_FEWEST = 50
 
 
 def split_at_pauses(imu: ImuStream) -> list[slice]:
-    """Stretches of the IMU stream without a pause, in order."""
+    """The segments of the IMU stream, between its pauses, in order."""
     dt = np.diff(imu.t_s)
     pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
     cuts = np.flatnonzero(dt > pause_s) + 1
@@ -42,34 +44,48 @@ def dejitter(t: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    t : (N,) increasing stamps, s.
+    t : ndarray, shape (N,), s
+        Increasing stamps.
+
+    Returns
+    -------
+    even_t : ndarray, shape (N,), s
+        The stamps themselves where they are good, or where they do not fit an even tick.
     """
     if len(t) < JITTER_FEWEST:
         return t
     dt = np.diff(t)
     tick = float(t[-1] - t[0]) / (len(t) - 1)
-    scatter = 1.4826 * float(np.median(np.abs(dt - tick)))
-    if scatter < JITTER_SCATTER * tick:
+    if robust_sigma(dt - tick) < JITTER_SCATTER * tick:
         return t
     count = np.arange(len(t), dtype=float)
     slope, start = np.polyfit(count, t, 1)
     departure = t - (start + slope * count)
-    width = max(int(JITTER_SPAN_S / slope), 3) | 1
+    width = max(int(JITTER_AVERAGE_S / slope), 3) | 1
     slow = uniform_filter1d(departure, width, mode="nearest")
-    left = departure - slow
-    # a missing sample makes a step of a whole tick: then the stamps are all there is
+    jitter = departure - slow
+    # a missing sample makes a step of a whole tick: then nothing is better than the stamps
     half = width // 2
-    step = np.abs(uniform_filter1d(left, max(width // 8, 3), mode="nearest")[half:-half])
+    step = np.abs(uniform_filter1d(jitter, max(width // 8, 3), mode="nearest")[half:-half])
     if not len(step) or step.max() > 0.4 * slope:
         return t
-    steadied = start + slope * count + slow
-    return steadied if np.diff(steadied).min() > 0.2 * slope else t
+    even_t = start + slope * count + slow
+    return even_t if np.diff(even_t).min() > 0.2 * slope else t
 
 
 def synthetic_stamps(t_s: FloatArray) -> bool:
     """Whether frame times (F,) were spread evenly by somebody instead of measured.
 
     They are even to a tenth of a millisecond, at a rate that no camera runs at.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (F,), s
+        Increasing stamps.
+
+    Returns
+    -------
+    synthetic : bool
     """
     dt = np.diff(t_s)
     if len(dt) < 10 or np.ptp(dt) > 1e-4:

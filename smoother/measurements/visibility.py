@@ -1,4 +1,4 @@
-"""What is occluded: which frames, which stretches of time."""
+"""Which frames show the forearm, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,21 @@ def accepted_samples(arm: JointTracks) -> BoolArray:
 
 
 def visible_frames(arm: JointTracks, accepted: BoolArray) -> BoolArray:
-    """Frames in which the forearm is seen, (F,).
+    """Frames in which the camera sees the forearm.
 
     Two accepted forearm joints make a frame visible; one is enough where the recording has no more
     (`strap` alone).
+
+    Parameters
+    ----------
+    arm : JointTracks
+        Of F frames.
+    accepted : ndarray of bool, shape (F, 5)
+        See `accepted_samples`.
+
+    Returns
+    -------
+    visible : ndarray of bool, shape (F,)
     """
     return enough_joints(accepted, joints_needed(arm))
 
@@ -33,41 +44,61 @@ def joints_needed(arm: JointTracks) -> int:
 
 
 def enough_joints(accepted: BoolArray, needed: int) -> BoolArray:
-    """Frames (F,) with so many accepted forearm joints."""
+    """Frames (F,) with so many accepted forearm joints; with one, the camera saw something of the forearm."""
     forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
     return accepted[:, forearm].sum(axis=1) >= needed
 
 
 def find_gaps(t_s: FloatArray, visible: BoolArray, start_s: float, end_s: float) -> tuple[Gap, ...]:
-    """Occluded stretches between two times.
+    """Gaps between two times.
 
     Parameters
     ----------
-    t_s : (F,) frame times on the IMU's clock, increasing.
-    visible : (F,) see `visible_frames`.
-    start_s, end_s : what the IMU covers.
+    t_s : ndarray, shape (F,), s
+        Frame times on the IMU's clock, increasing.
+    visible : ndarray of bool, shape (F,)
+        See `visible_frames`.
+    start_s, end_s : float, s
+        What the IMU covers.
+
+    Returns
+    -------
+    gaps : tuple of Gap
+        In order of time; a single one, open at both ends, where no frame is visible.
     """
     inside = (t_s >= start_s) & (t_s <= end_s)
     t_s, visible = t_s[inside], visible[inside]
-    seen = t_s[visible]
-    if len(seen) == 0:
+    visible_t = t_s[visible]
+    if len(visible_t) == 0:
         return (Gap(start_s, end_s, open_start=True, open_end=True),)
     missing_s = max(MISSING_S, MISSING_FRAMES * float(np.median(np.diff(t_s)))) if len(t_s) > 1 else MISSING_S
     frame = np.flatnonzero(visible)
     gaps = [
         Gap(float(a), float(b))
-        for a, b, skipped in zip(seen[:-1], seen[1:], np.diff(frame) > 1, strict=True)
+        for a, b, skipped in zip(visible_t[:-1], visible_t[1:], np.diff(frame) > 1, strict=True)
         if skipped or b - a > missing_s
     ]
-    if seen[0] - start_s > missing_s or frame[0] > 0:
-        gaps.insert(0, Gap(start_s, float(seen[0]), open_start=True))
-    if end_s - seen[-1] > missing_s or frame[-1] < len(t_s) - 1:
-        gaps.append(Gap(float(seen[-1]), end_s, open_end=True))
+    if visible_t[0] - start_s > missing_s or frame[0] > 0:
+        gaps.insert(0, Gap(start_s, float(visible_t[0]), open_start=True))
+    if end_s - visible_t[-1] > missing_s or frame[-1] < len(t_s) - 1:
+        gaps.append(Gap(float(visible_t[-1]), end_s, open_end=True))
     return tuple(gaps)
 
 
 def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
-    """Which times lie in a gap, (N,); the visible frames at its ends do not."""
+    """Which times lie in a gap; the visible frames at its ends do not.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (N,), s
+        On the gaps' clock.
+    gaps : tuple of Gap
+        In any order.
+
+    Returns
+    -------
+    occluded : ndarray of bool, shape (N,)
+    """
     occluded = np.zeros(len(t_s), dtype=bool)
     for gap in gaps:
         after = t_s >= gap.start_s if gap.open_start else t_s > gap.start_s
@@ -78,11 +109,16 @@ def occluded_at(t_s: FloatArray, gaps: tuple[Gap, ...]) -> BoolArray:
 
 @dataclass(frozen=True)
 class Gap:
-    """A run of occluded frames, bounded by the visible frames beside it (IMU clock, s).
+    """A run of occluded frames, bounded by the visible frames beside it (IMU clock).
 
-    `start_s` is the last visible frame before the gap (the recording's first frame where the gap
-    is open at the start), `end_s` the first visible frame after it. `open_start`, `open_end`: one
-    side has no visible frame, so the gap is recovered from the other side alone.
+    Attributes
+    ----------
+    start_s : float, s
+        The last visible frame before the gap; the beginning of the IMU where the gap is open there.
+    end_s : float, s
+        The first visible frame after the gap; the end of the IMU where the gap is open there.
+    open_start, open_end : bool
+        That side has no visible frame, so the gap is recovered from the other side alone.
     """
 
     start_s: float

@@ -5,14 +5,14 @@ its samples into {K}; their middle over the whole recording is that direction, k
 the attitude in any one window. Iron and magnets show in the field's strength, which no attitude
 changes: where it is off, and where the direction is farther off than everywhere else, the samples are
 left out. How much the strength varies in what remains is how much the direction varies too, as a
-disturbance has no preferred side: this is the sigma of the factors (`AttitudeFactorPose3`, one a
-block of some seconds).
+disturbance has no preferred side: this is the sigma of the factors (`AttitudeFactorPose3`, one
+for each mean over some seconds).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,19 +22,19 @@ from ..result import Recovery
 from ..window.problem import FieldMeasurements, Solution, Window
 from ..window.shared import axes_across
 
-#: Samples are gathered over blocks of so long: a place's disturbance lasts about as long as the arm stays.
+#: The field is averaged over so long: a place's disturbance lasts about as long as the arm stays.
 MEAN_S = 2.0
 #: A field so much stronger or weaker than the recording's own is disturbed, and one that is so much
 #: stronger or weaker than where the magnetometer was calibrated is another one.
 STRENGTH_OFF = 0.1
 STRENGTH_ELSEWHERE = 0.35
-#: Blocks whose strength is off by more than this many scaled median deviations, and by so much at least, are
+#: Means whose strength is off by more than this many scaled median deviations, and by so much at least, are
 #: left out, as those whose direction is; and their neighbours, which the same magnet may have reached.
 FAR = 3.5
 LEAST_FAR = 0.03
-#: A block takes part when so much of it is undisturbed.
+#: A mean takes part when so much of it is undisturbed.
 SHARE_NEEDED = 0.8
-#: Blocks that the field's direction needs, and the share of all that has to agree.
+#: Means that the field's direction needs, and the share of all that has to agree.
 MEANS_NEEDED = 8
 MEANS_SHARE = 0.5
 #: No room's field is known better than this, rad.
@@ -42,7 +42,7 @@ LEAST_SIGMA_RAD = np.radians(0.7)
 #: No factor is trusted more than this, rad: in gaps of some seconds, what the field is off in tilt costs
 #: more than the heading gains (at 0.7 degrees 3 % of the position in a trial of BROAD, at 2 nothing).
 FACTOR_SIGMA_RAD = np.radians(2.0)
-#: How often the direction is solved anew without the blocks that contradict it.
+#: How often the direction is solved anew without the means that contradict it.
 ROUNDS = 4
 #: A sample farther than this from a node says nothing of it, s.
 NEAR_S = 0.05
@@ -50,13 +50,13 @@ NEAR_S = 0.05
 
 @dataclass(frozen=True)
 class FieldMean:
-    """The field over a block of a window.
+    """The mean field over some seconds of a window.
 
     Attributes
     ----------
     window : its number.
     node, t_s : of the window of the second pass, and its time.
-    in_K, in_A : (3,) mean over the block, in the camera's axes and in the sensor's at the node.
+    in_K, in_A : (3,) the mean, in the camera's axes and in the sensor's at the node.
     share : undisturbed part.
     attitude_covariance : (3, 3) rad^2 in {K}, of the first solution.
     """
@@ -76,24 +76,31 @@ class Magnetometer:
 
     Attributes
     ----------
-    direction : (3,) of the field in {K}; nan where it was not found.
-    sigma_rad : of a block's direction.
-    blocks, used : how many there were, and how many took part.
-    note : a sentence for the reader, "" where there is no calibrated magnetometer.
+    direction : ndarray, shape (3,)
+        Of the field in {K}; nan where it is not known.
+    sigma_rad : float, rad
+        Of a mean's direction.
+    means, used : int
+        How many means of the field there are, and how many take part.
+    note : str
+        A sentence for the reader, "" where there is no calibrated magnetometer.
+    by_window : dict of int to FieldMeasurements
+        What it adds to a window of the second pass, by the window's number in the recording.
     """
 
     direction: FloatArray
     sigma_rad: float = float("nan")
-    blocks: int = 0
+    means: int = 0
     used: int = 0
     note: str = ""
+    by_window: dict[int, FieldMeasurements] = field(default_factory=dict)
 
     def noted(self, recovery: Recovery) -> Recovery:
         """The recovery with a word on the magnetometer."""
         if not self.note:
             return recovery
         figures: dict[str, object] = {
-            "magnetometer_blocks": self.blocks,
+            "magnetometer_blocks": self.means,
             "magnetometer_blocks_used": self.used,
         }
         if self.used:
@@ -155,29 +162,36 @@ def usual_strength(strengths: Sequence[FloatArray]) -> tuple[float, Magnetometer
     return strength, NO_MAGNETOMETER
 
 
-def decide(blocks: Sequence[FieldMean]) -> tuple[dict[int, FieldMeasurements], Magnetometer]:
-    """What each window of the second pass is told, by its number, and what became of the magnetometer."""
-    calm = [block for block in blocks if block.share >= SHARE_NEEDED]
-    if len(blocks) < MEANS_NEEDED:
-        return {}, _without("the recording is too short to learn the field's direction from it")
-    if len(calm) < max(MEANS_SHARE * len(blocks), MEANS_NEEDED):
-        return {}, _without(_off(len(blocks) - len(calm), len(blocks), "strength"))
-    direction, covariance, sigma, good = _agree(blocks, calm)
-    if good.sum() < max(MEANS_SHARE * len(blocks), MEANS_NEEDED):
-        return {}, _without(_off(len(blocks) - int(good.sum()), len(blocks), "direction"))
+def judge(means: Sequence[FieldMean]) -> Magnetometer:
+    """Find the field's direction in {K}, and which means of it agree: they take part in the second pass.
+
+    Parameters
+    ----------
+    means : sequence of FieldMean
+        Of all windows.
+    """
+    calm = [mean for mean in means if mean.share >= SHARE_NEEDED]
+    if len(means) < MEANS_NEEDED:
+        return _without("the recording is too short to learn the field's direction from it")
+    if len(calm) < max(MEANS_SHARE * len(means), MEANS_NEEDED):
+        return _without(_off(len(means) - len(calm), len(means), "strength"))
+    direction, covariance, sigma, good = _agree(means, calm)
+    if good.sum() < max(MEANS_SHARE * len(means), MEANS_NEEDED):
+        return _without(_off(len(means) - int(good.sum()), len(means), "direction"))
     common = float(np.sqrt(np.linalg.eigvalsh(covariance).max()))
-    kept = [block for block, is_good in zip(calm, good, strict=True) if is_good]
-    told: dict[int, list[FieldMean]] = {}
-    for block in kept:
-        told.setdefault(block.window, []).append(block)
-    believed = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
-    note = f"the magnetometer takes part, the field's direction believed to {believed:.1f} degrees"
-    if len(kept) < len(blocks):
-        note += (
-            f"; it was left out in {len(blocks) - len(kept)} of {len(blocks)} places, as it disagrees there"
-        )
-    sights = {window: _sight(own, direction, sigma, common) for window, own in told.items()}
-    return sights, Magnetometer(direction, sigma, len(blocks), len(kept), note)
+    by_window: dict[int, list[FieldMean]] = {}
+    for mean, is_good in zip(calm, good, strict=True):
+        if is_good:
+            by_window.setdefault(mean.window, []).append(mean)
+    used = int(good.sum())
+    sigma_deg = np.degrees(max(sigma, FACTOR_SIGMA_RAD))
+    note = f"the magnetometer takes part, the field's direction believed to {sigma_deg:.1f} degrees"
+    if used < len(means):
+        note += f"; it was left out in {len(means) - used} of {len(means)} places, as it disagrees there"
+    measurements = {
+        window: _field_measurements(own, direction, sigma, common) for window, own in by_window.items()
+    }
+    return Magnetometer(direction, sigma, len(means), used, note, measurements)
 
 
 def _without(reason: str) -> Magnetometer:
@@ -185,26 +199,26 @@ def _without(reason: str) -> Magnetometer:
 
 
 def _agree(
-    blocks: Sequence[FieldMean], calm: list[FieldMean]
+    means: Sequence[FieldMean], calm: list[FieldMean]
 ) -> tuple[FloatArray, FloatArray, float, BoolArray]:
-    """The field's direction that most blocks agree on, and which do.
+    """The field's direction that most means agree on, and which do.
 
     Least squares over the windows, each with the attitude's covariance that its first solution states: the
-    blocks of a window share its attitude's error. Blocks that the rest contradicts are taken out, and it is
+    means of a window share its attitude's error. Means that the rest contradicts are taken out, and it is
     done again.
 
     Returns
     -------
     direction : (3,) unit vector in {K}.
     covariance : (2, 2) rad^2 across it.
-    sigma : of a block's direction, from the strengths, rad.
-    good : (c,) of the calm blocks.
+    sigma : of a mean's direction, from the strengths, rad.
+    good : (c,) of the calm means.
     """
-    in_K = np.array([block.in_K for block in calm])
+    in_K = np.array([mean.in_K for mean in calm])
     strength = np.linalg.norm(in_K, axis=1)
     unit = in_K / strength[:, None]
-    window = np.array([block.window for block in calm])
-    attitude = np.array([block.attitude_covariance for block in calm])
+    window = np.array([mean.window for mean in calm])
+    attitude = np.array([mean.attitude_covariance for mean in calm])
     usual = float(np.median(strength))
     varies = 1.4826 * float(np.median(np.abs(strength - usual)))
     calm_enough = np.abs(strength - usual) < max(FAR * varies, LEAST_FAR * usual)
@@ -230,22 +244,22 @@ def _agree(
         expected = own + covariance + np.eye(2) * sigma**2
         far = np.einsum("ni,nij,nj->n", left, np.linalg.inv(expected), left)
         good = calm_enough & (far < FAR**2)
-        good &= _far_from_bad(blocks, calm, good)
+        good &= _far_from_bad(means, calm, good)
     return direction, covariance, sigma, good
 
 
-def _far_from_bad(blocks: Sequence[FieldMean], calm: list[FieldMean], good: BoolArray) -> BoolArray:
-    """Which of the calm blocks have no block beside them that was left out."""
-    kept = {id(block) for block, is_good in zip(calm, good, strict=True) if is_good}
-    bad = np.array([block.t_s for block in blocks if id(block) not in kept])
+def _far_from_bad(means: Sequence[FieldMean], calm: list[FieldMean], good: BoolArray) -> BoolArray:
+    """Which of the calm means have no mean beside them that was left out."""
+    kept = {id(mean) for mean, is_good in zip(calm, good, strict=True) if is_good}
+    bad = np.array([mean.t_s for mean in means if id(mean) not in kept])
     if not len(bad):
         return np.ones(len(calm), dtype=bool)
-    t = np.array([block.t_s for block in calm])
+    t = np.array([mean.t_s for mean in calm])
     return np.asarray(np.abs(t[:, None] - bad).min(axis=1) > 1.5 * MEAN_S)
 
 
-def _off(bad: int, blocks: int, what: str) -> str:
-    return f"in {bad} of {blocks} places the field's {what} is off; magnets or iron are near"
+def _off(bad: int, means: int, what: str) -> str:
+    return f"in {bad} of {means} places the field's {what} is off; magnets or iron are near"
 
 
 def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray:
@@ -262,7 +276,7 @@ def _in_camera(imu: ImuStream, window: Window, solution: Solution) -> FloatArray
 def field_means(
     number: int, seen: FieldObservation, strength: float, later_t: FloatArray, later_R: FloatArray
 ) -> Iterator[FieldMean]:
-    """Means over blocks of a window, of the samples with the field's usual strength.
+    """Means over means of a window, of the samples with the field's usual strength.
 
     Parameters
     ----------
@@ -304,11 +318,13 @@ def middle_direction(vectors: FloatArray) -> FloatArray:
     return np.asarray(middle / np.linalg.norm(middle))
 
 
-def _sight(own: list[FieldMean], direction: FloatArray, sigma: float, common: float) -> FieldMeasurements:
-    """A window's blocks; together they know the direction no better than the recording does."""
+def _field_measurements(
+    own: list[FieldMean], direction: FloatArray, sigma: float, common: float
+) -> FieldMeasurements:
+    """A window's means; together they know the direction no better than the recording does."""
     return FieldMeasurements(
-        node=np.array([block.node for block in own]),
-        in_A=np.array([block.in_A / np.linalg.norm(block.in_A) for block in own]),
+        node=np.array([mean.node for mean in own]),
+        in_A=np.array([mean.in_A / np.linalg.norm(mean.in_A) for mean in own]),
         in_K=direction,
         sigma_rad=float(np.sqrt(max(sigma, FACTOR_SIGMA_RAD) ** 2 + len(own) * common**2)),
     )

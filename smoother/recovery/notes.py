@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
-from ..measurements.timestamps import split_at_pauses, synthetic_stamps
+from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import FrameResiduals
@@ -15,7 +15,7 @@ from ..selfcal.rounds import SelfCalibration
 
 #: A one-sided gap longer than this deserves a sentence, s.
 OPEN_GAP_S = 0.5
-#: Where more of the camera's samples than this are set aside, something else is wrong.
+#: Where more of the camera's samples than this are rejected, something else is wrong.
 HARDLY_AGREE = 0.3
 #: A clock that drifts more than this deserves a sentence, s.
 DRIFT_S = 0.005
@@ -23,35 +23,47 @@ DRIFT_S = 0.005
 
 def notes_on(
     recording: Recording,
-    known: SelfCalibration,
+    timeline: Timeline,
+    model: SelfCalibration,
     clock: Clock,
     residuals: FrameResiduals,
     gaps: tuple[Gap, ...],
 ) -> tuple[str, ...]:
-    """Sentences on pauses, clocks, samples set aside and open gaps."""
+    """Sentences on pauses, clocks, mounting, rejected samples and open gaps.
+
+    Parameters
+    ----------
+    recording : Recording
+    timeline : Timeline
+        Of the recording.
+    model : SelfCalibration
+    clock : Clock
+        Of the camera's stamps as they were recorded.
+    residuals : FrameResiduals
+    gaps : tuple of Gap
+    """
     return (
         *recording.notes,
-        *_pauses(recording),
-        *_clock(recording, clock),
-        *_mounting(known),
-        *_set_aside(residuals),
+        *_pauses(recording, timeline),
+        *_clock(timeline, clock),
+        *_mounting(model),
+        *_rejected(residuals),
         *_open_gaps(gaps),
     )
 
 
-def _pauses(recording: Recording) -> list[str]:
+def _pauses(recording: Recording, timeline: Timeline) -> list[str]:
     t = recording.imu.t_s
-    segments = split_at_pauses(recording.imu)
     return [
         f"the IMU stream pauses from {t[a.stop - 1]:.2f} s to {t[b.start]:.2f} s: the recording is solved"
         " apart on both sides, and nothing is recovered in between"
-        for a, b in pairwise(segments)
+        for a, b in pairwise(timeline.segments)
     ]
 
 
-def _clock(recording: Recording, clock: Clock) -> list[str]:
+def _clock(timeline: Timeline, clock: Clock) -> list[str]:
     notes = []
-    if synthetic_stamps(recording.arm.t_s):
+    if timeline.synthetic_stamps:
         notes.append(
             "the camera's frames are spread evenly at a rate that no camera runs at: their times were made"
             " up, dropped frames are hidden, and fast movement is known less well"
@@ -66,8 +78,8 @@ def _clock(recording: Recording, clock: Clock) -> list[str]:
     return notes
 
 
-def _mounting(known: SelfCalibration) -> list[str]:
-    if not known.mounting_unknown:
+def _mounting(model: SelfCalibration) -> list[str]:
+    if not model.mounting_unknown:
         return []
     return [
         "the forearm hardly moved in view, or turned about the vertical only: how the sensor sits on it is"
@@ -76,18 +88,18 @@ def _mounting(known: SelfCalibration) -> list[str]:
     ]
 
 
-def _set_aside(residuals: FrameResiduals) -> list[str]:
+def _rejected(residuals: FrameResiduals) -> list[str]:
     count = int(np.count_nonzero(residuals.reason))
     if not count:
         return []
     tracked = count + int(np.count_nonzero(residuals.used))
-    said = f"{count} of {tracked} tracked samples of the camera were not believed and set aside"
+    note = f"{count} of {tracked} tracked samples of the camera were not believed and set aside"
     if count > HARDLY_AGREE * tracked:
-        said += (
+        note += (
             "; camera and IMU hardly agree, and the answer is not to be trusted: check that their clocks"
             " agree to a minute, and that the IMU was on this arm"
         )
-    return [said]
+    return [note]
 
 
 def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:

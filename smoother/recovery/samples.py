@@ -68,34 +68,42 @@ def sample_section(
     first_sample: int,
     segment: Segment,
     prepared: PreparedSegment,
-    motion: Trajectory,
-    calibration: ArmCalibration,
-    known: SelfCalibration,
+    trajectory: Trajectory,
+    model: SelfCalibration,
     names: Sequence[str],
 ) -> SectionAnswer:
-    """The answer of a section from its joined motion.
+    """The answer of a section at its samples, from its trajectory.
 
     Parameters
     ----------
-    imu_t : (n,) the IMU's stamps, s; the first is the recording's sample `first_sample`.
-    names : joints to answer for.
+    imu_t : ndarray, shape (n,), s
+        The IMU's stamps; the first is the recording's sample `first_sample`.
+    first_sample : int
+    segment, prepared : Segment, PreparedSegment
+        The section's.
+    trajectory : Trajectory
+        Of the second pass.
+    model : SelfCalibration
+        As all sections have it.
+    names : sequence of str
+        Joints to answer for.
     """
-    clock = known.clocks[0]
-    start_s = max(motion.t[0], prepared.start_s - BLEND_HALF_S)
-    end_s = min(motion.t[-1], prepared.end_s + BLEND_HALF_S)
+    clock, calibration = model.clock, model.estimate
+    start_s = max(trajectory.t[0], prepared.start_s - BLEND_HALF_S)
+    end_s = min(trajectory.t[-1], prepared.end_s + BLEND_HALF_S)
     first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
     t = imu_t[first:last]
-    states = at_times(motion, prepared.signal, t)
-    pose = widen_turns(interpolate(motion.t, motion.pose_covariance, t))
-    pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * known.bias.sigma_m**2)
+    states = at_times(trajectory, prepared.signal, t)
+    pose = widen_turns(interpolate(trajectory.t, trajectory.pose_covariance, t))
+    pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * model.joint_bias.sigma_m**2)
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
-    joints = {joint: _joint(joint, states.R, states.p, pose, calibration, motion, t) for joint in names}
-    if known.mounting_unknown:  # joints that are seen are known all the same
+    joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}
+    if model.mounting_unknown:  # joints that are seen are known all the same
         pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
-    frame_t = segment.frame_t + clock.at(segment.frame_t)
+    frame_t = segment.frame_t_imu(clock)
     own = slice(*np.searchsorted(frame_t, [segment.core_start_s, segment.core_end_s]).tolist())
-    seen = segment.position[own] + known.bias.found_m  # as the camera said it
+    position = segment.position[own] + model.joint_bias.error_m  # as the camera said it
     return SectionAnswer(
         samples=slice(first_sample + int(first), first_sample + int(last)),
         occluded=occluded_at(t, prepared.gaps),
@@ -103,7 +111,7 @@ def sample_section(
         quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
         velocity=states.v,
         pose_covariance=pose,
-        velocity_covariance=interpolate(motion.t, motion.velocity_covariance, t),
+        velocity_covariance=interpolate(trajectory.t, trajectory.velocity_covariance, t),
         joints={joint: place for joint, (place, _) in joints.items()},
         joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
         border_s=segment.core_start_s,
@@ -111,10 +119,10 @@ def sample_section(
             gap for gap in prepared.gaps if gap.end_s > prepared.start_s and gap.start_s < prepared.end_s
         ),
         frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
-        residual=frame_residuals(seen, frame_t[own], prepared, motion, calibration),
+        residual=frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
         used=segment.accepted[own],
         reason=segment.reason[own],
-        gravity=motion.gravity.mean(axis=0),
+        gravity=trajectory.gravity.mean(axis=0),
     )
 
 

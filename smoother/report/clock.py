@@ -21,7 +21,7 @@ def write_clock_report(
     path: str | os.PathLike[str],
     session: str,
     network: ClockNetwork,
-    heard: Sequence[Receptions] = (),
+    receptions: Sequence[Receptions] = (),
     beeps: Sequence[Beep] = (),
     motion: MotionClock | None = None,
     *,
@@ -33,15 +33,15 @@ def write_clock_report(
         f"Clocks: {session}",
         "Offsets are of this session alone.",
         verdict(network),
-        _sections(network, heard, beeps, motion),
+        _sections(network, receptions, beeps, motion),
         force=force,
     )
 
 
 def _sections(
-    network: ClockNetwork, heard: Sequence[Receptions], beeps: Sequence[Beep], motion: MotionClock | None
+    network: ClockNetwork, receptions: Sequence[Receptions], beeps: Sequence[Beep], motion: MotionClock | None
 ) -> Iterator[str]:
-    yield listing("For the next recording", next_time(network, heard, beeps, motion))
+    yield listing("For the next recording", next_time(network, receptions, beeps, motion))
     rows = [
         (
             link.from_clock,
@@ -60,21 +60,19 @@ def _sections(
         columns,
         rows,
     )
-    for left in network.leftovers:
-        if len(left.residual_s) > 1:
+    for leftover in network.leftovers:
+        if len(leftover.residual_s) > 1:
             yield figure(
-                f"What is left: {left.source}",
-                "How far each time is from what the solved clocks say; the band is one standard"
-                " deviation. Crosses were"
-                " set aside.",
-                residuals(left),
+                f"What is left: {leftover.source}",
+                "How far each time is from what the solved clocks say; the band is one standard deviation."
+                " Crosses were set aside.",
+                residuals(leftover),
             )
     for beep in beeps:
         yield figure(
             f"The beep that ends at {beep.end_s:.4f} s",
-            f"Level of the tone of {beep.frequency_hz:.0f} Hz about its end, what was fitted to it, and"
-            " the end that was"
-            f" found (to {1e3 * beep.sigma_s:.2f} ms).",
+            f"Level of the tone of {beep.frequency_hz:.0f} Hz about its end, what was fitted to it, and the"
+            f" end that was found (to {1e3 * beep.sigma_s:.2f} ms).",
             beep_end(beep),
         )
     if motion is not None:
@@ -84,51 +82,57 @@ def _sections(
             " Crosses do not fit.",
             motion_line(motion),
         )
-    yield listing("What stayed open", open_questions(network, heard, beeps, motion), "Nothing stayed open.")
+    yield listing(
+        "What stayed open", open_questions(network, receptions, beeps, motion), "Nothing stayed open."
+    )
 
 
-def residuals(left: Leftover) -> go.Figure:
+def residuals(leftover: Leftover) -> go.Figure:
     """Residuals of a source over time, a colour a node."""
-    drawn = go.Figure()
-    names = np.array(left.node)
-    first = float(left.t_s.min())
-    for name in dict.fromkeys(left.node):
+    plot = go.Figure()
+    names = np.array(leftover.node)
+    first = float(leftover.t_s.min())
+    for name in dict.fromkeys(leftover.node):
         mine = names == name
-        symbols = np.where(left.used[mine], "circle", "x").tolist()
-        drawn.add_trace(
+        symbols = np.where(leftover.used[mine], "circle", "x").tolist()
+        plot.add_trace(
             go.Scatter(
-                x=left.t_s[mine] - first,
-                y=1e3 * left.residual_s[mine],
+                x=leftover.t_s[mine] - first,
+                y=1e3 * leftover.residual_s[mine],
                 mode="markers",
                 marker={"symbol": symbols, "size": 8},
                 name=name,
             )
         )
-    limit = max(4 * left.sigma_s, 1.2 * float(np.abs(left.residual_s[left.used]).max(initial=0.0)))
-    drawn.add_hrect(-1e3 * left.sigma_s, 1e3 * left.sigma_s, fillcolor=VISIBLE, opacity=0.12, line_width=0)
-    drawn.update_yaxes(title_text="residual, ms", range=[-1e3 * limit, 1e3 * limit])
-    drawn.update_xaxes(title_text="time after the first, s")
-    return dress(drawn, 320)
+    limit = max(
+        4 * leftover.sigma_s, 1.2 * float(np.abs(leftover.residual_s[leftover.used]).max(initial=0.0))
+    )
+    plot.add_hrect(
+        -1e3 * leftover.sigma_s, 1e3 * leftover.sigma_s, fillcolor=VISIBLE, opacity=0.12, line_width=0
+    )
+    plot.update_yaxes(title_text="residual, ms", range=[-1e3 * limit, 1e3 * limit])
+    plot.update_xaxes(title_text="time after the first, s")
+    return dress(plot, 320)
 
 
 def beep_end(beep: Beep) -> go.Figure:
     """The envelope about a beep's end."""
-    drawn = go.Figure()
+    plot = go.Figure()
     t = 1e3 * (beep.t_s - beep.end_s)
     size = float(beep.fitted[0])
     for values, name, colour in ((beep.envelope, "heard", VISIBLE), (beep.fitted, "fitted", OCCLUDED)):
-        drawn.add_trace(go.Scatter(x=t, y=values / size, mode="lines", name=name, line={"color": colour}))
-    drawn.add_vline(0.0, line_dash="dash", line_color="#111111")
-    drawn.update_xaxes(title_text="time from the end, ms")
-    drawn.update_yaxes(title_text="level", rangemode="tozero")
-    return dress(drawn, 320)
+        plot.add_trace(go.Scatter(x=t, y=values / size, mode="lines", name=name, line={"color": colour}))
+    plot.add_vline(0.0, line_dash="dash", line_color="#111111")
+    plot.update_xaxes(title_text="time from the end, ms")
+    plot.update_yaxes(title_text="level", rangemode="tozero")
+    return dress(plot, 320)
 
 
 def motion_line(motion: MotionClock) -> go.Figure:
     """Offsets of the stretches and the line through them."""
-    drawn, link = go.Figure(), motion.link
+    plot, link = go.Figure(), motion.link
     symbols = np.where(motion.used, "circle", "x").tolist()
-    drawn.add_trace(
+    plot.add_trace(
         go.Scatter(
             x=motion.t_s,
             y=1e3 * motion.offset_s,
@@ -140,7 +144,7 @@ def motion_line(motion: MotionClock) -> go.Figure:
     )
     ends = np.array([motion.t_s.min() - 5.0, motion.t_s.max() + 5.0])
     line = link.offset_s + 1e-6 * link.skew_ppm * (ends - link.at_s)
-    drawn.add_trace(go.Scatter(x=ends, y=1e3 * line, mode="lines", name="line", line={"color": OCCLUDED}))
-    drawn.update_xaxes(title_text="time on the camera's clock, s")
-    drawn.update_yaxes(title_text="IMU minus camera, ms")
-    return dress(drawn, 340)
+    plot.add_trace(go.Scatter(x=ends, y=1e3 * line, mode="lines", name="line", line={"color": OCCLUDED}))
+    plot.update_xaxes(title_text="time on the camera's clock, s")
+    plot.update_yaxes(title_text="IMU minus camera, ms")
+    return dress(plot, 340)

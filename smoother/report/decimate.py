@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from ..linalg import runs
 from ..recording import BoolArray, FloatArray, IntArray
 
 #: Most points of one drawn line.
 MOST_POINTS = 6000
-#: Share of them that the occluded stretches may take.
+#: Share of them that the gaps may take.
 GAP_SHARE = 0.6
 
 
@@ -18,11 +19,16 @@ def decimate(important: BoolArray, most: int = MOST_POINTS) -> IntArray:
 
     Parameters
     ----------
-    important : (N,) samples that matter most (the occluded ones).
+    important : ndarray of bool, shape (n,)
+        Samples that matter most (the occluded ones).
+
+    most : int
+        Samples to draw.
 
     Returns
     -------
-    (M,) indices in rising order; first and last sample are among them.
+    index : ndarray of int, shape (m,)
+        In rising order; first and last sample are among them.
     """
     count = len(important)
     if count <= most:
@@ -57,9 +63,7 @@ def band(t_s: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray
     finite = np.isfinite(low) & np.isfinite(high) & np.isfinite(t_s)
     x: list[FloatArray] = []
     y: list[FloatArray] = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(int)))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        part = slice(start, stop)
+    for part in runs(finite):
         x += [t_s[part], t_s[part][::-1], np.array([np.nan])]
         y += [high[part], low[part][::-1], np.array([np.nan])]
     if not x:

@@ -22,31 +22,41 @@ from .style import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, dress
 
 
 def write_forearm_report(
-    path: str | os.PathLike[str], recording: Recording, found: ForearmCalibration, *, force: bool = False
+    path: str | os.PathLike[str],
+    recording: Recording,
+    calibration: ForearmCalibration,
+    *,
+    force: bool = False,
 ) -> None:
     """Write the page of a forearm calibration."""
-    rows = compare(found)
-    made = (
+    rows = compare(calibration)
+    subtitle = (
         f"Arm: {recording.side or 'not named'}. Times are the camera's, seconds after the recording's zero."
     )
     title = f"Forearm from a held pose: {recording.name}"
-    write_sheet(path, title, made, verdict(found, rows), _sections(recording, found, rows), force=force)
+    write_sheet(
+        path,
+        title,
+        subtitle,
+        verdict(calibration, rows),
+        _sections(recording, calibration, rows),
+        force=force,
+    )
 
 
-def _sections(recording: Recording, found: ForearmCalibration, rows: list[Compared]) -> Iterator[str]:
-    yield listing("For the next recording", next_time(found, rows))
+def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[Compared]) -> Iterator[str]:
+    yield listing("For the next recording", next_time(calibration, rows))
     yield figure(
         "The held pose",
         "The arm as the camera saw it on average in the pose: from the front (as the camera sees it) and"
-        " from the side."
-        " The arrows are the forearm's axes: y to the wrist, x to the back of the hand.",
-        pose_views(recording, found),
+        " from the side. The arrows are the forearm's axes: y to the wrist, x to the back of the hand.",
+        pose_views(recording, calibration),
     )
     yield figure(
         "Joints in the pose",
         "Distance of the joints from their mean over the pose: a pose that is held shows noise and"
         " nothing else.",
-        pose_residuals(recording, found),
+        pose_residuals(recording, calibration),
     )
     if rows:
         yield figure(
@@ -67,31 +77,31 @@ def _sections(recording: Recording, found: ForearmCalibration, rows: list[Compar
         ]
         columns = ("measure", "pose", "motion", "sigmas apart", "")
         yield tabulated("Measures", "Each with its standard deviation.", columns, table)
-    drawn = mount(_as_found(found))
-    if drawn is not None:
+    plot = mount(_as_found(calibration))
+    if plot is not None:
         yield figure(
             "How the sensor sits on the arm",
             "By the pose. The dark square is the sensor with its axes; ellipses are two standard deviations.",
-            drawn,
+            plot,
         )
-    yield listing("What stayed open", open_questions(found), "Nothing stayed open.")
+    yield listing("What stayed open", open_questions(calibration), "Nothing stayed open.")
 
 
-def _as_found(found: ForearmCalibration) -> ArmEstimates:
+def _as_found(calibration: ForearmCalibration) -> ArmEstimates:
     nothing = Evidence(float("nan"), {}, float("nan"), float("nan"))
-    return ArmEstimates(found.calibration, forearm_frame(found.calibration), (), nothing, ())
+    return ArmEstimates(calibration.calibration, forearm_frame(calibration.calibration), (), nothing, ())
 
 
-def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:
+def pose_views(recording: Recording, calibration: ForearmCalibration) -> go.Figure:
     """The mean pose seen along the camera's z axis and along its x axis, cm."""
     names = axis_names(recording.camera_frame)
-    drawn = make_subplots(rows=1, cols=2, subplot_titles=("from the camera", "from the side"))
-    chain = [k for k in range(4) if np.isfinite(found.pose.position[k]).all()]
-    places = 100 * found.pose.position
+    plot = make_subplots(rows=1, cols=2, subplot_titles=("from the camera", "from the side"))
+    chain = [k for k in range(4) if np.isfinite(calibration.pose.position[k]).all()]
+    places = 100 * calibration.pose.position
     middle = 0.5 * (places[1] + places[2])
     for column, (across, upright) in enumerate(((0, 1), (2, 1)), start=1):
         line = {"color": "#9a8f86", "width": 7}
-        drawn.add_trace(
+        plot.add_trace(
             go.Scatter(
                 x=places[chain, across], y=places[chain, upright], mode="lines", line=line, showlegend=False
             ),
@@ -101,7 +111,7 @@ def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:
         for k, joint in enumerate(JOINTS):
             if np.isfinite(places[k]).all():
                 dot = {"size": 10, "color": JOINT_COLOURS[joint]}
-                drawn.add_trace(
+                plot.add_trace(
                     go.Scatter(
                         x=places[k, [across]],
                         y=places[k, [upright]],
@@ -114,8 +124,8 @@ def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:
                     col=column,
                 )
         for axis, name in enumerate("xyz"):
-            tip = middle + 12 * found.R_K_F[:, axis]
-            drawn.add_trace(
+            tip = middle + 12 * calibration.R_K_F[:, axis]
+            plot.add_trace(
                 go.Scatter(
                     x=[middle[across], tip[across]],
                     y=[middle[upright], tip[upright]],
@@ -127,40 +137,40 @@ def pose_views(recording: Recording, found: ForearmCalibration) -> go.Figure:
                 row=1,
                 col=column,
             )
-        drawn.update_xaxes(title_text=f"{names[across]}, cm", row=1, col=column)
-        drawn.update_yaxes(
+        plot.update_xaxes(title_text=f"{names[across]}, cm", row=1, col=column)
+        plot.update_yaxes(
             title_text=f"{names[upright]}, cm",
             scaleanchor="x" if column == 1 else "x2",
             row=1,
             col=column,
         )
-    return dress(drawn, 420)
+    return dress(plot, 420)
 
 
-def pose_residuals(recording: Recording, found: ForearmCalibration) -> go.Figure:
+def pose_residuals(recording: Recording, calibration: ForearmCalibration) -> go.Figure:
     """How far each joint is from its mean, frame by frame, mm."""
-    drawn, rows = go.Figure(), found.pose.frames
+    plot, rows = go.Figure(), calibration.pose.frames
     t = recording.arm.t_s[rows]
     for k, joint in enumerate(JOINTS):
-        away = 1e3 * np.linalg.norm(recording.arm.joint(joint)[rows] - found.pose.position[k], axis=1)
+        away = 1e3 * np.linalg.norm(recording.arm.joint(joint)[rows] - calibration.pose.position[k], axis=1)
         if np.isfinite(away).any():
-            drawn.add_trace(
+            plot.add_trace(
                 go.Scatter(x=t, y=away, mode="lines", name=joint, line={"color": JOINT_COLOURS[joint]})
             )
-    drawn.update_xaxes(title_text="time, s")
-    drawn.update_yaxes(title_text="mm", rangemode="tozero")
-    return dress(drawn, 300)
+    plot.update_xaxes(title_text="time, s")
+    plot.update_yaxes(title_text="mm", rangemode="tozero")
+    return dress(plot, 300)
 
 
 def agreement(rows: list[Compared]) -> go.Figure:
     """Differences in sigmas as bars."""
     colours = [VISIBLE if row.agrees else OCCLUDED for row in rows]
-    drawn = go.Figure(
+    plot = go.Figure(
         go.Bar(
             x=[row.apart for row in rows], y=[row.name for row in rows], orientation="h", marker_color=colours
         )
     )
-    drawn.add_vline(AGREE, line_dash="dash", line_color="#111111")
-    drawn.update_xaxes(title_text="sigmas apart", rangemode="tozero")
-    drawn.update_yaxes(autorange="reversed")
-    return dress(drawn, 120 + 34 * len(rows))
+    plot.add_vline(AGREE, line_dash="dash", line_color="#111111")
+    plot.update_xaxes(title_text="sigmas apart", rangemode="tozero")
+    plot.update_yaxes(autorange="reversed")
+    return dress(plot, 120 + 34 * len(rows))

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import plotly.graph_objects as go
 
-from ..evaluation.gap_spread import Spread, spread_by_length
+from ..evaluation.gap_spread import GapSpread, spread_by_length
 from ..evaluation.gaps import GapTable
 from .method_styles import PLAIN, STYLES, faint, line_of
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import figure, in_cm, listing, tabulated, write_sheet
 from .style import dress
 
-Spreads = dict[float, dict[str, Spread]]
+Spreads = dict[float, dict[str, GapSpread]]
 
 
 def write_gap_curves(
@@ -29,9 +29,16 @@ def write_gap_curves(
 
     Parameters
     ----------
-    table : what `evaluate_gaps` found.
-    name : of the recording.
-    notes : of the recording.
+    table : GapTable
+        As `evaluate_gaps` gives it.
+    name : str
+        Of the recording.
+    path : path-like
+        The page to write.
+    notes : tuple of str
+        Of the recording.
+    force : bool
+        Overwrite a page that exists.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def write_gap_curves(
     write_sheet(
         path,
         f"Error against gap length: {name}",
-        f"{gaps} stretches that the camera saw were hidden and recovered; compared with {reference}.",
+        f"{gaps} gaps were made where the camera saw the arm, and recovered; compared with {reference}.",
         verdict(spreads),
         _sections(spreads, (*notes, *table.notes)),
         force=force,
@@ -56,23 +63,25 @@ def write_gap_curves(
 
 def verdict(spreads: Spreads) -> list[str]:
     """How long a gap can be trusted, and to what, in sentences."""
-    said, before = [], 0.0
+    sentences, before = [], 0.0
     for limit_cm in (1, 2, 5, 10):
         longest = _longest_within(spreads, "graph", limit_cm / 100)
         if longest is not None and longest > before:
             before = longest
-            said.append(
+            sentences.append(
                 f"Up to {longest:g} s the graph recovers three of four gaps to {limit_cm} cm rms or better"
             )
-    if not said and any("graph" in methods for methods in spreads.values()):
-        said.append("At none of these lengths are three of four gaps recovered to 10 cm rms by the graph")
+    if not sentences and any("graph" in methods for methods in spreads.values()):
+        sentences.append(
+            "At none of these lengths are three of four gaps recovered to 10 cm rms by the graph"
+        )
     for length, methods in spreads.items():
-        known = {name: each.median_m for name, each in methods.items() if each.median_m is not None}
+        known = {name: spread.median_m for name, spread in methods.items() if spread.median_m is not None}
         if len(known) > 1:
             ranked = sorted(known, key=lambda name: known[name])[:3]
             words = ", ".join(f"{name} {100 * known[name]:.1f}" for name in ranked)
-            said.append(f"Gaps of {length:g} s, median error, cm: {words}")
-    return said or ["No gap has an answer."]
+            sentences.append(f"Gaps of {length:g} s, median error, cm: {words}")
+    return sentences or ["No gap has an answer."]
 
 
 def _longest_within(spreads: Spreads, method: str, limit_m: float) -> float | None:
@@ -88,7 +97,7 @@ def _longest_within(spreads: Spreads, method: str, limit_m: float) -> float | No
 
 def curves(spreads: Spreads) -> go.Figure:
     """Median of the gaps' rms against their length, quartiles as a band for the graph, as bars else."""
-    drawn = go.Figure()
+    plot = go.Figure()
     names = list(dict.fromkeys(name for methods in spreads.values() for name in methods))
     for place, name in enumerate(reversed(names)):  # the first on top of the others
         known = [
@@ -100,13 +109,13 @@ def curves(spreads: Spreads) -> go.Figure:
             continue
         x = np.array([length for length, _ in known])
         low, median, high = (
-            100 * np.array([getattr(each, field) for _, each in known])
+            100 * np.array([getattr(spread, field) for _, spread in known])
             for field in ("low_m", "median_m", "high_m")
         )
         shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
         trace = go.Scatter(x=x * shift, y=median, name=name, mode="lines+markers", line=line_of(name))
         if name == "graph":
-            drawn.add_trace(_band(x, low, high, name))
+            plot.add_trace(_band(x, low, high, name))
         else:
             trace.update(
                 error_y={
@@ -118,12 +127,12 @@ def curves(spreads: Spreads) -> go.Figure:
                     "width": 2,
                 }
             )
-        drawn.add_trace(trace)
+        plot.add_trace(trace)
     ticks = [f"{length:g}" for length in spreads]
-    drawn.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
-    drawn.update_yaxes(type="log", title_text="error in a gap, rms, cm", dtick="D2")
-    dress(drawn, 620, head=70)
-    return drawn.update_layout(legend={"traceorder": "reversed"})
+    plot.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
+    plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", dtick="D2")
+    dress(plot, 620, head=70)
+    return plot.update_layout(legend={"traceorder": "reversed"})
 
 
 def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Scatter:
@@ -146,12 +155,15 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
         (
             f"{length:g}",
             name,
-            *[_cm(value) for value in (each.median_m, each.low_m, each.high_m, each.rms_m, each.worst_m)],
-            each.gaps,
-            each.failed or None,
+            *[
+                in_cm(value)
+                for value in (spread.median_m, spread.low_m, spread.high_m, spread.rms_m, spread.worst_m)
+            ],
+            spread.gaps,
+            spread.failed or None,
         )
         for length, methods in spreads.items()
-        for name, each in sorted(methods.items(), key=_by_median)
+        for name, spread in sorted(methods.items(), key=_by_median)
     ]
     columns = (
         "gap, s",
@@ -168,13 +180,9 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
     yield listing("Notes", dict.fromkeys(notes), "There is nothing to note.")
 
 
-def _by_median(entry: tuple[str, Spread]) -> float:
+def _by_median(entry: tuple[str, GapSpread]) -> float:
     median = entry[1].median_m
     return float("inf") if median is None else median
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
 
 
 _CURVES = (

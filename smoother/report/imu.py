@@ -27,7 +27,7 @@ def write_imu_report(
     path: str | os.PathLike[str],
     source: str,
     imu: ImuStream,
-    found: ImuCalibration,
+    calibration: ImuCalibration,
     *,
     force: bool = False,
 ) -> None:
@@ -35,44 +35,49 @@ def write_imu_report(
 
     Parameters
     ----------
-    path : the page to write.
-    source : the recording's name.
-    imu : the raw stream.
-    found : its calibration.
-    force : overwrite a page that exists.
+    path : path-like
+        The page to write.
+    source : str
+        The recording's name.
+    imu : ImuStream
+        The raw stream.
+    calibration : ImuCalibration
+        Its calibration.
+    force : bool
+        Overwrite a page that exists.
     """
     write_sheet(
         path,
         f"Accelerometer and gyroscope of {imu.name}",
         f"From {source}: {imu.rate_hz:.0f} Hz, {imu.t_s[-1] - imu.t_s[0]:.0f} s.",
-        imu_verdict(found),
-        _sections(imu, found),
+        imu_verdict(calibration),
+        _sections(imu, calibration),
         force=force,
     )
 
 
-def _sections(imu: ImuStream, found: ImuCalibration) -> Iterator[str]:
-    yield listing("For the next recording", imu_next(found))
+def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
+    yield listing("For the next recording", imu_next(calibration))
     yield figure(
         "Where the sensor lay still",
         "The three axes of the accelerometer as recorded; rests are shaded. A rest that is not shaded was not"
         " still enough: a table that shakes, a hand that holds the sensor.",
-        rests(imu, found),
+        rests(imu, calibration),
     )
-    acc = found.accelerometer
+    acc = calibration.accelerometer
     if acc is not None:
         yield figure(
             "Which directions were covered",
             "Dots: direction of up in the sensor's axes, a rest each. The sphere's colour is the standard"
             " deviation"
             " of corrected gravity with that side up: dark is well known, bright is where a rest is missing.",
-            coverage(found),
+            coverage(calibration),
         )
         yield figure(
             "How far each rest misses gravity",
             "Before the correction and after it. After it, what is left is noise and the table; a rest that"
             " stands out was not still.",
-            residuals(found),
+            residuals(calibration),
         )
         rows = [
             (f"offset {axis}, m/s²", f"{value:+.4f} ± {sigma:.4f}")
@@ -90,41 +95,38 @@ def _sections(imu: ImuStream, found: ImuCalibration) -> Iterator[str]:
         yield tabulated(
             "The accelerometer's nine numbers",
             "corrected = matrix (raw - offset); the matrix is symmetric, scales on its diagonal. ±: one"
-            " standard"
-            " deviation.",
+            " standard deviation.",
             ("number", "value"),
             rows,
         )
-    if found.gyroscope_noise is not None and found.accelerometer_noise is not None:
+    if calibration.gyroscope_noise is not None and calibration.accelerometer_noise is not None:
         yield tabulated(
             "Noise",
-            f"From the longest rest ({found.gyroscope_noise.duration_s:.0f} s). A dash: the rest was too"
-            " short to"
-            " show it. Random walk: how far the bias wanders in a second, growing with the root of time.",
+            f"From the longest rest ({calibration.gyroscope_noise.duration_s:.0f} s). A dash: the rest was"
+            " too short to show it. Random walk: how far the bias wanders in a second, growing with the root"
+            " of time.",
             ("figure", "x", "y", "z"),
-            noise_rows(found),
+            noise_rows(calibration),
         )
         for name, noise, unit in (
-            ("accelerometer", found.accelerometer_noise, "m/s²"),
-            ("gyroscope", found.gyroscope_noise, "rad/s"),
+            ("accelerometer", calibration.accelerometer_noise, "m/s²"),
+            ("gyroscope", calibration.gyroscope_noise, "rad/s"),
         ):
             yield figure(
                 f"Allan deviation of the {name}",
-                "How much means over a time differ from one to the next. The falling part with slope -1/2"
-                " is white"
-                " noise, its flat bottom the bias instability, the rise after it the random walk. Dashed:"
-                " white"
-                " noise as found.",
+                "How much means over a time differ from one to the next. The falling part with slope -1/2 is"
+                " white noise, its flat bottom the bias instability, the rise after it the random walk."
+                " Dashed: white noise as found.",
                 allan(noise, unit),
             )
 
 
-def rests(imu: ImuStream, found: ImuCalibration) -> go.Figure:
+def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     """Accelerometer over time, rests shaded."""
-    drawn = go.Figure()
+    plot = go.Figure()
     step = max(len(imu) // MOST_POINTS, 1)
     for column, (axis, colour) in enumerate(AXIS_COLOURS.items()):
-        drawn.add_trace(
+        plot.add_trace(
             go.Scatter(
                 x=imu.t_s[::step].astype(np.float32),
                 y=imu.acc[::step, column].astype(np.float32),
@@ -136,56 +138,56 @@ def rests(imu: ImuStream, found: ImuCalibration) -> go.Figure:
     plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
     shapes = [
         {**plain, "fillcolor": SHADE, "line": {"width": 0}, "x0": imu.t_s[a], "x1": imu.t_s[b - 1]}
-        for a, b in found.rests.spans.tolist()
+        for a, b in calibration.rests.spans.tolist()
     ]
-    return dress(drawn, 340, shapes=shapes, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
+    return dress(plot, 340, shapes=shapes, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 
 
-def coverage(found: ImuCalibration) -> go.Figure:
+def coverage(calibration: ImuCalibration) -> go.Figure:
     """Rests on the sphere, coloured by how well each direction is known."""
-    acc = found.accelerometer
+    acc = calibration.accelerometer
     assert acc is not None
     directions = sphere_points(900)
-    drawn = go.Figure(
+    plot = go.Figure(
         _dots(
             0.97 * directions,
             "",
             size=6,
-            color=1e3 * acc.sigma_towards(directions, found.gravity),
+            color=1e3 * acc.sigma_towards(directions, calibration.gravity),
             colorscale="Cividis",
             showscale=True,
             colorbar={"title": {"text": "mm/s²"}},
         )
     )
-    drawn.data[0].showlegend = False
-    up = acc.apply(found.rests.acc)
-    drawn.add_trace(_dots(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
-    return sphere(drawn)
+    plot.data[0].showlegend = False
+    up = acc.apply(calibration.rests.acc)
+    plot.add_trace(_dots(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
+    return sphere(plot)
 
 
-def residuals(found: ImuCalibration) -> go.Figure:
+def residuals(calibration: ImuCalibration) -> go.Figure:
     """Length of each rest less gravity, before and after."""
-    acc = found.accelerometer
+    acc = calibration.accelerometer
     assert acc is not None
-    number = np.arange(1, len(found.rests) + 1)
-    before = np.linalg.norm(found.rests.acc, axis=1) - found.gravity
-    drawn = go.Figure()
-    drawn.add_trace(go.Bar(x=number, y=before, name="as recorded", marker={"color": "#bbbbbb"}))
-    drawn.add_trace(go.Bar(x=number, y=acc.residual, name="corrected", marker={"color": VISIBLE}))
-    return dress(drawn, 320, xaxis={"title": "rest"}, yaxis={"title": "|force| - gravity, m/s²"})
+    number = np.arange(1, len(calibration.rests) + 1)
+    before = np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity
+    plot = go.Figure()
+    plot.add_trace(go.Bar(x=number, y=before, name="as recorded", marker={"color": "#bbbbbb"}))
+    plot.add_trace(go.Bar(x=number, y=acc.residual, name="corrected", marker={"color": VISIBLE}))
+    return dress(plot, 320, xaxis={"title": "rest"}, yaxis={"title": "|force| - gravity, m/s²"})
 
 
 def allan(noise: SensorNoise, unit: str) -> go.Figure:
     """Allan deviation over averaging time, both logarithmic."""
-    drawn = go.Figure()
+    plot = go.Figure()
     for column, (axis, colour) in enumerate(AXIS_COLOURS.items()):
-        drawn.add_trace(
+        plot.add_trace(
             go.Scatter(
                 x=noise.tau_s, y=noise.deviation[:, column], name=axis, mode="lines", line={"color": colour}
             )
         )
     white = float(np.sqrt(np.mean(noise.density**2))) / np.sqrt(noise.tau_s)
-    drawn.add_trace(
+    plot.add_trace(
         go.Scatter(
             x=noise.tau_s,
             y=white,
@@ -195,7 +197,7 @@ def allan(noise: SensorNoise, unit: str) -> go.Figure:
         )
     )
     return dress(
-        drawn,
+        plot,
         380,
         xaxis={"title": "averaging time, s", "type": "log"},
         yaxis={"title": f"Allan deviation, {unit}", "type": "log", "exponentformat": "power"},
@@ -207,7 +209,7 @@ def _dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
 
 
-def sphere(drawn: go.Figure) -> go.Figure:
+def sphere(plot: go.Figure) -> go.Figure:
     """A figure of directions in the sensor's axes."""
     axes = {f"{axis}axis": {"title": {"text": axis}, "range": [-1.25, 1.25]} for axis in "xyz"}
-    return dress(drawn, 560, scene={"aspectmode": "cube", **axes})
+    return dress(plot, 560, scene={"aspectmode": "cube", **axes})

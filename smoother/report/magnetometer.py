@@ -25,7 +25,7 @@ def write_magnetometer_report(
     path: str | os.PathLike[str],
     source: str,
     imu: ImuStream,
-    found: MagnetometerCalibration,
+    calibration: MagnetometerCalibration,
     *,
     force: bool = False,
 ) -> None:
@@ -34,43 +34,40 @@ def write_magnetometer_report(
         path,
         f"Magnetometer of {imu.name}",
         f"From {source}: {imu.rate_hz:.0f} Hz, {imu.t_s[-1] - imu.t_s[0]:.0f} s.",
-        magnetometer_verdict(found),
-        _sections(imu, found),
+        magnetometer_verdict(calibration),
+        _sections(imu, calibration),
         force=force,
     )
 
 
-def _sections(imu: ImuStream, found: MagnetometerCalibration) -> Iterator[str]:
+def _sections(imu: ImuStream, calibration: MagnetometerCalibration) -> Iterator[str]:
     assert imu.mag is not None
     good = np.isfinite(imu.mag).all(axis=1)
     raw, t = imu.mag[good], imu.t_s[good]
     step = max(len(raw) // MOST_POINTS, 1)
     raw, t = raw[::step], t[::step]
-    corrected = found.apply(raw)
-    yield listing("For the next recording", magnetometer_next(found))
+    corrected = calibration.apply(raw)
+    yield listing("For the next recording", magnetometer_next(calibration))
     yield figure(
         "The sphere, and what was covered of it",
         "Corrected samples, coloured by how far they lie off the unit sphere: they should cover it evenly."
-        " Grey"
-        " dots mark the part that no sample came near. Drag to turn.",
+        " Grey dots mark the part that no sample came near. Drag to turn.",
         coverage(corrected),
     )
     yield figure(
         "As recorded",
         "Samples as recorded, and the middle of the ellipsoid that they lie on (cross): its distance from"
-        " zero is"
-        " hard iron, its flattening soft iron.",
-        recorded(raw, found),
+        " zero is hard iron, its flattening soft iron.",
+        recorded(raw, calibration),
     )
     yield figure(
         "How far the samples lie off the sphere",
         "Length of the corrected field over time; 1 is undisturbed. Slow waves: the field is not the same"
-        " all over"
-        " the place. A single bump: something of iron came near.",
+        " all over the place. A single bump: something of iron came near.",
         residuals(t, np.linalg.norm(corrected, axis=1)),
     )
-    rows = [(f"offset {axis}", f"{value:.4g}") for axis, value in zip("xyz", found.offset, strict=True)]
-    rows += [("radii", ", ".join(f"{value:.4g}" for value in found.radii))]
+    rows = [(f"offset {axis}", f"{value:.4g}") for axis, value in zip("xyz", calibration.offset, strict=True)]
+    rows += [("radii", ", ".join(f"{value:.4g}" for value in calibration.radii))]
     yield tabulated("The ellipsoid", "In the sensor's own unit.", ("number", "value"), rows)
 
 
@@ -82,8 +79,8 @@ def coverage(corrected: FloatArray) -> go.Figure:
     grid = sphere_points(1500)
     apart, _ = cKDTree(corrected / length[:, None]).query(grid)
     empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
-    drawn = go.Figure()
-    drawn.add_trace(
+    plot = go.Figure()
+    plot.add_trace(
         _dots(
             corrected,
             "samples",
@@ -95,21 +92,21 @@ def coverage(corrected: FloatArray) -> go.Figure:
         )
     )
     if len(empty):
-        drawn.add_trace(_dots(empty, "not covered", size=3, color="#9a9a9a"))
-    return sphere(drawn)
+        plot.add_trace(_dots(empty, "not covered", size=3, color="#9a9a9a"))
+    return sphere(plot)
 
 
-def recorded(raw: FloatArray, found: MagnetometerCalibration) -> go.Figure:
+def recorded(raw: FloatArray, calibration: MagnetometerCalibration) -> go.Figure:
     """Raw samples and the ellipsoid's middle."""
-    drawn = go.Figure(_dots(raw, "as recorded", size=2, color=VISIBLE))
-    drawn.add_trace(_dots(found.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
-    drawn.add_trace(_dots(np.zeros((1, 3)), "zero", size=5, color="#111111"))
-    return dress(drawn, 520, scene={"aspectmode": "data"})
+    plot = go.Figure(_dots(raw, "as recorded", size=2, color=VISIBLE))
+    plot.add_trace(_dots(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
+    plot.add_trace(_dots(np.zeros((1, 3)), "zero", size=5, color="#111111"))
+    return dress(plot, 520, scene={"aspectmode": "data"})
 
 
 def residuals(t: FloatArray, length: FloatArray) -> go.Figure:
     """Length of the corrected field over time."""
-    drawn = go.Figure(
+    plot = go.Figure(
         go.Scatter(
             x=t.astype(np.float32),
             y=length.astype(np.float32),
@@ -117,7 +114,7 @@ def residuals(t: FloatArray, length: FloatArray) -> go.Figure:
             marker={"size": 3, "color": VISIBLE},
         )
     )
-    return dress(drawn, 300, xaxis={"title": "s"}, yaxis={"title": "length"})
+    return dress(plot, 300, xaxis={"title": "s"}, yaxis={"title": "length"})
 
 
 def _dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:

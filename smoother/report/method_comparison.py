@@ -13,7 +13,7 @@ from ..evaluation.compare import Comparison, MethodResult
 from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording
 from .method_styles import line_of
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import figure, in_cm, listing, tabulated, write_sheet
 from .style import CAMERA, SHADE, TRUTH, axis_names, dress
 
 #: Gaps drawn at most: half of them the longest, half those in which the best method is worst.
@@ -23,7 +23,7 @@ AROUND_S = 0.6
 
 
 def write_comparison(
-    found: Comparison, recording: Recording, path: str | os.PathLike[str], *, force: bool = False
+    comparison: Comparison, recording: Recording, path: str | os.PathLike[str], *, force: bool = False
 ) -> None:
     """Write a comparison as one HTML page that needs nothing else, the network included.
 
@@ -34,178 +34,182 @@ def write_comparison(
     """
     write_sheet(
         path,
-        found.title(f"Methods compared: {recording.name}"),
-        f"{len(found.rows)} methods, {len(found.gaps)} gaps, the {_point(found)} held against the truth.",
-        verdict(found),
-        _sections(found, recording),
+        comparison.title(f"Methods compared: {recording.name}"),
+        f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} held against"
+        " the truth.",
+        verdict(comparison),
+        _sections(comparison, recording),
         force=force,
     )
 
 
-def verdict(found: Comparison) -> list[str]:
+def verdict(comparison: Comparison) -> list[str]:
     """What the comparison says, in sentences."""
     errors = {
         row.method: figures.position_rms_m
-        for row in found.rows
-        if (figures := found.figures(row, found.part)) is not None and figures.position_rms_m is not None
+        for row in comparison.rows
+        if (figures := comparison.figures(row, comparison.part)) is not None
+        and figures.position_rms_m is not None
     }
     if not errors:
         return ["No method has an answer that the truth could be held against."]
     ranked = [f"{name} {100 * error:.1f}" for name, error in errors.items()]
-    said = [f"Error of the {_point(found)} {found.where}, rms, cm: {', '.join(ranked)}."]
+    sentences = [f"Error of the {_point(comparison)} {comparison.where}, rms, cm: {', '.join(ranked)}."]
     best = next(iter(errors))
     if "graph" in errors and len(errors) > 1:
         others = {name: error for name, error in errors.items() if name != "graph"}
         nearest = min(others, key=lambda name: others[name])
         ratio = others[nearest] / errors["graph"]
         if best == "graph" and ratio > 1.05:
-            said.append(
+            sentences.append(
                 f"The graph is the nearest to the truth; the next, {nearest}, errs {ratio:.2f} times that."
             )
         elif ratio >= 1 / 1.05:
-            said.append(f"graph and {nearest} are equally near to the truth ({100 * (ratio - 1):+.0f} %).")
+            sentences.append(
+                f"graph and {nearest} are equally near to the truth ({100 * (ratio - 1):+.0f} %)."
+            )
         else:
-            said.append(
+            sentences.append(
                 f"{nearest} is nearer to the truth than the graph here: it errs {ratio:.2f} times as much."
                 " Every method is told what the graph found of calibration and clock."
             )
-    said.append(found.camera_words + ".")
-    return said
+    sentences.append(comparison.camera_words + ".")
+    return sentences
 
 
-def _sections(found: Comparison, recording: Recording) -> Iterator[str]:
+def _sections(comparison: Comparison, recording: Recording) -> Iterator[str]:
     columns = (
         *("method", "rms, cm", "95 %, cm", "max, cm", "rms, degrees"),
         *("NEES", "inside 95 %", "seen: rms, cm", "seen: degrees"),
     )
     yield tabulated(
-        found.title(f"Errors {found.where}, the best method first"),
+        comparison.title(f"Errors {comparison.where}, the best method first"),
         _ERRORS,
         columns,
-        [_row(found, r) for r in found.rows],
+        [_row(comparison, r) for r in comparison.rows],
     )
-    yield from _joints(found)
+    yield from _joints(comparison)
     yield tabulated(
-        found.title("Lag left behind the truth, ms"),
+        comparison.title("Lag left behind the truth, ms"),
         _LAG,
         ("method", "all samples", "in gaps"),
-        [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in found.rows],
+        [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in comparison.rows],
     )
-    for gap in chosen_gaps(found):
+    for gap in chosen_gaps(comparison):
         yield figure(
             f"Gap at {gap.start_s:.2f} s, {gap.length_s:.2f} s long",
             _CURVES,
-            in_gap(found, recording, gap),
+            in_gap(comparison, recording, gap),
         )
-    left = len(found.gaps) - min(len(found.gaps), MOST_GAPS)
+    not_drawn = len(comparison.gaps) - min(len(comparison.gaps), MOST_GAPS)
     more = (
-        [f"{left} gaps more are not drawn: the longest are, and those with the largest errors"]
-        if left
+        [f"{not_drawn} gaps more are not drawn: the longest are, and those with the largest errors"]
+        if not_drawn
         else []
     )
-    yield listing("Notes", [*more, *recording.notes, *found.notes], "There is nothing to note.")
+    yield listing("Notes", [*more, *recording.notes, *comparison.notes], "There is nothing to note.")
 
 
-def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, seen = found.figures(row, found.part), found.figures(row, "visible")
-    if hidden is None or seen is None:
+def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
+    hidden, visible = comparison.figures(row, comparison.part), comparison.figures(row, "visible")
+    if hidden is None or visible is None:
         return (row.method, *[None] * 8)
     return (
         row.method,
-        *[_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
+        *[in_cm(each) for each in (hidden.position_rms_m, hidden.position_p95_m, hidden.position_max_m)],
         *[_two(each) for each in (hidden.orientation_rms_deg, hidden.nees, hidden.coverage_95)],
-        _cm(seen.position_rms_m),
-        _two(seen.orientation_rms_deg),
+        in_cm(visible.position_rms_m),
+        _two(visible.orientation_rms_deg),
     )
 
 
-def _joints(found: Comparison) -> Iterator[str]:
-    points = [row.validation.points for row in found.rows if row.validation is not None]
+def _joints(comparison: Comparison) -> Iterator[str]:
+    points = [row.validation.points for row in comparison.rows if row.validation is not None]
     joints = list(dict.fromkeys(joint for each in points for joint in each))
     if not joints:
         return
     rows = []
-    for row in found.rows:
+    for row in comparison.rows:
         each = {} if row.validation is None else row.validation.points
-        cells = [each.get(joint, {}).get(found.part) for joint in joints]
-        rows.append((row.method, *[None if cell is None else _cm(cell.position_rms_m) for cell in cells]))
-    yield tabulated(found.title(f"Joints {found.where}, rms, cm"), _JOINTS, ("method", *joints), rows)
+        cells = [each.get(joint, {}).get(comparison.part) for joint in joints]
+        rows.append((row.method, *[None if cell is None else in_cm(cell.position_rms_m) for cell in cells]))
+    yield tabulated(
+        comparison.title(f"Joints {comparison.where}, rms, cm"), _JOINTS, ("method", *joints), rows
+    )
 
 
-def chosen_gaps(found: Comparison) -> list[Gap]:
+def chosen_gaps(comparison: Comparison) -> list[Gap]:
     """The gaps to draw, in order of time."""
-    if len(found.gaps) <= MOST_GAPS:
-        return list(found.gaps)
-    longest = sorted(found.gaps, key=lambda gap: -gap.length_s)[: MOST_GAPS // 2]
-    worst = sorted((gap for gap in found.gaps if gap not in longest), key=lambda gap: -_error_in(found, gap))
+    if len(comparison.gaps) <= MOST_GAPS:
+        return list(comparison.gaps)
+    longest = sorted(comparison.gaps, key=lambda gap: -gap.length_s)[: MOST_GAPS // 2]
+    worst = sorted(
+        (gap for gap in comparison.gaps if gap not in longest), key=lambda gap: -_error_in(comparison, gap)
+    )
     return sorted([*longest, *worst[: MOST_GAPS - len(longest)]], key=lambda gap: gap.start_s)
 
 
-def _error_in(found: Comparison, gap: Gap) -> float:
-    path = found.rows[0].path
-    inside = (found.t_s >= gap.start_s) & (found.t_s <= gap.end_s)
+def _error_in(comparison: Comparison, gap: Gap) -> float:
+    path = comparison.rows[0].path
+    inside = (comparison.t_s >= gap.start_s) & (comparison.t_s <= gap.end_s)
     if path is None:
         return 0.0
-    off = np.linalg.norm(path[inside] - found.reference[inside], axis=1)
+    off = np.linalg.norm(path[inside] - comparison.reference[inside], axis=1)
     return float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
 
 
-def in_gap(found: Comparison, recording: Recording, gap: Gap) -> go.Figure:
+def in_gap(comparison: Comparison, recording: Recording, gap: Gap) -> go.Figure:
     """Coordinates of the compared point and every method's error, in one gap and a little around it."""
-    shown = (found.t_s >= gap.start_s - AROUND_S) & (found.t_s <= gap.end_s + AROUND_S)
-    t, true = found.t_s[shown], found.reference[shown]
-    drawn = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.035)
-    _camera(drawn, found, recording, t)
-    for row in reversed(found.rows):  # the best on top of the others
+    shown = (comparison.t_s >= gap.start_s - AROUND_S) & (comparison.t_s <= gap.end_s + AROUND_S)
+    t, true = comparison.t_s[shown], comparison.reference[shown]
+    plot = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.035)
+    _camera(plot, comparison, recording, t)
+    for row in reversed(comparison.rows):  # the best on top of the others
         if row.path is None:
             continue
         path = row.path[shown]
         for axis, values in enumerate([*path.T, 100 * np.linalg.norm(path - true, axis=1)]):
-            _line(drawn, axis, t, values, row.method, line_of(row.method))
+            _line(plot, axis, t, values, row.method, line_of(row.method))
     for axis, values in enumerate(true.T):
-        _line(drawn, axis, t, values, "truth", {"color": TRUTH, "width": 1.6, "dash": "dash"})
+        _line(plot, axis, t, values, "truth", {"color": TRUTH, "width": 1.6, "dash": "dash"})
     for axis, name in enumerate(axis_names(recording.camera_frame)):
-        drawn.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
-    drawn.update_yaxes(title_text="error, cm", rangemode="tozero", row=4, col=1)
-    drawn.update_xaxes(title_text="time, s", row=4, col=1)
-    drawn.add_vrect(gap.start_s, gap.end_s, fillcolor=SHADE, line_width=0, layer="below", row="all", col=1)
-    dress(drawn, 820, head=90)
-    return drawn.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
+        plot.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
+    plot.update_yaxes(title_text="error, cm", rangemode="tozero", row=4, col=1)
+    plot.update_xaxes(title_text="time, s", row=4, col=1)
+    plot.add_vrect(gap.start_s, gap.end_s, fillcolor=SHADE, line_width=0, layer="below", row="all", col=1)
+    dress(plot, 820, head=90)
+    return plot.update_layout(legend={"traceorder": "reversed"}, modebar={"orientation": "v"})
 
 
 def _line(
-    drawn: go.Figure, axis: int, t: FloatArray, values: FloatArray, name: str, line: dict[str, object]
+    plot: go.Figure, axis: int, t: FloatArray, values: FloatArray, name: str, line: dict[str, object]
 ) -> None:
     trace = go.Scatter(
         x=t.astype(np.float32), y=values.astype(np.float32), name=name, mode="lines", line=line
     )
     trace.update(legendgroup=name, showlegend=axis == 0)
-    drawn.add_trace(trace, row=axis + 1, col=1)
+    plot.add_trace(trace, row=axis + 1, col=1)
 
 
-def _camera(drawn: go.Figure, found: Comparison, recording: Recording, t: FloatArray) -> None:
+def _camera(plot: go.Figure, comparison: Comparison, recording: Recording, t: FloatArray) -> None:
     """What the camera tracked of the compared point, on the IMU's clock."""
-    joint = "strap" if found.point == "sensor" else found.point
-    offset = found.clock_offset_s if np.isfinite(found.clock_offset_s) else 0.0
+    joint = "strap" if comparison.point == "sensor" else comparison.point
+    offset = comparison.clock_offset_s if np.isfinite(comparison.clock_offset_s) else 0.0
     at = recording.arm.t_s + offset
-    kept = recording.arm.tracked(joint) & (at >= t[0]) & (at <= t[-1]) if len(t) else np.zeros(0, bool)
-    if not kept.any():
+    tracked = recording.arm.tracked(joint) & (at >= t[0]) & (at <= t[-1]) if len(t) else np.zeros(0, bool)
+    if not tracked.any():
         return
     for axis in range(3):
         dots = {"color": CAMERA, "size": 4}
         trace = go.Scatter(
-            x=at[kept], y=recording.arm.joint(joint)[kept, axis], name="camera", mode="markers"
+            x=at[tracked], y=recording.arm.joint(joint)[tracked, axis], name="camera", mode="markers"
         )
         trace.update(marker=dots, legendgroup="camera", showlegend=axis == 0)
-        drawn.add_trace(trace, row=axis + 1, col=1)
+        plot.add_trace(trace, row=axis + 1, col=1)
 
 
-def _point(found: Comparison) -> str:
-    return "forearm sensor" if found.point == "sensor" else found.point
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
+def _point(comparison: Comparison) -> str:
+    return "forearm sensor" if comparison.point == "sensor" else comparison.point
 
 
 def _two(value: float | None) -> str | None:

@@ -22,14 +22,14 @@ SIGMAS = 2.0
 _CHAIN = ("elbow", "wrist", "hand")
 
 
-def mount(found: ArmEstimates | None) -> go.Figure | None:
+def mount(estimates: ArmEstimates | None) -> go.Figure | None:
     """The forearm from the side and from above, with the sensor and its axes; None without a lever arm."""
-    if found is None or not found.calibration.lever_arms:
+    if estimates is None or not estimates.calibration.lever_arms:
         return None
-    levers = found.calibration.lever_arms
-    along, away = directions(found)
+    levers = estimates.calibration.lever_arms
+    along, away = directions(estimates)
     names = ("from the side", "from above, the sensor towards you")
-    if found.frame is None:
+    if estimates.frame is None:
         names = ("seen from one side", "seen from another")
     views = tuple(zip(names, (away, np.cross(away, along)), strict=True))
     figure = make_subplots(
@@ -41,11 +41,11 @@ def mount(found: ArmEstimates | None) -> go.Figure | None:
     )
     for row, (_, up) in enumerate(views, start=1):
         onto = np.stack([along, up])
-        for trace in _traces(found, onto):
+        for trace in _traces(estimates, onto):
             trace.update(showlegend=False)
             figure.add_trace(trace, row=row, col=1)
         _arrows(figure, onto, row)
-        _lengths(figure, found, onto, row)
+        _lengths(figure, estimates, onto, row)
     places = 100 * np.array([np.zeros(3), *[lever.position_m for lever in levers.values()]])
     reach = places @ along
     sides = np.concatenate([places @ up for _, up in views])
@@ -65,17 +65,17 @@ def mount(found: ArmEstimates | None) -> go.Figure | None:
             row=row,
             col=1,
         )
-    axis = "along the forearm, cm (0 = the sensor)" if found.frame is not None else "cm (0 = the sensor)"
+    axis = "along the forearm, cm (0 = the sensor)" if estimates.frame is not None else "cm (0 = the sensor)"
     figure.update_xaxes(title_text=axis, row=2, col=1)
     height = 190 + 2 * 960 * 2 * half / (high - low)
     return dress(figure, int(np.clip(height, 420, 900)), head=40)
 
 
-def directions(found: ArmEstimates) -> tuple[FloatArray, FloatArray]:
+def directions(estimates: ArmEstimates) -> tuple[FloatArray, FloatArray]:
     """Unit vectors in {A}: along the forearm, and from it to the sensor (or any across it)."""
-    levers = found.calibration.lever_arms
-    if found.frame is not None:
-        along = found.frame.direction
+    levers = estimates.calibration.lever_arms
+    if estimates.frame is not None:
+        along = estimates.frame.direction
         away = -(levers["elbow"].position_m - along * (levers["elbow"].position_m @ along))
     else:
         farthest = max((lever.position_m for lever in levers.values()), key=np.linalg.norm)
@@ -97,8 +97,8 @@ def ellipse(lever: LeverArm, onto: FloatArray, sigmas: float = SIGMAS) -> FloatA
     return 100 * (onto @ lever.position_m + sigmas * (circle * np.sqrt(np.maximum(values, 0))) @ axes.T)
 
 
-def _traces(found: ArmEstimates, onto: FloatArray) -> list[go.Scatter]:
-    levers = found.calibration.lever_arms
+def _traces(estimates: ArmEstimates, onto: FloatArray) -> list[go.Scatter]:
+    levers = estimates.calibration.lever_arms
     chain = [joint for joint in _CHAIN if joint in levers]
     bones = 100 * np.array([onto @ levers[joint].position_m for joint in chain]).reshape(-1, 2)
     line = {"color": "#9a8f86", "width": 9}
@@ -185,9 +185,9 @@ def _beyond(tip: FloatArray) -> str:
     return "top center" if tip[1] > 0 else "bottom center"
 
 
-def _lengths(figure: go.Figure, found: ArmEstimates, onto: FloatArray, row: int) -> None:
+def _lengths(figure: go.Figure, estimates: ArmEstimates, onto: FloatArray, row: int) -> None:
     """Lengths beside what they measure; the sensor's distance only where it is seen."""
-    levers, frame = found.calibration.lever_arms, found.frame
+    levers, frame = estimates.calibration.lever_arms, estimates.frame
     if frame is None:
         return
     elbow, wrist = (100 * onto @ levers[joint].position_m for joint in ("elbow", "wrist"))
@@ -210,8 +210,8 @@ def _lengths(figure: go.Figure, found: ArmEstimates, onto: FloatArray, row: int)
         )
         distance = f"{_cm(frame.distance_m, frame.distance_sigma_m)} from the forearm's axis"
         _label(figure, 0.55 * end, distance, row, 0, "right")
-        if found.calibration.upper_arm is not None:
-            length, sigma = found.calibration.upper_arm.value_m, found.calibration.upper_arm.sigma_m
+        if estimates.calibration.upper_arm is not None:
+            length, sigma = estimates.calibration.upper_arm.value_m, estimates.calibration.upper_arm.sigma_m
             _label(figure, elbow, f"upper arm {_cm(length, sigma)}", row, 34)
 
 

@@ -32,7 +32,7 @@ _GROUPS = (
 
 def write_panel_report(
     path: str | os.PathLike[str],
-    found: PanelCalibration,
+    calibration: PanelCalibration,
     views: Sequence[View],
     *,
     force: bool = False,
@@ -41,55 +41,59 @@ def write_panel_report(
 
     Parameters
     ----------
-    path : the page to write.
-    found : the calibration.
-    views : the images that it was made of, in the same order.
-    force : overwrite a page that exists.
+    path : path-like
+        The page to write.
+    calibration : PanelCalibration
+        The calibration.
+    views : sequence of View
+        The images that it was made of, in the same order.
+    force : bool
+        Overwrite a page that exists.
     """
-    said = verdict(found)
+    judgement, poses = verdict(calibration), len(calibration.seen)
     write_sheet(
         path,
         "Camera from motion capture, by the marker panel",
-        f"{len(found.seen)} pose{'s' if len(found.seen) > 1 else ''} of the panel. Axes are the camera's:"
-        " x right, y down, z away.",
-        [said.sentence],
-        _sections(found, views),
+        f"{poses} pose{'s' if poses > 1 else ''} of the panel. Axes are the camera's: x right, y down, z"
+        " away.",
+        [judgement.sentence],
+        _sections(calibration, views),
         force=force,
     )
 
 
-def _sections(found: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
-    said = verdict(found)
-    yield listing("What to record next", said.next)
-    yield _answer(found)
-    yield listing("What else was found", said.findings)
+def _sections(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
+    judgement = verdict(calibration)
+    yield listing("What to record next", judgement.next)
+    yield _answer(calibration)
+    yield listing("What else was found", judgement.findings)
     yield figure(
         "The panel in space",
         "Depth points that took part, in the colour of their group, the fitted plane of every pose, the"
         " markers as the camera has them (dots) and as motion capture has them, put there by the answer"
         " (crosses). Drag to turn, scroll to come closer; click in the legend to hide.",
-        in_space(found),
+        in_space(calibration),
     )
     yield figure(
         "Where the markers miss",
         "Distance of every motion capture marker, put into the camera frame by the answer, from where its ray"
         " meets the panel's plane. Bars of one pose that stand out: panel or images moved between the two"
         " systems. One marker that stands out in every pose: its centre is not where the panel's plane is.",
-        misses(found),
+        misses(calibration),
     )
-    yield _poses(found)
-    yield from _pictures(found, views)
+    yield _poses(calibration)
+    yield from _pictures(calibration, views)
 
 
-def _answer(found: PanelCalibration) -> str:
-    sigma, ours = accuracy(found), transform_values(found.solution.camera_from_mocap)
+def _answer(calibration: PanelCalibration) -> str:
+    sigma, ours = accuracy(calibration), transform_values(calibration.solution.camera_from_mocap)
     rows = [
         ("rotation qw, qx, qy, qz", _numbers(ours["rotation"], 6), _numbers(sigma.rotation_deg, 3) + " deg"),
         ("translation, m", _numbers(ours["translation"], 5), _numbers(1e3 * sigma.translation_m, 2) + " mm"),
         ("sigma at the panel", "", _numbers(1e3 * sigma.at_panel_m, 2) + " mm"),
     ]
-    if found.published is not None:
-        theirs = transform_values(found.published)
+    if calibration.published is not None:
+        theirs = transform_values(calibration.published)
         rows += [
             ("published: rotation", _numbers(theirs["rotation"], 6), ""),
             ("published: translation, m", _numbers(theirs["translation"], 5), ""),
@@ -104,7 +108,7 @@ def _answer(found: PanelCalibration) -> str:
     )
 
 
-def _poses(found: PanelCalibration) -> str:
+def _poses(calibration: PanelCalibration) -> str:
     columns = ("pose", "markers", "distance, m", "tilt, deg", "pixels rms", "markers, mm", "plane, mm")
     rows = [
         (
@@ -118,7 +122,7 @@ def _poses(found: PanelCalibration) -> str:
             f"{1e3 * row['depth_noise_m']:.1f}",
             row["depth_pixels"],
         )
-        for row in pose_rows(found)
+        for row in pose_rows(calibration)
     ]
     return tabulated(
         "Poses",
@@ -130,35 +134,35 @@ def _poses(found: PanelCalibration) -> str:
     )
 
 
-def _pictures(found: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
-    worst = np.argsort(-np.sqrt(np.mean(found.solution.marker_residuals_m**2, axis=1)), kind="stable")
+def _pictures(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[str]:
+    worst = np.argsort(-np.sqrt(np.mean(calibration.solution.marker_residuals_m**2, axis=1)), kind="stable")
     shown = sorted(worst[:MOST_PICTURES].tolist())
     for number in shown:
-        seen, view = found.seen[number], views[number]
-        others = len(seen.blobs) - 4
+        panel, view = calibration.seen[number], views[number]
+        others = len(panel.blobs) - 4
         left_out = f" {others} other bright spots were left out (orange)." if others else ""
         yield picture(
-            f"{found.names[number]}: infrared",
+            f"{calibration.names[number]}: infrared",
             f"Rings: the markers that were found, numbered as in the panel's definition.{left_out}",
-            drawn_spots(view.infrared, seen.blobs, seen.spots),
+            drawn_spots(view.infrared, panel.blobs, panel.spots),
         )
-        regions = seen.regions
+        regions = panel.regions
         yield picture(
-            f"{found.names[number]}: depth",
+            f"{calibration.names[number]}: depth",
             "Pixels that took part: blue for the plane, orange along x, green along y; red ones lie off the"
             " plane and were left out, black ones have no depth.",
-            drawn_depth(view.depth_m, regions.pixels, regions.along_x, regions.along_y, seen.plane.inliers),
+            drawn_depth(view.depth_m, regions.pixels, regions.along_x, regions.along_y, panel.plane.inliers),
         )
 
 
-def in_space(found: PanelCalibration) -> go.Figure:
+def in_space(calibration: PanelCalibration) -> go.Figure:
     """Depth points, planes, markers and axes of all poses, to be turned."""
-    drawn = go.Figure()
-    most = MOST_POINTS // len(found.seen)
-    for number, seen in enumerate(found.seen):
+    plot = go.Figure()
+    most = MOST_POINTS // len(calibration.seen)
+    for number, panel in enumerate(calibration.seen):
         first = number == 0
-        for name, colour, points in _clouds(seen, most):
-            drawn.add_trace(
+        for name, colour, points in _clouds(panel, most):
+            plot.add_trace(
                 go.Scatter3d(
                     x=points[:, 0],
                     y=points[:, 1],
@@ -171,19 +175,19 @@ def in_space(found: PanelCalibration) -> go.Figure:
                     hoverinfo="skip",
                 )
             )
-        drawn.add_trace(_plane(found, seen, first))
-        drawn.add_trace(_dots(seen.points_K, "camera's markers", TRUTH, "circle", first))
-        transform = found.solution.camera_from_mocap
-        at = found.markers_E[number] @ transform.R.T + transform.origin
-        drawn.add_trace(_dots(at, "mocap's markers", OCCLUDED, "x", first))
+        plot.add_trace(_plane(calibration, panel, first))
+        plot.add_trace(_dots(panel.points_K, "camera's markers", TRUTH, "circle", first))
+        transform = calibration.solution.camera_from_mocap
+        at = calibration.markers_E[number] @ transform.R.T + transform.origin
+        plot.add_trace(_dots(at, "mocap's markers", OCCLUDED, "x", first))
         for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
-            ends = np.array([seen.frame.origin, seen.frame.origin + AXIS_M * seen.frame.R[:, axis]])
-            drawn.add_trace(_line(ends, f"panel's {'xyz'[axis]}", colour, first))
+            ends = np.array([panel.frame.origin, panel.frame.origin + AXIS_M * panel.frame.R[:, axis]])
+            plot.add_trace(_line(ends, f"panel's {'xyz'[axis]}", colour, first))
     for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
         ends = np.array([np.zeros(3), AXIS_M * np.eye(3)[axis]])
-        drawn.add_trace(_line(ends, "camera", colour, axis == 0, dash="dot"))
-    dress(drawn, 660, head=80)
-    drawn.update_layout(
+        plot.add_trace(_line(ends, "camera", colour, axis == 0, dash="dot"))
+    dress(plot, 660, head=80)
+    plot.update_layout(
         scene={
             "aspectmode": "data",
             "xaxis_title": "x (right), m",
@@ -194,31 +198,31 @@ def in_space(found: PanelCalibration) -> go.Figure:
         },
         legend={"itemsizing": "constant"},
     )
-    return drawn
+    return plot
 
 
-def misses(found: PanelCalibration) -> go.Figure:
+def misses(calibration: PanelCalibration) -> go.Figure:
     """Residual of every marker, a group of bars a pose."""
-    drawn = go.Figure()
+    plot = go.Figure()
     colours = [VISIBLE, OCCLUDED, JOINT_COLOURS["elbow"], JOINT_COLOURS["shoulder"]]
     for k in range(4):
-        drawn.add_trace(
+        plot.add_trace(
             go.Bar(
-                x=list(found.names),
-                y=1e3 * found.solution.marker_residuals_m[:, k],
+                x=list(calibration.names),
+                y=1e3 * calibration.solution.marker_residuals_m[:, k],
                 name=f"marker {k + 1} of the panel",
                 marker_color=colours[k],
-                customdata=[labels[k] for labels in found.labels],
+                customdata=[labels[k] for labels in calibration.labels],
                 hovertemplate="%{customdata}: %{y:.2f} mm<extra></extra>",
             )
         )
-    dress(drawn, 380, head=70, barmode="group")
-    drawn.update_yaxes(title="distance, mm")
-    return drawn
+    dress(plot, 380, head=70, barmode="group")
+    plot.update_yaxes(title="distance, mm")
+    return plot
 
 
-def _clouds(seen: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]]:
-    regions, inliers = seen.regions, seen.plane.inliers
+def _clouds(panel: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]]:
+    regions, inliers = panel.regions, panel.plane.inliers
     points = np.column_stack([regions.rays, np.ones(len(regions.rays))]) * regions.depth_m[:, None]
     step = max(1, int(inliers.sum()) // most)
     thinned = np.zeros(len(inliers), bool)
@@ -228,11 +232,11 @@ def _clouds(seen: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]]
         yield name, colour, points[thinned & chosen].astype(np.float32)
 
 
-def _plane(found: PanelCalibration, seen: SeenPanel, first: bool) -> go.Mesh3d:
-    (x0, y0), (x1, y1) = found.panel.extent_P
+def _plane(calibration: PanelCalibration, panel: SeenPanel, first: bool) -> go.Mesh3d:
+    (x0, y0), (x1, y1) = calibration.panel.extent_P
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    at = seen.frame.origin + corners @ seen.frame.R[:, :2].T
-    at = at / (at @ seen.plane.theta)[:, None]  # on the fitted plane itself
+    at = panel.frame.origin + corners @ panel.frame.R[:, :2].T
+    at = at / (at @ panel.plane.theta)[:, None]  # on the fitted plane itself
     return go.Mesh3d(
         x=at[:, 0],
         y=at[:, 1],

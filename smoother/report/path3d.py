@@ -25,8 +25,8 @@ def path_in_space(recovery: Recovery, truth: Truth | None, frame: CameraFrame | 
     for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
         figure.add_trace(_line3d(values, name, {**line, "color": colour}))
     if truth is not None and len(truth):
-        drawn = truth.position[decimate(np.zeros(len(truth), bool))]
-        figure.add_trace(_line3d(drawn, "reference", {"width": 3, "color": TRUTH, "dash": "dash"}))
+        positions = truth.position[decimate(np.zeros(len(truth), bool))]
+        figure.add_trace(_line3d(positions, "reference", {"width": 3, "color": TRUTH, "dash": "dash"}))
     for name, occluded, colour in (("arm, seen", False, VISIBLE), ("arm, recovered", True, OCCLUDED)):
         chain = arm_lines(recovery, instants(recovery, occluded))
         if len(chain):

@@ -21,10 +21,14 @@ class Point:
 
     Attributes
     ----------
-    name : "sensor" (the IMU on the forearm) or a joint.
-    position, sigma : (N, 3) m in {K} at the recovery's times.
-    camera_t_s, camera : (F,), (F, 3) what the camera tracked, on the IMU's clock; some thousand of it.
-    truth_t_s, truth : (M,), (M, 3) the reference, empty without one.
+    name : str
+        "sensor" (the IMU on the forearm) or a joint.
+    position, sigma : ndarray, shape (n, 3), m
+        In {K}, at the recovery's times.
+    camera_t_s, camera : ndarray, shape (f,) and (f, 3), s and m
+        What the camera tracked, on the IMU's clock; some thousand samples of it.
+    truth_t_s, truth : ndarray, shape (m,) and (m, 3), s and m
+        The reference, empty without one.
     """
 
     name: str
@@ -38,10 +42,10 @@ class Point:
 
 def points(recovery: Recovery, truth: Truth | None) -> list[Point]:
     """The points to show, the one that the camera sees best first."""
-    found = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
+    joints = [_joint(recovery, name, truth) for name in ("wrist", "elbow", "hand") if name in recovery.joints]
     sensor = _point(SENSOR, recovery, recovery.position, recovery.sigma_m, "strap", truth, None)
-    seen = [point for point in found if len(point.camera)]
-    return [*seen[:1], sensor, *seen[1:2]]
+    tracked = [point for point in joints if len(point.camera)]
+    return [*tracked[:1], sensor, *tracked[1:2]]
 
 
 def _joint(recovery: Recovery, name: str, truth: Truth | None) -> Point:

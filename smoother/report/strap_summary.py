@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..linalg import robust_sigma
+
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
 
@@ -27,33 +29,34 @@ _ADVICE = {
 }
 
 
-def verdict(found: StrapFound) -> list[str]:
+def verdict(search: StrapFound) -> list[str]:
     """How often and how well the strap was seen."""
-    total = len(found.reasons)
-    good = np.array([not reason for reason in found.reasons], dtype=bool)
+    total = len(search.reasons)
+    good = np.array([not reason for reason in search.reasons], dtype=bool)
     if not good.any():
-        worst = max(found.counts, key=lambda name: found.counts[name]) if total else "there are no images"
+        worst = max(search.counts, key=lambda name: search.counts[name]) if total else "there are no images"
         return [f"the strap was found in none of {total} images: {worst}"]
-    sigma = 1e3 * float(np.sqrt(np.mean(np.median(found.sigma_m[good], axis=0) ** 2)))
-    said = [
+    sigma = 1e3 * float(np.sqrt(np.mean(np.median(search.sigma_m[good], axis=0) ** 2)))
+    sentences = [
         f"the strap was found in {int(good.sum())} of {total} images ({100 * good.mean():.0f} %), the"
-        " sensor's place to"
-        f" {sigma:.0f} mm an axis"
+        f" sensor's place to {sigma:.0f} mm an axis"
     ]
-    along = found.along[good]
+    along = search.along[good]
     middle = float(np.median(along))
-    wander = 1.4826 * float(np.median(np.abs(along - middle)))
-    said.append(
+    wander = float(robust_sigma(along - middle))
+    sentences.append(
         f"it sits at {100 * middle:.0f} % of the way from elbow to wrist, +- {100 * wander:.1f} % from"
         " image to image"
     )
     if wander > WANDER:
-        said.append("that is too much for a strap that is tied on: something else was taken for it at times")
-    return said
+        sentences.append(
+            "that is too much for a strap that is tied on: something else was taken for it at times"
+        )
+    return sentences
 
 
-def next_time(found: StrapFound) -> list[str]:
+def next_time(search: StrapFound) -> list[str]:
     """What to record next, one sentence each."""
-    total = max(len(found.reasons), 1)
-    said = [text for reason, text in _ADVICE.items() if found.counts.get(reason, 0) > 0.1 * total]
-    return said or ["the same again: nothing is missing"]
+    total = max(len(search.reasons), 1)
+    sentences = [text for reason, text in _ADVICE.items() if search.counts.get(reason, 0) > 0.1 * total]
+    return sentences or ["the same again: nothing is missing"]

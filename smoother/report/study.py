@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..recording import FloatArray
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import Html, figure, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -34,10 +34,14 @@ def write_study(
 
     Parameters
     ----------
-    rows : one row a recording, columns as `study.columns` has them.
-    path : the page to write.
-    folder : the study's folder, which the outputs' names count from.
-    force : overwrite a page that exists.
+    rows : pyarrow.Table
+        One row a recording, columns as `study.columns` has them.
+    path : path-like
+        The page to write.
+    folder : path-like
+        The study's folder, which the outputs' names count from.
+    force : bool
+        Overwrite a page that exists.
 
     Raises
     ------
@@ -46,11 +50,11 @@ def write_study(
     """
     import pyarrow.compute as pc
 
-    done = rows.filter(pc.equal(rows["status"], "done"))
+    recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
-    columns = {name: _numbers(done, name) for name in _PLOTTED}
+    columns = {name: _numbers(recovered, name) for name in _PLOTTED}
     sections = [_failures(failed)] if len(failed) else []
-    if len(done):
+    if len(recovered):
         order = worst_first(columns["sigma_max_m"])
         sections += [
             figure(
@@ -62,13 +66,18 @@ def write_study(
             figure(
                 "Gaps and what they cost",
                 "A point a recording; the worst ones if there are very many.",
-                _scatter(done, columns, order),
+                _scatter(recovered, columns, order),
             ),
-            _worst(done, order[:MOST_WORST], Path(path), Path(folder)),
-            _notes(done),
+            _worst(recovered, order[:MOST_WORST], Path(path), Path(folder)),
+            _notes(recovered),
         ]
     write_sheet(
-        path, "Study", f"{len(rows)} recordings", _verdict(rows, done, failed, columns), sections, force=force
+        path,
+        "Study",
+        f"{len(rows)} recordings",
+        _verdict(rows, recovered, failed, columns),
+        sections,
+        force=force,
     )
 
 
@@ -92,10 +101,10 @@ def _numbers(rows: pa.Table, name: str) -> FloatArray:
 
 
 def _verdict(
-    rows: pa.Table, done: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
+    rows: pa.Table, recovered: pa.Table, failed: pa.Table, columns: dict[str, FloatArray]
 ) -> Iterator[str]:
-    yield f"{len(done)} of {len(rows)} recordings were recovered, {len(failed)} failed"
-    if not len(done):
+    yield f"{len(recovered)} of {len(rows)} recordings were recovered, {len(failed)} failed"
+    if not len(recovered):
         return
     recorded, occluded, spent = (
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
@@ -124,7 +133,7 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
         ("clock offset, ms", 1000 * columns["clock_offset_s"]),
         ("times real time", speed),
     ]
-    drawn = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
+    plot = make_subplots(rows=2, cols=3, vertical_spacing=0.2)
     for place, (title, values) in enumerate(panels):
         row, column = 1 + place // 3, 1 + place % 3
         kept = np.round(values[np.isfinite(values)], _DIGITS)
@@ -136,52 +145,52 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
             bars = go.Bar(
                 x=(edges[:-1] + edges[1:]) / 2, y=counts, width=np.diff(edges), marker={"color": VISIBLE}
             )
-            drawn.add_trace(bars, row=row, col=column)
-        drawn.update_xaxes(title=title, row=row, col=column)
-    drawn.update_yaxes(title="recordings", col=1)
-    return dress(drawn, 620, head=20, showlegend=False, bargap=0.05)
+            plot.add_trace(bars, row=row, col=column)
+        plot.update_xaxes(title=title, row=row, col=column)
+    plot.update_yaxes(title="recordings", col=1)
+    return dress(plot, 620, head=20, showlegend=False, bargap=0.05)
 
 
-def _scatter(done: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
+def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
     kept = order[:MOST_POINTS]
-    drawn = go.Figure(
+    plot = go.Figure(
         go.Scattergl(
             x=np.round(columns["gap_longest_s"][kept], _DIGITS),
             y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
-            text=done["recording"].take(kept).to_pylist(),
+            text=recovered["recording"].take(kept).to_pylist(),
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
         )
     )
-    drawn.update_xaxes(title="longest gap, s")
-    drawn.update_yaxes(title="largest sigma, cm")
-    return dress(drawn, 420, head=20, showlegend=False)
+    plot.update_xaxes(title="longest gap, s")
+    plot.update_yaxes(title="largest sigma, cm")
+    return dress(plot, 420, head=20, showlegend=False)
 
 
-def _worst(done: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
+def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
     """The worst recordings, each with a link to its output."""
     heads = (
         *("recording", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
         *("occluded, s", "length, s", "notes"),
     )
-    cells = []
-    for row in done.take(order).to_pylist():
-        figures = [
+    rows = [
+        (
+            Html(f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'),
             _scaled(row["sigma_max_m"], 100),
             *(_scaled(row[name]) for name in ("sigma_max_deg", "gap_longest_s")),
             row["gaps"],
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
             row["notes"],
-        ]
-        link = f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'
-        cells.append(f"<td>{link}</td>" + "".join(f"<td>{escape(str(each))}</td>" for each in figures))
-    more = f" The other {len(done) - len(cells)} are among the results." if len(done) > len(cells) else ""
-    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
-    body = "".join(f"<tr>{each}</tr>" for each in cells)
-    return (
-        '<h2>Worst recordings first</h2><p class="caption">By the largest sigma of their gaps; names lead to'
-        f" the outputs.{more}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        )
+        for row in recovered.take(order).to_pylist()
+    ]
+    more = (
+        f" The other {len(recovered) - len(rows)} are among the results."
+        if len(recovered) > len(rows)
+        else ""
     )
+    caption = f"By the largest sigma of their gaps; names lead to the outputs.{more}"
+    return tabulated("Worst recordings first", caption, heads, rows)
 
 
 def _link(output: str, path: Path, folder: Path) -> str:
@@ -192,8 +201,8 @@ def _link(output: str, path: Path, folder: Path) -> str:
         return Path(target).as_uri()
 
 
-def _scaled(value: float | None, factor: float = 1.0) -> str:
-    return "–" if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
+def _scaled(value: float | None, factor: float = 1.0) -> str | None:
+    return None if value is None or not np.isfinite(value) else f"{factor * value:.3g}"
 
 
 def _failures(failed: pa.Table) -> str:
@@ -206,11 +215,11 @@ def _failures(failed: pa.Table) -> str:
     )
 
 
-def _notes(done: pa.Table) -> str:
+def _notes(recovered: pa.Table) -> str:
     """What results say of themselves most often."""
     import pyarrow.compute as pc
 
-    texts = pc.list_flatten(done["note_texts"].combine_chunks())
-    counted = sorted(texts.value_counts().to_pylist(), key=lambda each: (-each["counts"], each["values"]))
-    said = [f"{each['counts']} x: {each['values']}" for each in counted[:20]]
-    return listing("What the results say of themselves", said, "Nothing.")
+    texts = pc.list_flatten(recovered["note_texts"].combine_chunks())
+    counted = sorted(texts.value_counts().to_pylist(), key=lambda note: (-note["counts"], note["values"]))
+    sentences = [f"{note['counts']} x: {note['values']}" for note in counted[:20]]
+    return listing("What the results say of themselves", sentences, "Nothing.")

@@ -13,40 +13,39 @@ from ..result import Recovery
 WEAK_M = 0.05
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
 DOUBTFUL_SHARE = 0.80
-#: Above this NEES the stated uncertainty is called too small.
-DISHONEST = 2.0
+#: Above this NEES the stated uncertainty is called over-confident.
+OVER_CONFIDENT = 2.0
 
 
 def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
     """Sentences, a paragraph each."""
     if not len(recovery):
         return ["The result holds no sample."]
-    found = gap_summaries(recovery)
-    paragraphs = [_what_was_hidden(recovery, found)]
-    if found:
-        paragraphs.append(_how_well(recovery, found))
+    gaps = gap_summaries(recovery)
+    paragraphs = [_what_was_hidden(recovery, gaps)]
+    if gaps:
+        paragraphs.append(_how_well(recovery, gaps))
     if validation is not None:
         paragraphs.append(_against_reference(validation))
     doubt = _camera_doubts(recovery)
-    paragraphs.append(doubt)
-    paragraphs.append(_what_to_trust(found, _honest(validation) and not doubt))
+    paragraphs += [doubt, _what_to_trust(gaps, _consistent(validation) and not doubt)]
     return [paragraph for paragraph in paragraphs if paragraph]
 
 
-def _what_was_hidden(recovery: Recovery, found: list[GapSummary]) -> str:
+def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     duration = float(recovery.t_s[-1] - recovery.t_s[0])
-    if not found:
+    if not gaps:
         return (
             f"The recording lasts {duration:.1f} s. The camera saw the forearm all the time: there is no gap."
         )
-    lengths = [each.gap.length_s for each in found]
-    times = "once" if len(found) == 1 else f"{len(found)} times"
+    lengths = [gap.gap.length_s for gap in gaps]
+    times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
     text = f"The recording lasts {duration:.1f} s. The camera lost the forearm {times}"
     text = f"{text}, for {sum(lengths):.1f} s in all"
-    return f"{text}; the longest gap lasts {max(lengths):.1f} s." if len(found) > 1 else f"{text}."
+    return f"{text}; the longest gap lasts {max(lengths):.1f} s." if len(gaps) > 1 else f"{text}."
 
 
-def _how_well(recovery: Recovery, found: list[GapSummary]) -> str:
+def _how_well(recovery: Recovery, gaps: list[GapSummary]) -> str:
     sigma = recovery_figures(recovery)["sigma_m"]
     assert isinstance(sigma, dict)
     inside, outside = sigma["occluded"], sigma["visible"]
@@ -58,7 +57,7 @@ def _how_well(recovery: Recovery, found: list[GapSummary]) -> str:
     )
     if outside["median"] is not None:
         text += f", against {100 * outside['median']:.1f} cm while the camera sees the arm"
-    unanswered = [each for each in found if each.answered < 1]
+    unanswered = [gap for gap in gaps if gap.answered < 1]
     tail = f" {len(unanswered)} of the gaps are not answered completely." if unanswered else ""
     return f"{text}.{tail}"
 
@@ -76,7 +75,7 @@ def _against_reference(validation: Validation) -> str:
         text += f", the orientation by {hidden.orientation_rms_deg:.1f} degrees"
     if hidden.nees is None:
         return f"{text}."
-    if hidden.nees > DISHONEST:
+    if hidden.nees > OVER_CONFIDENT:
         factor = np.sqrt(hidden.nees)
         return (
             f"{text}. These errors are about {factor:.1f} times as large as the stated uncertainty allows:"
@@ -87,8 +86,7 @@ def _against_reference(validation: Validation) -> str:
 
 def _camera_doubts(recovery: Recovery) -> str:
     """That the camera's samples lie farther from the answer than stated, where they do."""
-    kept = camera_residuals(recovery)
-    inside = {joint: each.inside(0.95) for joint, each in kept.items()}
+    inside = {joint: errors.inside(0.95) for joint, errors in camera_residuals(recovery).items()}
     if not inside or min(inside.values()) >= DOUBTFUL_SHARE:
         return ""
     worst = min(inside, key=lambda joint: inside[joint])
@@ -99,15 +97,15 @@ def _camera_doubts(recovery: Recovery) -> str:
     )
 
 
-def _honest(validation: Validation | None) -> bool:
-    """Whether nothing is known against the stated uncertainty."""
+def _consistent(validation: Validation | None) -> bool:
+    """Whether no reference contradicts the stated uncertainty."""
     figures = None if validation is None else (validation.occluded.nees or validation.all.nees)
-    return figures is None or figures <= DISHONEST
+    return figures is None or figures <= OVER_CONFIDENT
 
 
-def _what_to_trust(found: list[GapSummary], honest: bool) -> str:
-    weak = [each for each in found if each.sigma_max_m is not None and each.sigma_max_m > WEAK_M]
-    one_sided = [each for each in found if each.gap.open_start or each.gap.open_end]
+def _what_to_trust(gaps: list[GapSummary], consistent: bool) -> str:
+    weak = [gap for gap in gaps if gap.is_weaker_than(WEAK_M)]
+    one_sided = [gap for gap in gaps if gap.one_sided]
     parts = []
     if weak:
         parts.append(
@@ -118,7 +116,7 @@ def _what_to_trust(found: list[GapSummary], honest: bool) -> str:
             f"{_listed(one_sided).capitalize()} could be recovered from one side only, because the camera"
             " did not see the forearm before or after; the error grows with time there."
         )
-    if found and honest and not parts and any(each.sigma_max_m is not None for each in found):
+    if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
         parts.append(
             f"No gap is less certain than {100 * WEAK_M:.0f} cm. In 95 of 100 cases a coordinate lies within"
             " two standard deviations, the shaded band of the curves."
@@ -126,8 +124,8 @@ def _what_to_trust(found: list[GapSummary], honest: bool) -> str:
     return " ".join(parts)
 
 
-def _listed(found: list[GapSummary]) -> str:
-    starts = [f"{each.gap.start_s:.1f} s" for each in found]
+def _listed(gaps: list[GapSummary]) -> str:
+    starts = [f"{gap.gap.start_s:.1f} s" for gap in gaps]
     if len(starts) > 6:
         return f"{len(starts)} gaps (marked in the table below)"
     return f"the gap{'s' if len(starts) > 1 else ''} at {', '.join(starts)}"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,37 +15,14 @@ from ..evaluation.summary import gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..io.result.usable import LIMIT, usable
 from ..result import Recovery
+from .sheet import in_cm, table
 from .summary import WEAK_M
 
-#: Figures of a recovery that have a place of their own on the page.
+#: Figures of a recovery that another section of the page shows.
 ELSEWHERE = (
     *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
     *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
 )
-#: A longer table is cut, and says so.
-MOST_ROWS = 500
-
-
-def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """An HTML table; every cell is escaped."""
-    kept = list(rows)
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(_cell(value))}</td>" for value in row) + "</tr>"
-        for row in kept[:MOST_ROWS]
-    )
-    more = f"<p>{len(kept) - MOST_ROWS} rows more are left out.</p>" if len(kept) > MOST_ROWS else ""
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
-
-
-def _cell(value: object) -> str:
-    if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"
 
 
 def overview(recovery: Recovery) -> str:
@@ -66,9 +42,9 @@ def overview(recovery: Recovery) -> str:
         ("sample rate, Hz", figures["rate_hz"]),
         ("samples without the camera", recovery.occluded.sum()),
         ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
-        ("position, standard deviation while seen (median), cm", _cm(sigma["visible"]["median"])),
-        ("position, standard deviation in gaps (median), cm", _cm(sigma["occluded"]["median"])),
-        ("position, standard deviation in gaps (largest), cm", _cm(sigma["occluded"]["max"])),
+        ("position, standard deviation while seen (median), cm", in_cm(sigma["visible"]["median"])),
+        ("position, standard deviation in gaps (median), cm", in_cm(sigma["occluded"]["median"])),
+        ("position, standard deviation in gaps (largest), cm", in_cm(sigma["occluded"]["max"])),
         ("sensor's clock minus camera's clock", offset),
     ]
     if (unsure := _too_uncertain(recovery)) is not None:
@@ -89,8 +65,8 @@ def _too_uncertain(recovery: Recovery) -> str | None:
     return f"{unsure} (above {100 * float(str(limit)):g} cm)"
 
 
-def set_aside(recovery: Recovery) -> str:
-    """What was set aside of the camera's samples, a row a reason and joint."""
+def rejections(recovery: Recovery) -> str:
+    """Rejected camera samples, a row a reason and joint."""
     rows = [
         (
             row.reason,
@@ -109,13 +85,13 @@ def set_aside(recovery: Recovery) -> str:
     return table(columns, rows)
 
 
-def camera(found: ArmEstimates) -> str:
+def camera(estimates: ArmEstimates) -> str:
     """Noise and constant errors of the camera's joints; "" where they are not known."""
-    if not found.camera:
+    if not estimates.camera:
         return ""
     rows = [
-        (joint, f"{100 * each.sample_m:.2f}", f"{100 * each.bias_m:.2f}" if each.bias_m > 0 else None)
-        for joint, each in found.camera.items()
+        (joint, in_cm(error.sample_m), in_cm(error.bias_m) if error.bias_m > 0 else None)
+        for joint, error in estimates.camera.items()
     ]
     columns = ("camera's joint", "noise of a sample, cm an axis", "constant error against the others, cm")
     return table(columns, rows)
@@ -123,21 +99,21 @@ def camera(found: ArmEstimates) -> str:
 
 def gaps(recovery: Recovery) -> str:
     """The gaps, one a row."""
-    found = gap_summaries(recovery)
-    if not found:
+    summaries = gap_summaries(recovery)
+    if not summaries:
         return "<p>There is no gap.</p>"
     rows = [
         (
             number,
-            f"{each.gap.start_s:.2f}",
-            f"{each.gap.length_s:.2f}",
-            _cm(each.sigma_max_m),
-            None if each.sigma_max_deg is None else f"{each.sigma_max_deg:.2f}",
-            "one side only" if each.gap.open_start or each.gap.open_end else "both sides",
-            f"{100 * each.answered:.0f} %",
-            "take with care" if _weak(each.sigma_max_m) or each.gap.open_start or each.gap.open_end else "",
+            f"{summary.gap.start_s:.2f}",
+            f"{summary.gap.length_s:.2f}",
+            in_cm(summary.sigma_max_m),
+            None if summary.sigma_max_deg is None else f"{summary.sigma_max_deg:.2f}",
+            "one side only" if summary.one_sided else "both sides",
+            f"{100 * summary.answered:.0f} %",
+            "take with care" if summary.one_sided or summary.is_weaker_than(WEAK_M) else "",
         )
-        for number, each in enumerate(found, start=1)
+        for number, summary in enumerate(summaries, start=1)
     ]
     columns = (
         "gap",
@@ -152,28 +128,24 @@ def gaps(recovery: Recovery) -> str:
     return table(columns, rows)
 
 
-def _weak(sigma_m: float | None) -> bool:
-    return sigma_m is not None and sigma_m > WEAK_M
-
-
-def validation(found: Validation) -> str:
+def validation(comparison: Validation) -> str:
     """Errors against the reference."""
     rows = [
         (
             name,
             figures.samples,
-            _cm(figures.position_rms_m),
-            _cm(figures.position_p95_m),
-            _cm(figures.position_max_m),
+            in_cm(figures.position_rms_m),
+            in_cm(figures.position_p95_m),
+            in_cm(figures.position_max_m),
             figures.orientation_rms_deg,
             figures.orientation_max_deg,
             figures.nees,
             None if figures.coverage_95 is None else f"{100 * figures.coverage_95:.0f} %",
         )
         for name, figures in (
-            ("all samples", found.all),
-            ("in gaps", found.occluded),
-            ("while seen", found.visible),
+            ("all samples", comparison.all),
+            ("in gaps", comparison.occluded),
+            ("while seen", comparison.visible),
         )
     ]
     columns = (
@@ -187,28 +159,28 @@ def validation(found: Validation) -> str:
         "NEES",
         "inside the 95 % region",
     )
-    parts = (found.all, found.occluded, found.visible)
-    joints = [(name, *[_cm(part.joint_rms_m.get(name)) for part in parts]) for name in found.all.joint_rms_m]
+    parts = (comparison.all, comparison.occluded, comparison.visible)
+    joints = [(name, *[in_cm(part.joint_rms_m.get(name)) for part in parts]) for name in parts[0].joint_rms_m]
     if not joints:
         return table(columns, rows)
     heads = ("joint", "all samples, rms, cm", "in gaps, cm", "while seen, cm")
     return table(columns, rows) + table(heads, joints)
 
 
-def calibration(found: ArmCalibration | None, figures: Mapping[str, object]) -> str:
+def calibration(arm: ArmCalibration | None, figures: Mapping[str, object]) -> str:
     """How the sensor sits on the arm, the arm's measures, and the sensor's biases."""
-    if found is None:
+    if arm is None:
         return "<p>This method needs none.</p>"
     rows: list[tuple[object, ...]] = [
         (f"{joint}, in the sensor's axes", _vector(lever.position_m, 1), _vector(lever.sigma_m, 2), "cm")
-        for joint, lever in found.lever_arms.items()
+        for joint, lever in arm.lever_arms.items()
     ]
-    if found.upper_arm is not None:
-        length = found.upper_arm
+    if arm.upper_arm is not None:
+        length = arm.upper_arm
         rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.2f}", "cm"))
     for name, value, unit in (
-        ("accelerometer bias", figures.get("accelerometer_bias", found.accelerometer_bias), "m/s²"),
-        ("gyroscope bias", figures.get("gyroscope_bias", found.gyroscope_bias), "rad/s"),
+        ("accelerometer bias", figures.get("accelerometer_bias", arm.accelerometer_bias), "m/s²"),
+        ("gyroscope bias", figures.get("gyroscope_bias", arm.gyroscope_bias), "rad/s"),
     ):
         if isinstance(value, list | np.ndarray):
             rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))

@@ -7,6 +7,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.validate import sample_errors
+from ..joint_angles import arm_angles
+from ..linalg import unit
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
 from .decimate import band, decimate, split_line
@@ -69,11 +71,15 @@ def _coordinate(
             go.Scatter(x=t, y=values, name=name, mode="lines", line={"color": colour, "width": 1.8})
         )
     if len(point.truth):
-        kept = decimate(np.zeros(len(point.truth), bool))
+        samples = decimate(np.zeros(len(point.truth), bool))
         dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
         traces.append(
             go.Scatter(
-                x=point.truth_t_s[kept], y=point.truth[kept, axis], name="reference", mode="lines", line=dash
+                x=point.truth_t_s[samples],
+                y=point.truth[samples, axis],
+                name="reference",
+                mode="lines",
+                line=dash,
             )
         )
     return traces
@@ -81,7 +87,7 @@ def _coordinate(
 
 def angles(recovery: Recovery) -> go.Figure | None:
     """Elbow flexion and the forearm's elevation over time, or None without elbow and wrist."""
-    rows = [(name, value) for name, value in arm_angles(recovery).items() if np.isfinite(value).any()]
+    rows = [(name, value) for name, value in _angles(recovery).items() if np.isfinite(value).any()]
     if not rows:
         return None
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
@@ -99,25 +105,16 @@ def angles(recovery: Recovery) -> go.Figure | None:
     return dress(figure, 180 + 190 * len(rows))
 
 
-def arm_angles(recovery: Recovery) -> dict[str, FloatArray]:
+def _angles(recovery: Recovery) -> dict[str, FloatArray]:
     """Angles (N,) by name, degrees: elbow flexion (0 = straight), forearm above the horizontal."""
-    joints = recovery.joints
+    joints, down = recovery.joints, recovery.gravity_direction
     if "elbow" not in joints or "wrist" not in joints:
         return {}
-    forearm = _unit(joints["wrist"] - joints["elbow"])
-    found: dict[str, FloatArray] = {}
-    if "shoulder" in joints:
-        upper = _unit(joints["elbow"] - joints["shoulder"])
-        found["elbow flexion"] = np.degrees(np.arccos(np.clip((upper * forearm).sum(axis=1), -1, 1)))
-    if np.isfinite(recovery.gravity_direction).all():
-        rise = np.clip(-forearm @ recovery.gravity_direction, -1, 1)
-        found["forearm elevation"] = np.degrees(np.arcsin(rise))
-    return found
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return vector / np.linalg.norm(vector, axis=1, keepdims=True)
+    rise = np.clip(-unit(joints["wrist"] - joints["elbow"]) @ down, -1, 1)
+    return {
+        "elbow flexion": arm_angles(joints, len(recovery))["elbow_flexion"],
+        "forearm elevation": np.degrees(np.arcsin(rise)),
+    }
 
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
@@ -151,41 +148,43 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
 
 def residuals(recovery: Recovery) -> go.Figure | None:
     """Distance of each camera sample from the answer, by joint; None where the method keeps none."""
-    kept = recovery.residuals
-    if kept is None:
+    samples = recovery.residuals
+    if samples is None:
         return None
-    parts = [np.isfinite(block.residual).all(axis=2) for block in kept.blocks()]
+    parts = [np.isfinite(block.residual).all(axis=2) for block in samples.blocks()]
     answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
     drawn = np.flatnonzero(answered.any(axis=0)).tolist()
     if not drawn:
         return None
     figure = make_subplots(rows=len(drawn), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     for row, i in enumerate(drawn, start=1):
-        for trace in _residual(kept, answered[:, i], i):
+        for trace in _residual(samples, answered[:, i], i):
             figure.add_trace(trace, row=row, col=1)
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
-    figure.add_trace(_cross("set aside", np.array([None]), np.array([None])), row=1, col=1)
+    figure.add_trace(_cross("rejected", np.array([None]), np.array([None])), row=1, col=1)
     shade(figure, recovery.gaps)
     return dress(figure, 160 + 120 * len(drawn))
 
 
-def _residual(kept: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
+def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[go.Scatter]:
     def distance_cm(index: IntArray) -> FloatArray:
-        return 100 * np.linalg.norm(kept.residual[:, joint][index], axis=1)
+        return 100 * np.linalg.norm(samples.residual[:, joint][index], axis=1)
 
-    aside = ~kept.used[:, joint] & answered & (kept.reason[:, joint] != 0)
-    index = np.flatnonzero(kept.used[:, joint] & answered)
+    aside = ~samples.used[:, joint] & answered & (samples.reason[:, joint] != 0)
+    index = np.flatnonzero(samples.used[:, joint] & answered)
     index = index[decimate(np.zeros(len(index), bool), 3000)]
     dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
     traces = [
-        go.Scatter(x=kept.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots)
+        go.Scatter(
+            x=samples.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots
+        )
     ]
     index = np.flatnonzero(aside)
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
-        cross = _cross("set aside", kept.t_s[index], distance_cm(index))
-        cross.update(text=np.array(kept.reasons)[kept.reason[index, joint]], showlegend=False)
+        cross = _cross("rejected", samples.t_s[index], distance_cm(index))
+        cross.update(text=np.array(samples.reasons)[samples.reason[index, joint]], showlegend=False)
         traces.append(cross)
     return traces
 

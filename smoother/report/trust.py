@@ -1,4 +1,4 @@
-"""Whether the stated uncertainty can be believed, and which camera samples were not."""
+"""Whether the stated uncertainty is consistent with the errors, and which camera samples were rejected."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..result import Recovery
 from .decimate import decimate
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
 
-#: Colours of the reasons for which samples are set aside, in the order of their frequency.
+#: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
 
 
@@ -25,14 +25,16 @@ def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAn
     reference = truth_at(truth, recovery.t_s)
     error = np.where(reference.score[:, None], recovery.position - reference.position, np.nan)
     parts = {"in gaps": recovery.occluded, "while seen": ~recovery.occluded}
-    found = {
+    by_part = {
         name: stated_and_actual(error[part], recovery.pose_covariance[part, :3, :3])
         for name, part in parts.items()
     }
-    return {name: each for name, each in found.items() if len(each.squared)}
+    return {name: errors for name, errors in by_part.items() if len(errors.squared)}
 
 
-def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> go.Figure | None:
+def calibration_curves(
+    camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]
+) -> go.Figure | None:
     """Coverage curve, and actual error against stated sigma: a row for the camera, one for a reference."""
     colours = {**JOINT_COLOURS, "in gaps": OCCLUDED, "while seen": VISIBLE}
     rows = [(name, part) for name, part in (("camera", camera), ("reference", truth)) if part]
@@ -49,17 +51,19 @@ def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual
     ideal = {"color": CAMERA, "width": 1.2, "dash": "dash"}
     for row, (_, parts) in enumerate(rows, start=1):
         figure.add_trace(
-            go.Scatter(x=[0, 100], y=[0, 100], mode="lines", line=ideal, name="honest", showlegend=row == 1),
+            go.Scatter(
+                x=[0, 100], y=[0, 100], mode="lines", line=ideal, name="consistent", showlegend=row == 1
+            ),
             row=row,
             col=1,
         )
         largest = 0.0
-        for name, each in parts.items():
+        for name, errors in parts.items():
             line = {"color": colours[name], "width": 2}
             name = f"errors {name}" if name not in JOINT_COLOURS else name
-            curve = go.Scatter(x=100 * LEVELS, y=100 * each.coverage(), mode="lines", line=line, name=name)
+            curve = go.Scatter(x=100 * LEVELS, y=100 * errors.coverage(), mode="lines", line=line, name=name)
             figure.add_trace(curve.update(legendgroup=name), row=row, col=1)
-            stated, actual = each.binned()
+            stated, actual = errors.binned()
             dots = go.Scatter(
                 x=100 * stated, y=100 * actual, mode="lines+markers", line=line, name=name, showlegend=False
             )
@@ -76,52 +80,52 @@ def honesty(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual
     return dress(figure, 90 + 350 * len(rows), head=60)
 
 
-def honesty_words(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
+def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
     """The shares inside the 95 % region, in a sentence."""
     parts = []
     if camera:
-        squared = np.concatenate([each.squared for each in camera.values()])
+        squared = np.concatenate([errors.squared for errors in camera.values()])
         whole = StatedAndActual(squared, squared, squared)
         parts.append(f"{100 * whole.inside(0.95):.0f} % of the camera's samples")
-    parts += [f"{100 * each.inside(0.95):.0f} % of the errors {name}" for name, each in truth.items()]
+    parts += [f"{100 * errors.inside(0.95):.0f} % of the errors {name}" for name, errors in truth.items()]
     return f"Inside the region that should hold 95 % lie {', '.join(parts)}." if parts else ""
 
 
 def timeline(recovery: Recovery) -> go.Figure | None:
-    """When samples were set aside, a line a joint, a colour a reason; None where none were."""
-    kept = recovery.residuals
+    """When samples were rejected, a line a joint, a colour a reason; None where none were."""
+    samples = recovery.residuals
     rows = rejected(recovery)
-    if kept is None or not rows:
+    if samples is None or not rows:
         return None
     figure = go.Figure()
-    drawn = [joint for joint in JOINTS if kept.used[:, JOINTS.index(joint)].any()]
-    drawn += [row.joint for row in rows if row.joint not in drawn]
-    drawn = [joint for joint in JOINTS if joint in drawn]
-    for joint in drawn:
-        index = np.flatnonzero(kept.used[:, JOINTS.index(joint)])
+    joints = [joint for joint in JOINTS if samples.used[:, JOINTS.index(joint)].any()]
+    joints += [row.joint for row in rows if row.joint not in joints]
+    joints = [joint for joint in JOINTS if joint in joints]
+    for joint in joints:
+        index = np.flatnonzero(samples.used[:, JOINTS.index(joint)])
         index = index[decimate(np.zeros(len(index), bool), 2000)]
         tick = {"symbol": "line-ns-open", "size": 8, "color": "#c9d3da"}
         figure.add_trace(
             go.Scatter(
-                x=kept.t_s[index],
+                x=samples.t_s[index],
                 y=[joint] * len(index),
                 mode="markers",
                 marker=tick,
                 name="used",
                 legendgroup="used",
-                showlegend=joint == drawn[0],
+                showlegend=joint == joints[0],
                 hoverinfo="skip",
             )
         )
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
         text = f"{reason}: {why}" if why else reason
-        at, column = np.nonzero(kept.reason == kept.reasons.index(text))
+        at, column = np.nonzero(samples.reason == samples.reasons.index(text))
         chosen = decimate(np.zeros(len(at), bool), 3000)
         tick = {"symbol": "line-ns-open", "size": 20, "color": REASON_COLOURS[number % len(REASON_COLOURS)]}
         figure.add_trace(
             go.Scatter(
-                x=kept.t_s[at[chosen]],
+                x=samples.t_s[at[chosen]],
                 y=[JOINTS[i] for i in column[chosen]],
                 mode="markers",
                 marker={**tick, "line": {"width": 1.6}},
@@ -130,6 +134,6 @@ def timeline(recovery: Recovery) -> go.Figure | None:
             )
         )
     shade(figure, recovery.gaps)
-    figure.update_yaxes(categoryorder="array", categoryarray=drawn[::-1])
+    figure.update_yaxes(categoryorder="array", categoryarray=joints[::-1])
     figure.update_xaxes(title_text="time, s")
-    return dress(figure, 150 + 55 * len(drawn))
+    return dress(figure, 150 + 55 * len(joints))

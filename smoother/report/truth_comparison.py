@@ -14,8 +14,8 @@ from ..evaluation.validate import Validation, sample_errors
 from ..recording import FloatArray, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
+from .sheet import in_cm, table
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress, shade
-from .tables import table
 
 #: A heading, its caption and what to draw below it (None: nothing to draw), then HTML that follows.
 Section = tuple[str, str, go.Figure | None, str]
@@ -41,25 +41,25 @@ _TABLE = (
 )
 
 
-def compared(recovery: Recovery, truth: Truth, found: Validation) -> Iterator[Section]:
+def compared(recovery: Recovery, truth: Truth, validation: Validation) -> Iterator[Section]:
     """The sections of a comparison; the titles say where the reference was aligned."""
-    yield found.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), _gaps(found)
-    if found.angles is not None and found.angles.compared:
-        figures = _angle_table(found)
+    yield validation.title("Error over time"), _OVER_TIME, error_over_time(recovery, truth), _gaps(validation)
+    if validation.angles is not None and validation.angles.compared:
+        figures = _angle_table(validation)
         yield (
-            found.title("Joint angles, answer and reference"),
+            validation.title("Joint angles, answer and reference"),
             _ANGLES,
-            angle_curves(recovery, found.angles),
+            angle_curves(recovery, validation.angles),
             figures,
         )
         yield (
-            found.title("Agreement of the joint angles"),
+            validation.title("Agreement of the joint angles"),
             _BLAND_ALTMAN,
-            bland_altman(recovery, found.angles, found.angle_figures["all"]),
+            bland_altman(recovery, validation.angles, validation.angle_figures["all"]),
             "",
         )
-    if found.table is not None and any(row.answer is not None for row in found.table.rows):
-        yield found.title("Errors in the layout of table I"), _TABLE, None, _table_one(found)
+    if validation.table is not None and any(row.answer is not None for row in validation.table.rows):
+        yield validation.title("Errors in the layout of table I"), _TABLE, None, _table_one(validation)
 
 
 def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
@@ -143,8 +143,12 @@ def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str,
                 marker={"color": colour, "size": 4, "opacity": 0.5},
             )
             figure.add_trace(dots, row=row, col=column)
-        found = figures[name]
-        for value, dash in ((found.bias, "solid"), (found.limits_low, "dash"), (found.limits_high, "dash")):
+        agreement = figures[name]
+        for value, dash in (
+            (agreement.bias, "solid"),
+            (agreement.limits_low, "dash"),
+            (agreement.limits_high, "dash"),
+        ):
             if value is not None:
                 line = {"color": TRUTH, "width": 1.2, "dash": dash}
                 text = f"{value:+.1f}"
@@ -173,56 +177,58 @@ def _broken(words: str) -> str:
     return f"{first}<br>{' '.join(rest)}, deg" if rest else f"{first}, deg"
 
 
-def _gaps(found: Validation) -> str:
+def _gaps(validation: Validation) -> str:
     rows = [
         (
             f"{gap.start_s:.2f}",
             f"{gap.length_s:.2f}",
-            _cm(figures.position_rms_m),
-            _cm(figures.position_p95_m),
-            _cm(figures.position_max_m),
+            in_cm(figures.position_rms_m),
+            in_cm(figures.position_p95_m),
+            in_cm(figures.position_max_m),
             figures.orientation_rms_deg,
             figures.orientation_max_deg,
             figures.nees,
         )
-        for gap, figures in found.gaps
+        for gap, figures in validation.gaps
     ]
     heads = ("gap at, s", "length, s", "rms, cm", "95 % below, cm", "largest, cm")
     return table((*heads, "rms, degrees", "largest, degrees", "NEES"), rows) if rows else ""
 
 
-def _angle_table(found: Validation) -> str:
+def _angle_table(validation: Validation) -> str:
     parts = {"all": "all samples", "occluded": "in gaps", "visible": "while seen"}
-    assert found.angles is not None
+    assert validation.angles is not None
     rows = []
-    for name in found.angles.compared:
+    for name in validation.angles.compared:
         for part, words in parts.items():
-            each = found.angle_figures[part][name]
-            if each.samples:
-                limits = f"{_number(each.limits_low)} to {_number(each.limits_high)}"
-                interval = f"{_number(each.icc_low, 3)} to {_number(each.icc_high, 3)}"
-                row = (_number(each.rmse), _number(each.bias), limits, _number(each.icc, 3), interval)
-                rows.append((WORDS[name], words, *row, each.samples))
+            agreement = validation.angle_figures[part][name]
+            if agreement.samples:
+                limits = f"{_number(agreement.limits_low)} to {_number(agreement.limits_high)}"
+                interval = f"{_number(agreement.icc_low, 3)} to {_number(agreement.icc_high, 3)}"
+                row = (
+                    _number(agreement.rmse),
+                    _number(agreement.bias),
+                    limits,
+                    _number(agreement.icc, 3),
+                    interval,
+                )
+                rows.append((WORDS[name], words, *row, agreement.samples))
     heads = ("angle", "", "RMSE, degrees", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
-    carrying = found.angles.carrying_truth_deg
+    carrying = validation.angles.carrying_truth_deg
     more = "" if carrying is None else f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"
     return table((*heads, "samples"), rows) + more
 
 
-def _table_one(found: Validation) -> str:
-    assert found.table is not None
+def _table_one(validation: Validation) -> str:
+    assert validation.table is not None
     rows = []
-    for row in found.table.rows:
+    for row in validation.table.rows:
         digits = 5 if "meter" in row.errors else 2
         gain = None if row.reduction is None else f"{100 * row.reduction:.2f}%"
         rows.append((row.errors, row.figure, _number(row.camera, digits), _number(row.answer, digits), gain))
     heads = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
-    return f"{table(heads, rows)}<p>{found.table.note}</p>"
+    return f"{table(heads, rows)}<p>{validation.table.note}</p>"
 
 
 def _number(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _cm(value: float | None) -> str | None:
-    return None if value is None else f"{100 * value:.2f}"

@@ -1,8 +1,14 @@
-"""Finds the camera's clock against the IMU's from the residuals."""
+"""Finds the camera's clock against the IMU's from the residuals.
+
+A camera that is late by d shows every joint where it was d ago, so residuals lie along the velocity.
+Their projection, summed over a second or less, is a local estimate of the offset; how fast the offset may
+wander is what makes these estimates most likely (a local-level model; Harvey, Forecasting, structural time
+series models, 1989), and their smoothed mean is the clock.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,48 +17,64 @@ from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
 from ..recording import FloatArray, IntArray
 from ..window.problem import Solution, Window
 
-#: Offsets of made-up stamps are estimated over cells of this length, s; others a window at a time.
-SYNTHETIC_CELL_S = 0.5
+#: Offsets of synthetic stamps are estimated so far apart, s; others a window at a time.
+SYNTHETIC_SPACING_S = 0.5
 #: How fast the offset may wander, s/sqrt(s): the likeliest is taken, if clearly likelier than a constant
-#: (log-likelihood). Stamps of a camera drift slowly; stamps that somebody made up hide dropped frames.
+#: (log-likelihood). Stamps of a camera drift slowly; synthetic stamps hide dropped frames.
 WALKS = (0.0, 0.0003, 0.001)
 WALKS_SYNTHETIC = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
 WALK_GAIN = 6.0
 WALK_GAIN_SYNTHETIC = 0.0
-#: How far a single frame's made-up stamp is off, s: about a third of a dropped frame.
+#: How far a single frame's synthetic stamp is off, s: about a third of a dropped frame.
 SYNTHETIC_SIGMA_S = 0.015
 #: Crystals differ by some hundred parts in a million; it takes a while to show, s.
 SKEW_SIGMA = 5e-4
 SKEW_SPAN_S = 30.0
 SKEW_GAIN = 3.0
-#: An offset step is never longer than this, s; information is never taken for less than a part of its bound.
+#: An offset step is never longer than this, s; information is no less than this share of its bound.
 LONGEST_STEP_S = 0.06
-SMALLEST_PART = 0.02
+SMALLEST_SHARE = 0.02
 
 
-def refined_clock(clock: Clock, score: ClockScore, made_up: bool) -> Clock:
-    """The clock that the residuals' pulls ask for; `made_up`: the stamps are (`stamps_made_up`)."""
+def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Clock:
+    """Move a clock by what the residuals say, and find how it wanders.
+
+    Parameters
+    ----------
+    clock : Clock
+        That the score was taken with.
+    score : ClockScore
+        Of as many windows as there are.
+    synthetic_stamps : bool
+        The camera's stamps are synthetic: they hide dropped frames, and wander fast.
+
+    Returns
+    -------
+    Clock
+        With knots where the score has information; the same clock where it has none.
+    """
     if not score.information.sum() > 0:
         return clock
     t = score.t - clock.mean_s  # back to the camera's clock, near enough to place knots
-    cell = np.floor(t / SYNTHETIC_CELL_S).astype(int) if made_up else score.window
-    _, cell = np.unique(cell, return_inverse=True)
-    information = np.bincount(cell, weights=score.information)
-    seen = information > 1e-6 * information.max()
-    information = information[seen]
-    pull = np.bincount(cell, weights=score.slope)[seen]
-    middle = (np.bincount(cell, weights=t) / np.bincount(cell))[seen]
-    now = clock.at(middle)
-    local = now + np.clip(pull / information, -LONGEST_STEP_S, LONGEST_STEP_S)
+    group = np.floor(t / SYNTHETIC_SPACING_S).astype(int) if synthetic_stamps else score.window
+    _, group = np.unique(group, return_inverse=True)
+    information = np.bincount(group, weights=score.information)
+    informed = information > 1e-6 * information.max()
+    information = information[informed]
+    slope = np.bincount(group, weights=score.slope)[informed]
+    middle = (np.bincount(group, weights=t) / np.bincount(group))[informed]
+    local = clock.at(middle) + np.clip(slope / information, -LONGEST_STEP_S, LONGEST_STEP_S)
     line, drift, skew = _line(middle, local, information), np.zeros(len(local)), 0.0
-    (loglik, offset, sigma, local_sigma), walk = _likeliest(middle, local, 1.0 / information, made_up)
+    (loglik, offset, sigma, local_sigma), walk = _likeliest(
+        middle, local, 1.0 / information, synthetic_stamps
+    )
     if line is not None and line[0] > loglik + SKEW_GAIN:
         (_, drift, skew, local_sigma), offset, walk = line, np.zeros(len(local)), 0.0
         # and what wanders about the line
-        wander, again = _likeliest(middle, local - drift, 1.0 / information, made_up)
+        wander, again = _likeliest(middle, local - drift, 1.0 / information, synthetic_stamps)
         if again > 0.0:
             (_, offset, _, local_sigma), walk = wander, again
-    if made_up:
+    if synthetic_stamps:
         local_sigma = np.hypot(local_sigma, SYNTHETIC_SIGMA_S)
     return Clock(
         middle,
@@ -64,32 +86,49 @@ def refined_clock(clock: Clock, score: ClockScore, made_up: bool) -> Clock:
     )
 
 
-class ClockFit:
-    """Improves the clocks of several recordings, round by round.
+def refined_clocks(
+    clocks: Sequence[Clock],
+    synthetic_stamps: Sequence[bool],
+    windows: Sequence[Window],
+    solutions: Sequence[Solution],
+    recording_of_window: IntArray,
+) -> tuple[Clock, ...]:
+    """Every recording's clock moved by the residuals of its own windows.
 
     Parameters
     ----------
-    clocks : where to start, one a recording.
-    made_up : whether the camera's stamps were made up, one a recording.
+    clocks, synthetic_stamps : sequence of Clock, sequence of bool
+        One a recording.
+    windows, solutions : sequence of Window, sequence of Solution
+        Of one round of the self-calibration.
+    recording_of_window : ndarray of int, shape (len(windows),)
+        Number of the recording that each window is of.
     """
-
-    def __init__(self, clocks: Sequence[Clock], made_up: Sequence[bool]) -> None:
-        self.clocks, self._made_up = list(clocks), list(made_up)
-
-    def step(self, windows: Sequence[Window], solutions: Sequence[Solution], owner: IntArray) -> None:
-        """Move every clock by what the residuals of another round say."""
-        for number in np.unique(owner).tolist():
-            chosen = np.flatnonzero(owner == number).tolist()
-            score = clock_score([windows[k] for k in chosen], [solutions[k] for k in chosen])
-            self.clocks[number] = refined_clock(self.clocks[number], score, self._made_up[number])
+    refined = list(clocks)
+    for number in np.unique(recording_of_window).tolist():
+        own = np.flatnonzero(recording_of_window == number).tolist()
+        score = clock_score([windows[k] for k in own], [solutions[k] for k in own])
+        refined[number] = refined_clock(refined[number], score, synthetic_stamps[number])
+    return tuple(refined)
 
 
 @dataclass(frozen=True)
 class ClockScore:
-    """Sample by sample, (n,) each: time, fall of the loss for a later offset, information, window.
+    """What camera samples say of the clock offset: the score of their likelihood, and its Fisher information.
 
-    The loss falls by residual . velocity / sigma^2 a second (envelope theorem). Information is
-    velocity^2 / sigma^2 less what the states follow of a shift (`offset.offset_information`).
+    The loss falls by residual . velocity / sigma^2 a second of later offset (envelope theorem). Information
+    is velocity^2 / sigma^2 less what the states follow of a shift (`graph.clock_information`).
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        On the IMU's clock.
+    slope : ndarray, shape (n,), 1/s
+        Fall of the loss for a later offset.
+    information : ndarray, shape (n,), 1/s^2
+        Of the offset.
+    window : ndarray of int, shape (n,)
+        Number of the window that the sample is of.
     """
 
     t: FloatArray
@@ -97,57 +136,64 @@ class ClockScore:
     information: FloatArray
     window: IntArray
 
-    def gathered(self) -> ClockScore:
-        """The pulls of one window summed up over cells of half a second."""
-        _, cell = np.unique(np.floor(self.t / SYNTHETIC_CELL_S), return_inverse=True)
-        count = np.bincount(cell)
+    def condensed(self) -> ClockScore:
+        """The score of one window summed up over half a second at a time."""
+        _, group = np.unique(np.floor(self.t / SYNTHETIC_SPACING_S), return_inverse=True)
+        count = np.bincount(group)
         return ClockScore(
-            np.bincount(cell, weights=self.t) / count,
-            np.bincount(cell, weights=self.slope).astype(float),
-            np.bincount(cell, weights=self.information).astype(float),
+            np.bincount(group, weights=self.t) / count,
+            np.bincount(group, weights=self.slope).astype(float),
+            np.bincount(group, weights=self.information).astype(float),
             np.full(len(count), self.window[0] if len(self.window) else 0),
         )
 
 
 def clock_score(windows: Sequence[Window], solutions: Sequence[Solution]) -> ClockScore:
-    """What the samples of the windows' own parts say; the solutions state their offset information."""
-    t, slope, information, number = [], [], [], []
-    for k, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
-        own, all_t, all_slope, bound = [], [], [], []
-        for measured in window.joint_measurements:
-            velocity = solution.states.v[measured.node] + measured.velocity
-            residual = solution.residuals[measured.joint]
-            size = np.linalg.norm(residual, axis=1) / measured.sigma_m
-            weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
-            own.append((measured.t_s >= window.core_start_s) & (measured.t_s <= window.core_end_s))
-            all_t.append(measured.t_s)
-            all_slope.append(weight * np.einsum("ni,ni->n", residual, velocity))
-            bound.append(weight * np.einsum("ni,ni->n", velocity, velocity))
-        if not own:
+    """The score of the samples that lie in the windows' own time.
+
+    Parameters
+    ----------
+    windows, solutions : sequence of Window, sequence of Solution
+        Solved with `with_offset=True`, so that the solutions state their information on the offset.
+    """
+    columns: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
+    for number, (window, solution) in enumerate(zip(windows, solutions, strict=True)):
+        if not window.joint_measurements:
             continue
-        core, most = np.concatenate(own), np.concatenate(bound)
-        part = np.clip(solution.offset_information / max(most.sum(), 1e-12), SMALLEST_PART, 1.0)
-        t.append(np.concatenate(all_t)[core])
-        slope.append(np.concatenate(all_slope)[core])
-        information.append(part * most[core])
-        number.append(np.full(int(core.sum()), k))
-    if not t:
+        t, slope, bound = (
+            np.concatenate(each) for each in zip(*_joint_scores(window, solution), strict=True)
+        )
+        core = (t >= window.core_start_s) & (t <= window.core_end_s)
+        share = np.clip(solution.offset_information / max(bound.sum(), 1e-12), SMALLEST_SHARE, 1.0)
+        columns.append((t[core], slope[core], share * bound[core], np.full(int(core.sum()), number)))
+    if not columns:
         return ClockScore(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int))
-    return ClockScore(*(np.concatenate(each) for each in (t, slope, information, number)))
+    return ClockScore(*(np.concatenate(each) for each in zip(*columns, strict=True)))
 
 
-def pooled_score(score: Sequence[ClockScore]) -> ClockScore:
-    """The pulls of windows apart, numbered anew."""
-    number = [np.full(len(each.t), k) for k, each in enumerate(score)]
-    columns = [[getattr(each, name) for each in score] for name in ("t", "slope", "information")]
+def _joint_scores(window: Window, solution: Solution) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Times, slopes, and information where the states would not follow, joint by joint."""
+    for measured in window.joint_measurements:
+        velocity = solution.states.v[measured.node] + measured.velocity
+        residual = solution.residuals[measured.joint]
+        size = np.linalg.norm(residual, axis=1) / measured.sigma_m
+        weight = 1.0 / (1.0 + (size / window.noise.cauchy) ** 2) / measured.sigma_m**2
+        slope = weight * np.einsum("ni,ni->n", residual, velocity)
+        yield measured.t_s, slope, weight * np.einsum("ni,ni->n", velocity, velocity)
+
+
+def pooled_score(scores: Sequence[ClockScore]) -> ClockScore:
+    """The scores of windows apart as one, the windows numbered anew."""
+    number = [np.full(len(score.t), k) for k, score in enumerate(scores)]
+    columns = [[getattr(score, name) for score in scores] for name in ("t", "slope", "information")]
     return ClockScore(*(np.concatenate(each) for each in (*columns, number)))
 
 
 def _likeliest(
-    t: FloatArray, local: FloatArray, variance: FloatArray, made_up: bool
+    t: FloatArray, local: FloatArray, variance: FloatArray, synthetic_stamps: bool
 ) -> tuple[tuple[float, FloatArray, float, float], float]:
     """The likeliest walk; zero unless another is clearly likelier."""
-    walks, gain = (WALKS_SYNTHETIC, WALK_GAIN_SYNTHETIC) if made_up else (WALKS, WALK_GAIN)
+    walks, gain = (WALKS_SYNTHETIC, WALK_GAIN_SYNTHETIC) if synthetic_stamps else (WALKS, WALK_GAIN)
     tries = [_local_level(t, local, variance, walk) for walk in walks]
     best = max(range(len(walks)), key=lambda k: tries[k][0] - (gain if k else 0.0))
     return tries[best], walks[best]

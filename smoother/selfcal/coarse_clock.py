@@ -14,47 +14,63 @@ from scipy.ndimage import gaussian_filter1d
 
 from ..errors import CalibrationError
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
+from ..measurements.timeline import Timeline
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
 from .excerpts import spread_excerpts
 
 #: Both speeds are taken on this grid, Hz, smoothed with this sigma, s: what joints' noise leaves of them.
 GRID_HZ, SMOOTH_S = 50.0, 0.12
 #: Frames farther apart are not bridged, s.
-HOLE_S = 0.25
+BRIDGED_S = 0.25
 #: Both must share so much, s, at a shift that is tried.
 OVERLAP_S = 8.0
-#: A shift is believed from this correlation on; another peak as good as this part of it makes it doubtful.
-BELIEVED, RIVAL, PEAK_S = 0.6, 0.9, 1.0
-#: Of a recording longer than this only blocks are looked at: so many, with so much around each, s; and with
+#: A shift is accepted from this correlation on; another peak as good as this part of it makes it doubtful.
+CLEAR, RIVAL, PEAK_S = 0.6, 0.9, 1.0
+#: Of a recording longer than this only excerpts are looked at: so many, with so much around each, s; and with
 #: so much of the IMU where that says nothing.
-LONG_S, BLOCKS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
+LONG_S, EXCERPTS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
 #: The fine search finds what is left over when it is below this everywhere, s.
 SMALL_S = 0.15
-#: So many blocks, and so much of those that are believed, have to lie within `SMALL_S` of a line.
-FEWEST_BLOCKS, AGREE = 3, 0.7
+#: So many excerpts, and so much of those that are clear, have to lie within `SMALL_S` of a line.
+FEWEST_EXCERPTS, AGREE = 3, 0.7
 
 
-def synchronise_coarsely(recording: Recording) -> tuple[Recording, Clock | None]:
-    """The recording with its camera's clock moved to where the fine search finds it, and how it was moved.
+def synchronise_coarsely(
+    recording: Recording, timeline: Timeline | None = None
+) -> tuple[Recording, Clock | None]:
+    """Bring the camera's stamps to where the fine search finds the rest.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its clocks may be any time apart.
+    timeline : Timeline, optional
+        Of the recording, where it is there already.
+
+    Returns
+    -------
+    recording : Recording
+        With the camera's stamps moved.
+    clock : Clock or None
+        How they were moved; None where they were near enough.
 
     Raises
     ------
     CalibrationError
-        See `coarse_offset`.
+        The clocks are farther apart than the fine search reaches, and the motion does not tell how far.
     """
-    coarse = coarse_clock(recording)
-    if coarse is None:
+    clock = coarse_clock(recording, timeline)
+    if clock is None:
         return recording, None
-    t = recording.arm.t_s
-    return replace(recording, arm=replace(recording.arm, t_s=t + coarse.at(t))), coarse
+    return replace(recording, arm=replace(recording.arm, t_s=clock.to_imu(recording.arm.t_s))), clock
 
 
-def coarse_clock(recording: Recording) -> Clock | None:
+def coarse_clock(recording: Recording, timeline: Timeline | None = None) -> Clock | None:
     """The camera's clock to some tens of milliseconds; None where the fine search reaches it by itself.
 
-    Over a long recording clocks drift apart: parts of it are looked at one by one, and a line is drawn
-    through what they say: the median of the slopes of all pairs, which a few wrong ones do not move (Sen,
-    J. Am. Stat. Assoc. 1968).
+    Over a long recording clocks drift apart: excerpts of it are looked at one by one, and a line is drawn
+    through their offsets: the median of the slopes of all pairs, which a few wrong ones do not move (Theil
+    and Sen; J. Am. Stat. Assoc. 1968).
 
     Raises
     ------
@@ -65,7 +81,8 @@ def coarse_clock(recording: Recording) -> Clock | None:
     if t[-1] - t[0] <= LONG_S:
         offset = coarse_offset(recording, LARGEST_OFFSET_S)
         return Clock(t[:1], np.array([offset]), SMALL_S) if offset else None
-    rows = _block_lags(recording, AROUND_S) or _block_lags(recording, FAR_S)
+    timeline = timeline or Timeline.of(recording)
+    rows = _excerpt_lags(recording, timeline, AROUND_S) or _excerpt_lags(recording, timeline, FAR_S)
     if not rows:
         return None
     at, lag = np.array(rows).T
@@ -79,14 +96,14 @@ def coarse_clock(recording: Recording) -> Clock | None:
     return None if np.abs(line).max() < SMALL_S else Clock(ends, line, SMALL_S, skew=slope)
 
 
-def _block_lags(recording: Recording, around_s: float) -> list[tuple[float, float]]:
-    """Camera times and offsets of the blocks that are clear, s; none where they are too few."""
+def _excerpt_lags(recording: Recording, timeline: Timeline, around_s: float) -> list[tuple[float, float]]:
+    """Camera times and offsets of the excerpts that are clear, s; none where they are too few."""
     rows = []
-    for block in spread_excerpts(recording, BLOCKS, AROUND_S, around_s):
-        peak = _Peak.of(recording.imu.select(block.samples), recording.arm.select(block.frames))
+    for excerpt in spread_excerpts(recording, timeline, EXCERPTS, AROUND_S, around_s):
+        peak = _Peak.of(recording.imu.select(excerpt.samples), recording.arm.select(excerpt.frames))
         if peak is not None and peak.is_clear:
-            rows.append((0.5 * (block.start_s + block.end_s), peak.lag_s))
-    return rows if len(rows) >= FEWEST_BLOCKS else []
+            rows.append((0.5 * (excerpt.start_s + excerpt.end_s), peak.lag_s))
+    return rows if len(rows) >= FEWEST_EXCERPTS else []
 
 
 def coarse_offset(recording: Recording, reach_s: float) -> float:
@@ -110,7 +127,7 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
     within_reach = np.abs(peak.lags_s) <= reach_s
     if within_reach.any() and float(peak.score[within_reach].max()) >= RIVAL * peak.score.max():
         return 0.0  # the small offset explains the motion about as well
-    if peak.correlation < BELIEVED:
+    if peak.correlation < CLEAR:
         return 0.0  # no shift stands out; what the fine search finds carries its own sigma
     raise CalibrationError(
         f"{recording.name}: the camera's clock and the IMU's seem {abs(peak.lag_s):.1f} s apart, but"
@@ -154,28 +171,28 @@ class _Peak:
         """The speeds agree well, and nowhere else about as well."""
         others = np.abs(self.lags_s - self.lag_s) > PEAK_S
         rival = float(self.score[others].max(initial=-np.inf))
-        return self.correlation >= BELIEVED and rival < RIVAL * self.score.max()
+        return self.correlation >= CLEAR and rival < RIVAL * self.score.max()
 
 
 def _camera_speed(arm: JointTracks) -> tuple[FloatArray, FloatArray]:
     """Grid and angular speed of the elbow-wrist direction, rad/s; nan where the camera saw neither."""
-    seen = arm.tracked("elbow") & arm.tracked("wrist")
-    along = (arm.joint("wrist") - arm.joint("elbow"))[seen]
+    visible = arm.tracked("elbow") & arm.tracked("wrist")
+    along = (arm.joint("wrist") - arm.joint("elbow"))[visible]
     length = np.linalg.norm(along, axis=1)
-    t = arm.t_s[seen][length > 0]
+    t = arm.t_s[visible][length > 0]
     if len(t) < 3:
         return np.empty(0), np.empty(0)
     grid = np.arange(t[0], t[-1], 1 / GRID_HZ)
-    unit = along[length > 0] / length[length > 0, None]
-    on_grid = np.stack([np.interp(grid, t, axis) for axis in unit.T], axis=1)
+    direction = along[length > 0] / length[length > 0, None]
+    on_grid = np.stack([np.interp(grid, t, axis) for axis in direction.T], axis=1)
     rate = gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0, order=1) * GRID_HZ
     after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
-    hole = t[after] - t[after - 1] > HOLE_S
-    return grid, np.where(hole, np.nan, np.linalg.norm(rate, axis=1))
+    missing = t[after] - t[after - 1] > BRIDGED_S
+    return grid, np.where(missing, np.nan, np.linalg.norm(rate, axis=1))
 
 
 def _imu_speed(imu: ImuStream) -> tuple[FloatArray, FloatArray]:
-    """Grid and the gyroscope's speed, rad/s, smoothed as the camera's; nan in holes of the stream."""
+    """Grid and the gyroscope's speed, rad/s, smoothed as the camera's; nan where samples are missing."""
     t = imu.t_s
     if len(t) < 3:
         return np.empty(0), np.empty(0)
@@ -183,9 +200,9 @@ def _imu_speed(imu: ImuStream) -> tuple[FloatArray, FloatArray]:
     rate = imu.gyro - np.median(imu.gyro, axis=0)
     on_grid = np.stack([np.interp(grid, t, axis) for axis in rate.T], axis=1)
     after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
-    hole = t[after] - t[after - 1] > HOLE_S
+    missing = t[after] - t[after - 1] > BRIDGED_S
     speed = np.linalg.norm(gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0), axis=1)
-    return grid, np.where(hole, np.nan, speed)
+    return grid, np.where(missing, np.nan, speed)
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -91,9 +91,9 @@ def _seen(segments: list[Segment]) -> list[str]:
 def _both(segment: Segment) -> BoolArray:
     """Frames of the part looked at in which elbow and wrist are accepted, thinned out."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    inside = (segment.frame_t >= segment.start_s) & (segment.frame_t <= segment.end_s)
+    inside = (segment.frame_t_camera >= segment.start_s) & (segment.frame_t_camera <= segment.end_s)
     rows = inside & segment.accepted[:, elbow] & segment.accepted[:, wrist]
-    cell = np.floor(segment.frame_t * DIRECTION_RATE_HZ).astype(int)
+    cell = np.floor(segment.frame_t_camera * DIRECTION_RATE_HZ).astype(int)
     first = np.concatenate(([True], np.diff(cell) > 0))
     return rows & first if len(rows) > 200 else rows
 
@@ -136,7 +136,7 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     along = segment.position[rows, wrist] - segment.position[rows, elbow]
     along /= np.linalg.norm(along, axis=1)[:, None]
-    t = segment.frame_t[rows]
+    t = segment.frame_t_camera[rows]
     chunk = ((t - t[0]) / CHUNK_S).astype(int)
     loss = np.zeros((len(offsets), len(directions)))
     hint = np.outer(segment.down, [0.0, 0.0, -1.0]) * (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
@@ -207,7 +207,7 @@ def _levers(
 
 def _aligned(segment: Segment, offset_s: float, along: FloatArray | None) -> Alignment:
     """The inertial frame in the camera's, from the forearm's direction (or the strap's acceleration)."""
-    frame_t = segment.frame_t + offset_s
+    frame_t = segment.frame_t_camera + offset_s
     pairs = []
     elbow, wrist, strap = (JOINTS.index(joint) for joint in ("elbow", "wrist", "strap"))
     both = segment.accepted[:, elbow] & segment.accepted[:, wrist]
@@ -234,7 +234,7 @@ def _difference(segments: list[Segment], frames: list[Alignment], joint: str, re
     for segment, frame in zip(segments, frames, strict=True):
         both = segment.accepted[:, a] & segment.accepted[:, b]
         if both.any():
-            t = segment.frame_t[both]
+            t = segment.frame_t_camera[both]
             R_K_A = frame.at(t) * segment.attitude.at(t)
             rows.append(R_K_A.inv().apply(segment.position[both, a] - segment.position[both, b]))
     return np.median(np.vstack(rows), axis=0) if rows else np.zeros(3)
@@ -251,7 +251,7 @@ def _by_acceleration(
         rows = segment.accepted[:, column]
         if rows.sum() < 8:
             continue
-        t = segment.frame_t[rows] + offset_s[segment.recording]
+        t = segment.frame_t_camera[rows] + offset_s[segment.recording]
         found = acceleration_pairs(
             t, segment.position[rows, column], segment.attitude, segment.signal, GRAVITY
         )

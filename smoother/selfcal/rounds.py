@@ -1,13 +1,14 @@
 """Self-calibration: what nobody measured, solved from the visible motion before the recovery.
 
-The mounting starts in closed form (`mounting`). Then a few rounds on a choice of blocks of the
-recordings: window graphs with the lever arms and the upper arm as variables, their answers combined,
-the camera's noise measured from the residuals, and the clock offset moved along the slope of the loss
-(secant steps). Recordings share the arm; each has its own clock offset.
+The mounting starts in closed form (`mounting`). Then a few rounds on excerpts of the recordings: window
+graphs with lever arms and upper arm as variables, their answers pooled, the camera's noise measured from
+the residuals, and the clock offset moved along the slope of the loss (scoring). Recordings share the arm;
+each has its own clock.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,42 +18,43 @@ from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
-from ..measurements.alignment import GRAVITY, Alignment, align, pairs
+from ..measurements.alignment import Alignment, align, pairs
 from ..measurements.clock import Clock, constant_clock
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS, FloatArray, IntArray
 from ..runtime.pool import Pool
+from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut, cut_times
 from ..window.pooling import pooled
 from ..window.prepare import prepare
 from ..window.priors import (
-    Start,
+    InitialValues,
     calibration_from,
     first_priors,
+    initial_values,
     noise_of,
-    start_of,
     upper_arm_length_sigma,
     upper_arm_seen,
 )
-from ..window.problem import Solution, Window
+from ..window.problem import Priors, Solution, Window
 from ..window.trajectory import Trajectory, at_times, merge_windows
 from .camera_noise import joint_noise, sigma_by_joint
-from .clock_fit import ClockFit
+from .clock_fit import refined_clocks
 from .excerpts import choose_excerpts
 from .joint_bias import JointBias
-from .mounting import find_mounting
+from .mounting import Mounting, find_mounting
 
 ROUNDS = 4
-#: A round ends when an iteration lowers the error by less than this part of it.
+#: A round ends when an iteration lowers the error by less than this share of it.
 TOLERANCE = 1e-3
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)
 #: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
 SETTLED_M = 0.001
 CLOCK_WEIGHT = 1.0
-#: The closed form is done again when screening took more than this part of the samples.
+#: The closed form is done again when more than this share of the samples was rejected by it.
 WORTH_AGAIN = 0.05
 
 
@@ -62,27 +64,40 @@ class SelfCalibration:
 
     Attributes
     ----------
-    calibration : lever arms and upper arm with sigmas.
-    start : the same values as a prior for solving them again: as uncertain as before.
-    clocks : of each recording, t_imu = t_camera + offset.
-    noise : of each forearm joint, by name.
-    sigma_m : (5,) effective noise in the order of `JOINTS`, m an axis.
-    direction_spread_rad : how far the forearm's direction in the sensor may be from the one found;
-        nan where it was given or not looked for.
-    upper_arm_sigma_m : how far from constant the upper arm's length is, m.
-    bias : the camera's constant errors, joint by joint.
-    begin : start values of the shared quantities.
+    estimate : ArmCalibration
+        Lever arms and upper arm with their sigmas.
+    prior : ArmCalibration
+        The same values as a prior for solving them again: as uncertain as before.
+    initial : InitialValues
+        Start values of the shared quantities.
+    clocks : tuple of Clock
+        Of each recording, t_imu = t_camera + offset.
+    joint_noise : dict of str to JointNoise
+        Of each forearm joint.
+    joint_sigma_m : ndarray, shape (5,), m
+        Effective noise an axis, in the order of `JOINTS`.
+    joint_bias : JointBias
+        The camera's constant errors.
+    upper_arm_sigma_m : float, m
+        How far from constant the upper arm's length is.
+    direction_spread_rad : float, rad
+        How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
     """
 
-    calibration: ArmCalibration
-    start: ArmCalibration
+    estimate: ArmCalibration
+    prior: ArmCalibration
+    initial: InitialValues
     clocks: tuple[Clock, ...]
-    noise: dict[str, JointNoise]
-    sigma_m: FloatArray
+    joint_noise: dict[str, JointNoise]
+    joint_sigma_m: FloatArray
+    joint_bias: JointBias
     upper_arm_sigma_m: float
-    bias: JointBias
-    begin: Start
     direction_spread_rad: float = float("nan")
+
+    @property
+    def clock(self) -> Clock:
+        """Of the only recording."""
+        return self.clocks[0]
 
     @property
     def mounting_unknown(self) -> bool:
@@ -91,141 +106,173 @@ class SelfCalibration:
 
 
 def self_calibrate(
-    segments: list[Segment], known: ArmCalibration, config: Config, pool: Pool
+    segments: list[Segment], given: ArmCalibration, config: Config, workers: Pool
 ) -> SelfCalibration:
-    """Find what the calibration lacks, and each recording's clock offset.
+    """Find what the calibration lacks, and each recording's clock.
 
     Parameters
     ----------
-    segments : of one or several recordings of one person and mounting.
-    known : what is given; its sigmas are believed.
-    """
-    blocks = choose_excerpts(segments)
-    mounting = find_mounting(blocks, known)
-    screened = [
-        reject_by_direction(b, mounting.calibration, constant_clock(mounting.offset_s[b.recording]))[0]
-        for b in blocks
-    ]
-    lost = sum(int((old.accepted & ~new.accepted).sum()) for new, old in zip(screened, blocks, strict=True))
-    if lost > WORTH_AGAIN * sum(int(block.accepted.sum()) for block in blocks):
-        mounting = find_mounting(screened, known)
-    blocks = screened
-    calibration = mounting.calibration
-    spread = mounting.direction_spread_rad if known.forearm_direction is None else float("nan")
-    if "elbow" in calibration.lever_arms and calibration.upper_arm is None:
-        calibration = replace(calibration, upper_arm=upper_arm_seen(blocks, config))
-    given = calibration
-    sigma_m, upper_arm_sigma_m = (
-        np.full(len(JOINTS), config.camera.joint_sigma_m),
-        config.arm.upper_arm_flex_m,
-    )
-    synthetic_stamps = {segment.recording: segment.synthetic_stamps for segment in blocks}
-    clocks = ClockFit(
-        [constant_clock(offset) for offset in mounting.offset_s],
-        [synthetic_stamps.get(number, False) for number in range(len(mounting.offset_s))],
-    )
-    bias, seen = JointBias(), blocks
-    motions: dict[int, Trajectory] = {}
-    margin_s = config.windows.margin_s
-    for _ in range(ROUNDS):
-        ready = [
-            (segment, each)
-            for segment in blocks
-            if (each := prepare(segment, calibration, clocks.clocks[segment.recording], sigma_m, margin_s))
-            is not None
-        ]
-        if not ready:
-            raise CalibrationError("at no time do the IMU and a visible forearm come together")
-        prepared_segments = [
-            with_initial_values(each[0], motions.get(k)) for k, (_, each) in enumerate(ready)
-        ]
-        begin = start_of(prepared_segments, [each[1] for _, each in ready], [segment for segment, _ in ready])
-        prior = first_priors(begin, calibration, config)
-        windows: list[Window] = []
-        owner: list[int] = []
-        borders = [cut_times(prepared, config.windows.length_s) for prepared in prepared_segments]
-        sharing = sum(len(border) - 1 for border in borders)
-        for (segment, _), prepared, border in zip(ready, prepared_segments, borders, strict=True):
-            windows += cut(
-                prepared,
-                [prior] * (len(border) - 1),
-                noise_of(config, upper_arm_sigma_m),
-                border,
-                margin_s,
-                GRAVITY,
-                sharing,
-            )
-            owner += [segment.recording] * (len(border) - 1)
-        answers = list(
-            pool.map(partial(solve, with_covariance=False, with_offset=True, tolerance=TOLERANCE), windows)
-        )
-        motions = _motions(prepared_segments, borders, windows, answers)
-        found = calibration_from(
-            pooled([a.message for a in answers], prior), prior.layout, given, bias.sigma_m
-        )
-        noise = joint_noise(windows, answers)
-        upper_arm_sigma_m = upper_arm_length_sigma(
-            blocks, config, max((each.sample_m for each in noise.values()), default=0.0)
-        )
-        sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
-        times, errors = list(clocks.clocks), bias.found_m.copy()
-        bias.step(windows, answers)
-        blocks = bias.corrected(seen)
-        clocks.step(windows, answers, np.array(owner))
-        moved = max(
-            _lever_change(calibration, found),
-            float(np.abs(bias.found_m - errors).max()),
-            CLOCK_WEIGHT * max(abs(a.mean_s - b.mean_s) for a, b in zip(clocks.clocks, times, strict=True)),
-        )
-        calibration = _recentred(found, given, known)
-        if moved < SETTLED_M:
-            break
-    return SelfCalibration(
-        found, calibration, tuple(clocks.clocks), noise, sigma_m, upper_arm_sigma_m, bias, begin, spread
-    )
-
-
-def reject_by_direction(
-    segment: Segment, calibration: ArmCalibration, clock: Clock
-) -> tuple[Segment, Alignment | None]:
-    """The piece without the frames whose forearm does not point where the inertial attitude says.
+    segments : list of Segment
+        Of one or several recordings of one person and mounting; excerpts of them are read.
+    given : ArmCalibration
+        What is known beforehand, with its sigmas.
+    config : Config
+    workers : Pool
+        Windows of a round are solved side by side.
 
     Returns
     -------
-    The piece, and the alignment that it was judged by where that is still good: nothing was set aside.
+    SelfCalibration
+
+    Raises
+    ------
+    CalibrationError
+        At no time do the IMU and a visible forearm come together.
     """
-    along_A = calibration.forearm_direction
-    if along_A is None:
-        return segment, None
-    frame_t = segment.frame_t + clock.at(segment.frame_t)
-    alignment = align(
-        pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
+    excerpts, mounting = _closed_form(choose_excerpts(segments), given)
+    synthetic = [
+        any(segment.synthetic_stamps for segment in excerpts if segment.recording == number)
+        for number in range(len(mounting.offset_s))
+    ]
+    start = _with_upper_arm(mounting.calibration, excerpts, config)
+    estimate = prior = start
+    clocks = tuple(constant_clock(offset) for offset in mounting.offset_s)
+    joint_sigma_m, upper_arm_sigma_m = (
+        np.full(len(JOINTS), config.camera.joint_sigma_m),
+        config.arm.upper_arm_flex_m,
     )
-    screened = reject_by_attitude(segment, frame_t, alignment, along_A)
-    return screened, alignment if screened is segment else None
+    joint_bias, trajectories = JointBias(), None
+    for _ in range(ROUNDS):
+        corrected = [joint_bias.corrected(segment) for segment in excerpts]
+        cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
+        windows = cut_round.windows
+        solutions = list(
+            workers.map(partial(solve, with_covariance=False, with_offset=True, tolerance=TOLERANCE), windows)
+        )
+        trajectories = cut_round.trajectories(solutions)
+        shared = pooled([solution.message for solution in solutions], cut_round.prior)
+        estimate = calibration_from(shared, cut_round.prior.layout, start, joint_bias.sigma_m)
+        noise = joint_noise(windows, solutions)
+        largest_m = max((each.sample_m for each in noise.values()), default=0.0)
+        upper_arm_sigma_m = upper_arm_length_sigma(corrected, config, largest_m)
+        joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
+        before = prior, joint_bias, clocks
+        joint_bias = joint_bias.updated(windows, solutions)
+        clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
+        prior = _recentred(estimate, start, given)
+        if _moved(before, (estimate, joint_bias, clocks)) < SETTLED_M:
+            break
+    spread = mounting.direction_spread_rad if given.forearm_direction is None else float("nan")
+    return SelfCalibration(
+        estimate,
+        prior,
+        cut_round.initial,
+        clocks,
+        noise,
+        joint_sigma_m,
+        joint_bias,
+        upper_arm_sigma_m,
+        spread,
+    )
 
 
-def with_initial_values(prepared: PreparedSegment, motion: Trajectory | None) -> PreparedSegment:
-    """The stretch with an earlier solution's motion as start values."""
-    if motion is None:
-        return prepared
-    inside = np.clip(prepared.t, motion.t[0], motion.t[-1])
-    return replace(prepared, start=at_times(motion, prepared.signal, inside))
+def _closed_form(excerpts: list[Segment], given: ArmCalibration) -> tuple[list[Segment], Mounting]:
+    """The mounting, and the excerpts without the frames that contradict it."""
+    mounting = find_mounting(excerpts, given)
+    inliers = [
+        reject_by_direction(
+            segment, mounting.calibration, constant_clock(mounting.offset_s[segment.recording])
+        )[0]
+        for segment in excerpts
+    ]
+    accepted = sum(int(segment.accepted.sum()) for segment in excerpts)
+    rejected = sum(
+        int((before.accepted & ~after.accepted).sum())
+        for before, after in zip(excerpts, inliers, strict=True)
+    )
+    if rejected > WORTH_AGAIN * accepted:
+        mounting = find_mounting(inliers, given)
+    return inliers, mounting
 
 
-def _motions(
-    prepared_segments: list[PreparedSegment],
-    borders: list[list[float]],
-    windows: list[Window],
-    answers: list[Solution],
-) -> dict[int, Trajectory]:
-    """The joined motion of each stretch, by its number."""
-    found, first = {}, 0
-    for k, (prepared, border) in enumerate(zip(prepared_segments, borders, strict=True)):
-        last = first + len(border) - 1
-        found[k] = merge_windows(prepared.t, windows[first:last], answers[first:last])
-        first = last
-    return found
+def _with_upper_arm(calibration: ArmCalibration, excerpts: list[Segment], config: Config) -> ArmCalibration:
+    if "elbow" not in calibration.lever_arms or calibration.upper_arm is not None:
+        return calibration
+    return replace(calibration, upper_arm=upper_arm_seen(excerpts, config))
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """The windows of a round, segment after segment.
+
+    `borders` and `prepared`: one a segment; `recording_of_window`: one a window.
+    """
+
+    prepared: dict[int, PreparedSegment]
+    borders: list[list[float]]
+    windows: list[Window]
+    recording_of_window: IntArray
+    initial: InitialValues
+    prior: Priors
+
+    def trajectories(self, solutions: Sequence[Solution]) -> dict[int, Trajectory]:
+        """The joined trajectory of each segment, by its number."""
+        merged, first = {}, 0
+        for (number, prepared), border in zip(self.prepared.items(), self.borders, strict=True):
+            last = first + len(border) - 1
+            merged[number] = merge_windows(prepared.t, self.windows[first:last], list(solutions[first:last]))
+            first = last
+        return merged
+
+
+def _cut(
+    segments: list[Segment],
+    calibration: ArmCalibration,
+    clocks: Sequence[Clock],
+    joint_sigma_m: FloatArray,
+    upper_arm_sigma_m: float,
+    trajectories: dict[int, Trajectory] | None,
+    config: Config,
+) -> _Cut:
+    """Prepare and cut all segments; start values are the last round's trajectories where there are any."""
+    margin_s = config.windows.margin_s
+    ready = [
+        (segment, *answer)
+        for segment in segments
+        if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
+    ]
+    if not ready:
+        raise CalibrationError("at no time do the IMU and a visible forearm come together")
+    prepared = {
+        number: with_initial_values(each, (trajectories or {}).get(number))
+        for number, (_, each, _) in enumerate(ready)
+    }
+    initial = initial_values(
+        list(prepared.values()), [alignment for *_, alignment in ready], [each for each, *_ in ready]
+    )
+    prior = first_priors(initial, calibration, config)
+    noise = noise_of(config, upper_arm_sigma_m)
+    borders = [cut_times(each, config.windows.length_s) for each in prepared.values()]
+    sharing = sum(len(border) - 1 for border in borders)
+    windows: list[Window] = []
+    recording: list[int] = []
+    for (segment, *_), each, border in zip(ready, prepared.values(), borders, strict=True):
+        windows += cut(each, [prior] * (len(border) - 1), noise, border, margin_s, GRAVITY, sharing)
+        recording += [segment.recording] * (len(border) - 1)
+    return _Cut(prepared, borders, windows, np.array(recording), initial, prior)
+
+
+Settling = tuple[ArmCalibration, JointBias, tuple[Clock, ...]]
+
+
+def _moved(before: Settling, after: Settling) -> float:
+    """The largest change that a round made: of lever arms, joint biases and clocks, m."""
+    (arm, bias, clocks), (arm_after, bias_after, clocks_after) = before, after
+    return max(
+        _lever_change(arm, arm_after),
+        float(np.abs(bias_after.error_m - bias.error_m).max()),
+        CLOCK_WEIGHT * max(abs(a.mean_s - b.mean_s) for a, b in zip(clocks_after, clocks, strict=True)),
+    )
 
 
 def _lever_change(before: ArmCalibration, after: ArmCalibration) -> float:
@@ -239,15 +286,54 @@ def _lever_change(before: ArmCalibration, after: ArmCalibration) -> float:
     )
 
 
-def _recentred(found: ArmCalibration, start: ArmCalibration, known: ArmCalibration) -> ArmCalibration:
-    """The next round's prior: what was found, as uncertain as before; what was given stays."""
+def _recentred(estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibration) -> ArmCalibration:
+    """The next round's prior: the estimate, as uncertain as before; what was given stays."""
     levers = {
-        joint: known.lever_arms[joint]
-        if joint in known.lever_arms
+        joint: given.lever_arms[joint]
+        if joint in given.lever_arms
         else LeverArm(lever.position_m, start.lever_arms[joint].sigma_m)
-        for joint, lever in found.lever_arms.items()
+        for joint, lever in estimate.lever_arms.items()
     }
-    upper_arm = known.upper_arm
-    if upper_arm is None and found.upper_arm is not None and start.upper_arm is not None:
-        upper_arm = replace(found.upper_arm, sigma_m=start.upper_arm.sigma_m)
+    upper_arm = given.upper_arm
+    if upper_arm is None and estimate.upper_arm is not None and start.upper_arm is not None:
+        upper_arm = replace(estimate.upper_arm, sigma_m=start.upper_arm.sigma_m)
     return replace(start, lever_arms=levers, upper_arm=upper_arm)
+
+
+def reject_by_direction(
+    segment: Segment, calibration: ArmCalibration, clock: Clock
+) -> tuple[Segment, Alignment | None]:
+    """Reject the frames whose forearm does not point where the inertial attitude says.
+
+    Parameters
+    ----------
+    segment : Segment
+    calibration : ArmCalibration
+        Of which the forearm's direction in the sensor is used; without one nothing is rejected.
+    clock : Clock
+        Of the camera.
+
+    Returns
+    -------
+    segment : Segment
+        The same object where nothing was rejected.
+    alignment : Alignment or None
+        Of the inertial frame to the camera's, where nothing was rejected and it can be used again.
+    """
+    along_A = calibration.forearm_direction
+    if along_A is None:
+        return segment, None
+    frame_t = segment.frame_t_imu(clock)
+    alignment = align(
+        pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
+    )
+    inlier = reject_by_attitude(segment, frame_t, alignment, along_A)
+    return inlier, alignment if inlier is segment else None
+
+
+def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None) -> PreparedSegment:
+    """The segment with an earlier solution's trajectory as start values; as it is without one."""
+    if trajectory is None:
+        return prepared
+    inside = np.clip(prepared.t, trajectory.t[0], trajectory.t[-1])
+    return replace(prepared, start=at_times(trajectory, prepared.signal, inside))

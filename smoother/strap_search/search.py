@@ -1,6 +1,4 @@
-"""The strap found in a recording's images, written into the recording as the joint `strap`; images"
-" stream by.
-"""
+"""The strap found in a recording's images, written into the recording as the joint `strap`."""
 
 from __future__ import annotations
 
@@ -54,16 +52,33 @@ def import_strap(
     passthrough_images: bool = False,
     force: bool = False,
 ) -> StrapFound:
-    """Find the strap in every colour image and write the recording with the joint `strap`.
+    """Look for the strap in every colour image and write the recording with the joint `strap`.
 
     Images are decoded one at a time: memory does not grow with the recording.
 
     Parameters
     ----------
-    skeleton, side : topic and arm that the strap belongs to.
-    joint_sigma_m : noise of the camera's elbow and wrist, m an axis.
-    colour_topic, depth_topic : (parts of) names, where there are several.
-    passthrough_images : copy the images as well (they show patients).
+    source : path-like
+        The recording, with images.
+    path : path-like
+        The recording to write.
+    mounted : Mounted
+        How the strap sits on the arm, and how the sensor turned.
+    skeleton, side : str
+        Topic and arm that the strap belongs to.
+    joint_sigma_m : float, m
+        Noise of the camera's elbow and wrist, an axis.
+    colour_topic, depth_topic : str, optional
+        Names, or parts of them, where there are several.
+    passthrough_images : bool
+        Copy the images as well (they show patients).
+    force : bool
+        Overwrite a recording that exists.
+
+    Returns
+    -------
+    results : StrapFound
+        What became of every image.
 
     Raises
     ------
@@ -83,16 +98,14 @@ def import_strap(
             " camera_frame in the recording."
         )
     cameras = Cameras(source, colour_topic, depth_topic, _OPTICAL[convention])
-    seen, covariances = _look(cameras, arm, mounted, joint_sigma_m)
+    estimates = _locate_all(cameras, arm, mounted, joint_sigma_m)
     position, state = arm.position.copy(), arm.state.copy()
-    rows = list(seen)
+    covariances = np.zeros((len(position), 9))
     position[:, _STRAP], state[:, _STRAP] = np.nan, JointState.NOT_TRACKED
-    for row in rows:
-        position[row, _STRAP], state[row, _STRAP] = seen[row], JointState.TRACKED
-    spread = np.zeros((len(position), 9))
-    for row in rows:
-        spread[row] = covariances[row].ravel()
-    better = replace(arm, position=position, state=state)
+    for row, (at, covariance) in estimates.items():
+        position[row, _STRAP], state[row, _STRAP] = at, JointState.TRACKED
+        covariances[row] = covariance.ravel()
+    with_strap = replace(arm, position=position, state=state)
 
     def wanted(topic: Topic) -> bool:
         return topic.name != skeleton and may_copy(topic, passthrough_images)
@@ -101,7 +114,7 @@ def import_strap(
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
         output.metadata(METADATA, metadata)
         outgoing = [
-            arm_messages(output, better, strap_covariance=spread)
+            arm_messages(output, with_strap, strap_covariance=covariances)
             if each is arm
             else arm_messages(output, each)
             for each in arms
@@ -111,14 +124,13 @@ def import_strap(
     return cameras.found
 
 
-def _look(
+def _locate_all(
     cameras: Cameras, arm: ArmFrames, mounted: Mounted, joint_sigma_m: float
-) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
-    """Positions and covariances of the sensor by frame of the arm; figures go to `cameras.found`."""
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Position and covariance of the sensor by frame of the arm; figures go to `cameras.found`."""
     depths: deque[ImageMessage] = deque(maxlen=AHEAD)
     waiting: deque[ImageMessage] = deque(maxlen=AHEAD)
-    seen: dict[int, FloatArray] = {}
-    spread: dict[int, FloatArray] = {}
+    estimates: dict[int, tuple[FloatArray, FloatArray]] = {}
     rows: list[tuple[float, FloatArray, FloatArray, float, str]] = []
     first: int | None = None
 
@@ -130,12 +142,12 @@ def _look(
         depth = min(depths, key=lambda each: abs(each.stamp_ns - colour.stamp_ns), default=None)
         row = _nearest(arm.stamp_ns, colour.stamp_ns)
         if depth is not None and abs(depth.stamp_ns - colour.stamp_ns) < TOGETHER_S * 1e9:
-            place, covariance, sighting = _one(cameras, arm, mounted, joint_sigma_m, colour, depth, row)
+            place, covariance, sighting = _locate(cameras, arm, mounted, joint_sigma_m, colour, depth, row)
         if not sighting.reason and row is not None:
-            seen[row], spread[row] = place, covariance
+            estimates[row] = place, covariance
         sigma = np.sqrt(np.diag(covariance))
         rows.append((t, place, sigma, sighting.along, sighting.reason))
-        _keep(cameras.found, t, colour, sighting, len(rows))
+        _keep_samples(cameras.found, t, colour, sighting, len(rows))
 
     for role, image in cameras.images():
         if role == "depth":
@@ -148,12 +160,12 @@ def _look(
             settle(waiting.popleft())
     while waiting:
         settle(waiting.popleft())
-    found = cameras.found
+    results = cameras.found
     if rows:
         t_s, place, sigma, along, reasons = zip(*rows, strict=True)
-        found.t_s, found.position, found.sigma_m = np.array(t_s), np.array(place), np.array(sigma)
-        found.along, found.reasons = np.array(along), list(reasons)
-    return seen, spread
+        results.t_s, results.position, results.sigma_m = np.array(t_s), np.array(place), np.array(sigma)
+        results.along, results.reasons = np.array(along), list(reasons)
+    return estimates
 
 
 def _nearest(stamps: IntArray, stamp_ns: int) -> int | None:
@@ -162,7 +174,7 @@ def _nearest(stamps: IntArray, stamp_ns: int) -> int | None:
     return best if abs(int(stamps[best]) - stamp_ns) < TOGETHER_S * 1e9 else None
 
 
-def _one(
+def _locate(
     cameras: Cameras,
     arm: ArmFrames,
     mounted: Mounted,
@@ -171,7 +183,7 @@ def _one(
     depth: ImageMessage,
     row: int | None,
 ) -> tuple[FloatArray, FloatArray, Sighting]:
-    """The sensor's place in one image with its covariance, and the sighting."""
+    """The sensor's position in one image with its covariance, and the sighting."""
     nothing = np.full(3, np.nan), np.full((3, 3), np.nan)
     if row is None or not (arm.state[row, [_ELBOW, _WRIST]] == JointState.TRACKED).all():
         return *nothing, Sighting("elbow or wrist is not tracked")
@@ -199,13 +211,15 @@ def _one(
     return place, sighting.covariance + mounted.sigma_m**2 * np.eye(3), sighting
 
 
-def _keep(found: StrapFound, t: float, colour: ImageMessage, sighting: Sighting, count: int) -> None:
-    """Keep a few pictures, and profiles thinned out so that memory stays flat."""
+def _keep_samples(
+    results: StrapFound, t: float, colour: ImageMessage, sighting: Sighting, count: int
+) -> None:
+    """Keep a few pictures, and profiles decimated so that memory stays flat."""
     if len(sighting.profile) and count % (1 + count // PROFILES) == 0:
-        found.profiles.append((t, sighting.profile[::4]))
-        if len(found.profiles) > 2 * PROFILES:
-            found.profiles = found.profiles[::2]
-    if sighting.found and len(found.pictures) < PICTURES and count % 20 == 1:
+        results.profiles.append((t, sighting.profile[::4]))
+        if len(results.profiles) > 2 * PROFILES:
+            results.profiles = results.profiles[::2]
+    if sighting.found and len(results.pictures) < PICTURES and count % 20 == 1:
         import cv2
 
         picture = cv2.cvtColor(grey_of(colour), cv2.COLOR_GRAY2BGR)
@@ -213,7 +227,7 @@ def _keep(found: StrapFound, t: float, colour: ImageMessage, sighting: Sighting,
         cv2.circle(picture, at, 12, (0, 94, 213), 2)
         size = 120
         x, y = (min(max(at[i] - size, 0), max(picture.shape[1 - i] - 2 * size, 0)) for i in (0, 1))
-        found.pictures.append(np.asarray(picture[y : y + 2 * size, x : x + 2 * size], np.uint8))
+        results.pictures.append(np.asarray(picture[y : y + 2 * size, x : x + 2 * size], np.uint8))
 
 
 def grey_of(image: ImageMessage) -> NDArray[np.uint8]:

@@ -1,1 +1,1 @@
-"""A window as plain arrays: cut from a segment, told priors, joined to a trajectory."""
+"""A window as plain arrays: cut from a segment, given priors, joined to a trajectory."""

@@ -1,4 +1,4 @@
-"""A stretch of the recording cut into windows: nodes, start values, camera samples by node."""
+"""A segment cut into windows: nodes, initial values, camera samples by node."""
 
 from __future__ import annotations
 
@@ -28,36 +28,50 @@ KNOT_S = 0.09
 #: A still arm's acceleration, m/s^2, and how long an acceleration lasts, s (`_velocity_change`).
 STILL_ACCELERATION = 0.1
 CHANGE_TIME_S = 0.2
-ACCELERATION_FACTOR = 1.0
 #: An orientation about which nothing is known, rad: wider, and a window at rest is singular to the solver.
 FREE_RAD = 1.0
-#: Borders of windows keep so far from gaps where the visible stretch is long enough, s.
+#: Borders of windows keep so far from gaps where the visible time between two gaps is long enough, s.
 KEEP_S = 2.0
 
 
 @dataclass(frozen=True)
 class PreparedSegment:
-    """A stretch of the recording without a pause of the IMU, ready to be cut.
+    """A segment, or a time range of it, ready to be cut.
 
     Attributes
     ----------
-    signal : the IMU as a continuous signal.
-    t : (n,) nodes on the IMU's clock, s.
-    start : start values at the nodes.
-    frame_t : (f,) camera frames on the IMU's clock, s.
-    frame_node : (f,) node that each camera frame is told to, -1 where there is none.
-    position, accepted, sigma_m : the camera's samples (f, 5, 3), (f, 5), (f, 5).
-    gaps : the occluded stretches inside.
-    acceleration_std : (n,) how much the sensor's acceleration varies, m/s^2.
-    attitude, attitude_covariance : (n, 3, 3) orientations from the inertial filter and the alignment,
-        and their covariance, rad^2 in {K}: the weak prior.
-    start_s, end_s : the part that is answered for; nodes beyond are there for its sake.
+    signal : InertialSignal
+        The IMU as a continuous signal.
+    t : ndarray, shape (n,), s
+        Nodes on the IMU's clock.
+    start : States
+        Initial values at the nodes.
+    frame_t_imu : ndarray, shape (f,), s
+        Camera frames on the IMU's clock.
+    frame_node : ndarray of int, shape (f,)
+        The node that each frame belongs to, -1 where there is none.
+    position : ndarray, shape (f, 5, 3), m
+        The camera's samples in {K}.
+    accepted : ndarray of bool, shape (f, 5)
+        Samples that may take part.
+    sigma_m : ndarray, shape (f, 5), m
+        Their standard deviation an axis.
+    gaps : tuple of Gap
+        Inside, in order of time.
+    acceleration_std : ndarray, shape (n,), m/s^2
+        How much the sensor's acceleration varies.
+    attitude : ndarray, shape (n, 3, 3)
+        `R_K_A` from the inertial filter and the alignment: the weak prior.
+    attitude_covariance : ndarray, shape (n, 3, 3), rad^2
+        Of the attitude, in {K}.
+    start_s, end_s : float, s
+        What the answer is wanted for; nodes beyond only support it.
     """
 
     signal: InertialSignal
     t: FloatArray
     start: States
-    frame_t: FloatArray
+    frame_t_imu: FloatArray
     frame_node: IntArray
     position: FloatArray
     accepted: BoolArray
@@ -71,7 +85,19 @@ class PreparedSegment:
 
 
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
-    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows."""
+    """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows.
+
+    Parameters
+    ----------
+    prepared : PreparedSegment
+    length_s : float, s
+        Length of a window aimed at; gaps may make it longer.
+
+    Returns
+    -------
+    borders : list of float, s
+        Increasing, from the beginning of the time range to its end.
+    """
     t0, t1 = max(float(prepared.t[0]), prepared.start_s), min(float(prepared.t[-1]), prepared.end_s)
     visible = []
     last = t0
@@ -84,10 +110,10 @@ def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
         keep = min(KEEP_S, 0.5 * (b - a))
         while t1 - borders[-1] > 1.5 * length_s:
             target = borders[-1] + length_s
-            place = min(max(target, a + keep), b - keep)
-            if place < target - 0.5 * length_s:
+            border = min(max(target, a + keep), b - keep)
+            if border < target - 0.5 * length_s:
                 break
-            borders.append(place)
+            borders.append(border)
     return [*borders, t1]
 
 
@@ -104,8 +130,22 @@ def cut(
 
     Parameters
     ----------
-    priors : of each window.
-    sharing : how many windows share the attitude prior, of all stretches.
+    prepared : PreparedSegment
+    priors : sequence of Priors
+        Of each window.
+    noise : NoiseModel
+    borders : list of float, s
+        From `cut_times`.
+    margin_s : float, s
+        What a window covers beyond its borders.
+    gravity_magnitude : float, m/s^2
+    sharing : int
+        How many windows share the attitude prior, over all segments.
+
+    Yields
+    ------
+    window : Window
+        In order of time.
     """
     for index, (a, b) in enumerate(pairwise(borders)):
         rows = window_nodes(prepared.t, borders, index, margin_s)
@@ -125,7 +165,7 @@ def cut(
             velocity_change=_velocity_change(prepared, lo, hi),
             attitude_node=attitude_node,
             attitude=prepared.attitude[lo + attitude_node],
-            # one prior for all windows together: they have its error in common
+            # one prior for all windows together: its error is common to all
             attitude_covariance=_weakened(prepared.attitude_covariance[lo + attitude_node], sharing),
             priors=prior,
             noise=noise,
@@ -134,7 +174,7 @@ def cut(
 
 
 def window_nodes(t: FloatArray, borders: list[float], index: int, margin_s: float) -> slice:
-    """Nodes of a window with its margins; the first and the last reach to the ends."""
+    """Nodes of the `index`-th window with its margins; the first window and the last reach to the ends."""
     lo, hi = (
         np.searchsorted(t, borders[index] - margin_s),
         np.searchsorted(t, borders[index + 1] + margin_s, "right"),
@@ -149,13 +189,15 @@ def _best_node(covariance: FloatArray) -> int:
 def _velocity_change(prepared: PreparedSegment, lo: int, hi: int) -> FloatArray:
     """How much the velocity may change in each interval without a camera, m/s (n - 1,); inf elsewhere.
 
-    An arm whose sensor is quiet keeps its velocity. This says no more than that, so it matters where the
+    An arm whose sensor is still keeps its velocity. This says no more than that, so it matters where the
     integrated IMU knows less: at its worst the answer is as good as a straight line.
     """
     t = prepared.t[lo:hi]
     middle, dt = 0.5 * (t[1:] + t[:-1]), np.diff(t)
-    lively = np.maximum(prepared.acceleration_std[lo : hi - 1], prepared.acceleration_std[lo + 1 : hi])
-    change = np.hypot(ACCELERATION_FACTOR * lively, STILL_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S)
+    acceleration_std = np.maximum(
+        prepared.acceleration_std[lo : hi - 1], prepared.acceleration_std[lo + 1 : hi]
+    )
+    change = np.hypot(acceleration_std, STILL_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S)
     return np.where(occluded_at(middle, prepared.gaps), change, np.inf)
 
 
@@ -166,8 +208,8 @@ def _weakened(covariance: FloatArray, factor: float) -> FloatArray:
 
 
 def _increments(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> ImuIncrements:
-    block_t, first = split_steps(t)
-    acc, gyro, h = equivalent_samples(integrate(signal, block_t, bias))
+    step_t, first = split_steps(t)
+    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
     return ImuIncrements(acc, gyro, h, first, bias, signal.velocity_error(t))
 
 
@@ -176,9 +218,11 @@ def _joint_measurements(
 ) -> tuple[JointMeasurements, ...]:
     layout, mean = prior.layout, prior.shared.mean
     inside = np.flatnonzero((prepared.frame_node >= lo) & (prepared.frame_node < hi))
-    node, frame_t = prepared.frame_node[inside], prepared.frame_t[inside]
+    node, frame_t_imu = prepared.frame_node[inside], prepared.frame_t_imu[inside]
     gravity = layout.down(mean) * gravity_magnitude
-    way = propagate(prepared.signal, prepared.t, prepared.start, frame_t, node, gravity, mean[layout.bias])
+    motion = propagate(
+        prepared.signal, prepared.t, prepared.start, frame_t_imu, node, gravity, mean[layout.bias]
+    )
     joint_measurements = []
     for joint in FOREARM_JOINTS:
         column = JOINTS.index(joint)
@@ -188,12 +232,12 @@ def _joint_measurements(
             joint_measurements.append(
                 JointMeasurements(
                     joint,
-                    frame_t[rows],
+                    frame_t_imu[rows],
                     node[rows] - lo,
                     prepared.position[inside[rows], column],
                     prepared.sigma_m[inside[rows], column],
-                    way.shift(lever)[rows],
-                    way.velocity(lever)[rows],
+                    motion.shift(lever)[rows],
+                    motion.velocity(lever)[rows],
                 )
             )
     return tuple(joint_measurements)
@@ -210,16 +254,16 @@ def _shoulder(prepared: PreparedSegment, lo: int, hi: int) -> ShoulderMeasuremen
         if t[i] - t[knots[-1]] >= KNOT_S or i == len(t) - 1:
             knots.append(i)
     node = np.array(knots)
-    seen = np.flatnonzero(prepared.accepted[:, column])
-    seen_t = prepared.frame_t[seen]
-    near = (seen_t >= t[0] - KNOT_S) & (seen_t <= t[-1] + KNOT_S)
-    owner = np.searchsorted(0.5 * (t[node][1:] + t[node][:-1]), seen_t[near])
+    visible = np.flatnonzero(prepared.accepted[:, column])
+    visible_t = prepared.frame_t_imu[visible]
+    near = (visible_t >= t[0] - KNOT_S) & (visible_t <= t[-1] + KNOT_S)
+    owner = np.searchsorted(0.5 * (t[node][1:] + t[node][:-1]), visible_t[near])
     count = np.bincount(owner, minlength=len(node)).astype(float)
     total = np.zeros((len(node), 3))
-    np.add.at(total, owner, prepared.position[seen[near], column])
-    variance = np.bincount(owner, weights=prepared.sigma_m[seen[near], column] ** 2, minlength=len(node))
+    np.add.at(total, owner, prepared.position[visible[near], column])
+    variance = np.bincount(owner, weights=prepared.sigma_m[visible[near], column] ** 2, minlength=len(node))
     with np.errstate(invalid="ignore", divide="ignore"):
         position = total / count[:, None]
         sigma = np.sqrt(variance) / count
-    start = interpolate(seen_t, prepared.position[seen, column], t[node])
+    start = interpolate(visible_t, prepared.position[visible, column], t[node])
     return ShoulderMeasurements(node, position, sigma, np.where(count[:, None] > 0, position, start))

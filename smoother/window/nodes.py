@@ -1,4 +1,4 @@
-"""Which times a segment is solved at: the nodes."""
+"""The nodes: the times that a segment is solved at."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from ..recording import BoolArray, FloatArray, IntArray
 
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.2
-#: Nodes keep at least so far apart, s; closer frames are left to their neighbour.
+#: Nodes keep at least so far apart, s; of closer frames only one takes part.
 CLOSEST_S = 0.008
-#: Frames up to so far from a node are carried to it, s, except so near to a gap, s: there the camera's last
-#: samples decide.
+#: Frames up to so far from a node belong to it, s (`propagate`), except so near to a gap, s: there the
+#: camera's last samples decide.
 GROUPED_S = 0.07
 FINE_S = 0.15
 
 
 def decimate(t: FloatArray) -> BoolArray:
-    """Which of the increasing times to keep so that neighbours are `CLOSEST_S` apart."""
+    """Which of the increasing times (n,) to keep so that neighbours are `CLOSEST_S` apart, (n,)."""
     keep = np.ones(len(t), dtype=bool)
     if len(t) < 2 or np.diff(t).min() >= CLOSEST_S:
         return keep
@@ -31,15 +31,22 @@ def decimate(t: FloatArray) -> BoolArray:
 
 
 def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
-    """Which frame's node each frame is told to, (n,): itself, or the middle one of an odd group.
+    """Which frame's node each frame belongs to: its own, or that of the middle one of an odd group.
 
-    The IMU ties frames a few hundredths of a second apart much better than the camera sees them, so
-    that far from gaps a group of them can share one node (`carry`).
+    The IMU ties frames a few hundredths of a second apart much better than the camera measures them, so
+    that far from gaps a group of them can share one node (`propagate`).
 
     Parameters
     ----------
-    t : (n,) increasing times of the frames that saw something of the forearm, s.
-    visible : (n,) frames that saw enough of it.
+    t : ndarray, shape (n,), s
+        Increasing times of the frames with at least one forearm joint.
+    visible : ndarray of bool, shape (n,)
+        Frames with enough of them.
+
+    Returns
+    -------
+    owner : ndarray of int, shape (n,)
+        Row of the frame whose node it is.
     """
     owner = np.arange(len(t))
     if len(t) < 3:
@@ -61,7 +68,20 @@ def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
 
 
 def insert_nodes(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
-    """Node times: the given ones, start and end, and evenly spaced ones where they are far apart."""
+    """Node times: the given ones, start and end, and evenly spaced ones where they are far apart.
+
+    Parameters
+    ----------
+    t : ndarray, shape (k,), s
+        Increasing times that nodes are wanted at.
+    start_s, end_s : float, s
+        The first node and the last.
+
+    Returns
+    -------
+    nodes : ndarray, shape (n,), s
+        At most `GAP_NODE_S` apart.
+    """
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))
     count = np.maximum(np.ceil(np.diff(knots) / GAP_NODE_S - 1e-9).astype(int), 1)

@@ -1,9 +1,9 @@
-"""What all windows together know of the shared quantities, and what each is told of it.
+"""The shared quantities by all windows together, and by all windows but one.
 
 Each window of the first pass answers with a Gaussian on the biases, gravity, the upper arm's length
-and the lever arms. A window is then told what the others found (never its own answer, which it would
-count twice), widened by how much the windows differ beyond their stated covariance (a random-effects
-model; DerSimonian and Laird, Control. Clin. Trials 1986).
+and the lever arms. In the second pass the answers of the others are its prior (never its own answer,
+which would count twice), widened by how much the windows differ beyond their stated covariance (a
+random-effects model; DerSimonian and Laird, Control. Clin. Trials 1986).
 """
 
 from __future__ import annotations
@@ -49,30 +49,50 @@ class _Information:
 
 
 def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
-    """The second pass's priors, one a window, in the order of time.
+    """The second pass's priors: what the first pass's prior and all other windows say.
 
     Parameters
     ----------
-    messages : the first pass's answers in the order of time; not needed any more once the first is told.
-    prior : what the first pass was told, the same for all of its windows.
+    messages : sequence of Message
+        The first pass's answers in the order of time; not needed any more once this has returned.
+    prior : Priors
+        The first pass's, the same for all of its windows.
+
+    Yields
+    ------
+    priors : Priors
+        Of each window, in the order of time.
     """
     t = np.array([message.t_s for message in messages])
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
-    told = _others([message.shared for message in messages], prior.shared, t, walk)
-    return (replace(prior, shared=each) for each in told)
+    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk)
+    return (replace(prior, shared=shared) for shared in others)
 
 
 def pooled(messages: Sequence[Message], prior: Priors) -> Gaussian:
-    """The constants of the arm (upper arm, lever arms) from all windows and the prior together."""
-    part = prior.layout.constants
-    answers = [_part(message.shared, part) for message in messages]
-    start, widened, _ = _accumulated(answers, _part(prior.shared, part))
+    """The constants of the arm (upper arm, lever arms) from all windows and the prior together.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        The windows' answers, in any order.
+    prior : Priors
+        The windows' prior, the same for all of them.
+
+    Returns
+    -------
+    constants : Gaussian
+        Of the rows `prior.layout.constants`.
+    """
+    rows = prior.layout.constants
+    answers = [_marginal(message.shared, rows) for message in messages]
+    start, widened, _ = _accumulated(answers, _marginal(prior.shared, rows))
     return (start + widened.sum()).gaussian()
 
 
-def _part(whole: Gaussian, part: slice) -> Gaussian:
-    return Gaussian(whole.mean[part], whole.covariance[part, part])
+def _marginal(gaussian: Gaussian, rows: slice) -> Gaussian:
+    return Gaussian(gaussian.mean[rows], gaussian.covariance[rows, rows])
 
 
 def _accumulated(
@@ -83,39 +103,54 @@ def _accumulated(
     start = _Information(before, before @ prior.mean)
     matrix = inverse(np.array([answer.covariance for answer in answers]))
     vector = np.einsum("kij,kj->ki", matrix, np.array([answer.mean for answer in answers]))
-    # take the prior out of each answer
+    # each answer without the prior
     own = _Information(_positive(matrix - start.matrix), vector - start.vector)
     spread = _between_window_variance(own)
     return start, _widen(own, np.diag(spread)), spread
 
 
-def _others(
+def leave_one_out(
     answers: Sequence[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
 ) -> Iterator[Gaussian]:
     """For each window, what the prior and all other windows say.
 
-    Forward and backward filter in information form over the windows, each component wandering by
-    `walk` (unit/sqrt(s), zero for a constant), each window's own deviation added.
+    Forward and backward filter in information form over the windows, each window's own deviation added.
+
+    Parameters
+    ----------
+    answers : sequence of Gaussian
+        The windows' posteriors of a vector (s,), the prior still inside.
+    prior : Gaussian
+        The same for all of them.
+    t : ndarray, shape (k,), s
+        Increasing times of the windows.
+    walk : ndarray, shape (s,), unit/sqrt(s)
+        How each component wanders; zero for a constant.
+
+    Yields
+    ------
+    others : Gaussian
+        For each window, in the order of time.
     """
     start, widened, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
 
-    def on(heard: _Information, step_s: float) -> _Information:
-        return _widen(heard, np.diag(walk**2) * step_s)
+    def wander(information: _Information, step_s: float) -> _Information:
+        return _widen(information, np.diag(walk**2) * step_s)
 
-    heard = _Information(np.zeros((size, size)), np.zeros(size))
+    after = _Information(np.zeros((size, size)), np.zeros(size))
     later = _Information(np.zeros((count, size, size)), np.zeros((count, size)))
     for k in range(count - 2, -1, -1):
-        heard = on(heard + widened[k + 1], t[k + 1] - t[k])
-        later.matrix[k], later.vector[k] = heard.matrix, heard.vector
+        after = wander(after + widened[k + 1], t[k + 1] - t[k])
+        later.matrix[k], later.vector[k] = after.matrix, after.vector
 
     def forward() -> Iterator[Gaussian]:
-        heard = _Information(np.zeros((size, size)), np.zeros(size))
+        earlier = _Information(np.zeros((size, size)), np.zeros(size))
         for k in range(count):
             if k:
-                heard = on(heard + widened[k - 1], t[k] - t[k - 1])
-            each = (start + heard + later[k]).gaussian()
-            yield Gaussian(each.mean, each.covariance + np.diag(spread))
+                earlier = wander(earlier + widened[k - 1], t[k] - t[k - 1])
+            others = (start + earlier + later[k]).gaussian()
+            yield Gaussian(others.mean, others.covariance + np.diag(spread))
 
     return forward()
 
@@ -135,12 +170,12 @@ def _widen(information: _Information, covariance: FloatArray) -> _Information:
 
 
 def _between_window_variance(own: _Information) -> FloatArray:
-    """Variance between windows beyond what they state, (s,), axis by axis."""
+    """Variance between windows beyond what they state, (s,), axis by axis (DerSimonian and Laird 1986)."""
     size = own.matrix.shape[-1]
     if len(own) < 3:
         return np.zeros(size)
-    all_together = own.sum()
-    mean = _Information(all_together.matrix + 1e-9 * np.eye(size), all_together.vector).gaussian().mean
+    total = own.sum()
+    mean = _Information(total.matrix + 1e-9 * np.eye(size), total.vector).gaussian().mean
     # each window's own estimate along an axis, others held at the common mean
     weight = np.einsum("kii->ki", own.matrix)
     estimate = mean + (own.vector - own.matrix @ mean) / np.maximum(weight, 1e-12)

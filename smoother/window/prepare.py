@@ -1,4 +1,4 @@
-"""A piece of the recording made ready to cut: clocks joined, nodes, start values from visible data."""
+"""A segment made ready to cut: one clock, nodes, initial values from visible data."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ..calibration import ArmCalibration
-from ..measurements.alignment import (
-    Alignment,
-    align,
-    lever_of,
-    pairs,
-)
+from ..measurements.alignment import Alignment, align, lever_of, pairs
 from ..measurements.attitude import acceleration_std
 from ..measurements.clock import Clock
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
 from .cut import PreparedSegment
 from .nodes import decimate, group_frames, insert_nodes
 from .problem import States
@@ -33,53 +28,56 @@ def prepare(
     margin_s: float,
     alignment: Alignment | None = None,
 ) -> tuple[PreparedSegment, Alignment] | None:
-    """Nodes and start values of a piece.
+    """Nodes and initial values of a segment.
 
     Parameters
     ----------
-    clock : takes the camera's times to the IMU's.
-    sigma_m : (5,) noise of the camera's joints, m an axis.
-    margin_s : nodes reach so far beyond the part that is answered for.
-    alignment : of the inertial frame to the camera where it is known; found from the samples where None.
+    segment : Segment
+    calibration : ArmCalibration
+        Its lever arms tie the joints to the IMU.
+    clock : Clock
+        Takes the camera's times to the IMU's.
+    sigma_m : ndarray, shape (5,), m
+        Noise of the camera's joints, an axis.
+    margin_s : float, s
+        Nodes reach so far beyond what the answer is wanted for.
+    alignment : Alignment, optional
+        Of the inertial frame to the camera; estimated from the samples where None.
 
     Returns
     -------
-    The stretch and the alignment of its inertial frame to the camera; None where the camera saw
-    nothing of the forearm near enough.
+    prepared : PreparedSegment
+    alignment : Alignment
+        The one given, or the one that was estimated. Instead of both None where the camera saw nothing of
+        the forearm near enough.
     """
-    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
-    frame_t = segment.frame_t + clock.at(segment.frame_t)
-    inside = (frame_t >= segment.start_s) & (frame_t <= segment.end_s)
+    frame_t_imu = segment.frame_t_imu(clock)
+    inside = (frame_t_imu >= segment.start_s) & (frame_t_imu <= segment.end_s)
     accepted = segment.accepted & inside[:, None]
-    measured = accepted[:, forearm].any(axis=1)
+    measured = enough_joints(accepted, 1)
     if measured.sum() < 2:
         return None
-    seen = frame_t[measured]
-    start_s, end_s = max(segment.start_s, seen[0] - REACH_S), min(segment.end_s, seen[-1] + REACH_S)
+    first_s, last_s = frame_t_imu[measured][[0, -1]].tolist()
+    start_s, end_s = max(segment.start_s, first_s - REACH_S), min(segment.end_s, last_s + REACH_S)
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
         return None
     visible = enough_joints(accepted, segment.needed)
     rows = np.flatnonzero(inside)
-    gaps = find_gaps(frame_t[rows], visible[rows], start_s, end_s)
-    kept = np.flatnonzero(measured)[decimate(seen)]
-    owner = kept[group_frames(frame_t[kept], visible[kept])]
-    t = insert_nodes(frame_t[np.unique(owner)], start_s, end_s)
-    first, last = reach(core_start_s, core_end_s, gaps, margin_s)
-    t = t[(t >= first) & (t <= last)]
+    gaps = find_gaps(frame_t_imu[rows], visible[rows], start_s, end_s)
+    reach_s = reach(core_start_s, core_end_s, gaps, margin_s)
+    t, frame_node = _nodes(frame_t_imu, measured, visible, (start_s, end_s), reach_s)
     if alignment is None:
-        alignment = align(pairs(segment, frame_t, accepted, calibration), start_s, end_s, segment.down)
+        alignment = align(pairs(segment, frame_t_imu, accepted, calibration), start_s, end_s, segment.down)
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
-    frame_node = np.full(len(frame_t), -1)
-    node = np.clip(np.searchsorted(t, frame_t[owner] - 1e-9), 0, len(t) - 1)
-    frame_node[kept] = np.where(np.abs(t[node] - frame_t[owner]) < 1e-9, node, -1)
-    imu_t, imu_position = _imu_positions(segment, frame_t, accepted, alignment, calibration)
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
     prepared = PreparedSegment(
         signal=segment.signal,
         t=t,
-        start=states_from_camera(t, R, imu_t, imu_position),
-        frame_t=frame_t[rows],
+        start=states_from_camera(
+            t, R, *_imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
+        ),
+        frame_t_imu=frame_t_imu[rows],
         frame_node=frame_node[rows],
         position=segment.position[rows],
         accepted=accepted[rows],
@@ -94,8 +92,40 @@ def prepare(
     return prepared, alignment
 
 
+def _nodes(
+    frame_t_imu: FloatArray,
+    measured: BoolArray,
+    visible: BoolArray,
+    range_s: tuple[float, float],
+    reach_s: tuple[float, float],
+) -> tuple[FloatArray, IntArray]:
+    """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
+    rows = np.flatnonzero(measured)
+    rows = rows[decimate(frame_t_imu[rows])]
+    owner = rows[group_frames(frame_t_imu[rows], visible[rows])]
+    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s)
+    t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
+    node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)
+    frame_node = np.full(len(frame_t_imu), -1)
+    frame_node[rows] = np.where(np.abs(t[node] - frame_t_imu[owner]) < 1e-9, node, -1)
+    return t, frame_node
+
+
 def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) -> tuple[float, float]:
-    """What has to be solved for a part's sake: its margins, and beyond a gap that an end of it lies in."""
+    """What has to be solved for an answer: its margins, and the far side of a gap that an end of it lies in.
+
+    Parameters
+    ----------
+    start_s, end_s : float, s
+        What the answer is wanted for.
+    gaps : tuple of Gap
+    margin_s : float, s
+        Beyond the answer, or beyond the gap.
+
+    Returns
+    -------
+    first_s, last_s : float, s
+    """
     first, last = start_s - margin_s, end_s + margin_s
     for gap in gaps:
         if gap.start_s <= start_s <= gap.end_s:
@@ -107,14 +137,14 @@ def reach(start_s: float, end_s: float, gaps: tuple[Gap, ...], margin_s: float) 
 
 def _imu_positions(
     segment: Segment,
-    frame_t: FloatArray,
+    frame_t_imu: FloatArray,
     accepted: BoolArray,
     alignment: Alignment,
     calibration: ArmCalibration,
 ) -> tuple[FloatArray, FloatArray]:
-    """The IMU's position at frames where a joint with a known lever arm is seen: mean over joints."""
-    R = (alignment.at(frame_t) * segment.attitude.at(frame_t)).as_matrix()
-    total, count = np.zeros((len(frame_t), 3)), np.zeros(len(frame_t))
+    """Times (k,) and IMU positions (k, 3) at frames with a joint of known lever arm (mean over joints)."""
+    R = (alignment.at(frame_t_imu) * segment.attitude.at(frame_t_imu)).as_matrix()
+    total, count = np.zeros((len(frame_t_imu), 3)), np.zeros(len(frame_t_imu))
     for joint in FOREARM_JOINTS:
         lever, column = lever_of(calibration, joint), JOINTS.index(joint)
         if lever is None:
@@ -122,23 +152,37 @@ def _imu_positions(
         rows = accepted[:, column]
         total[rows] += segment.position[rows, column] - R[rows] @ lever
         count[rows] += 1.0
-    seen = count > 0
-    return frame_t[seen], total[seen] / count[seen, None]
+    known = count > 0
+    return frame_t_imu[known], total[known] / count[known, None]
 
 
-def states_from_camera(t: FloatArray, R: FloatArray, frame_t: FloatArray, position: FloatArray) -> States:
+def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, position: FloatArray) -> States:
     """Position and velocity at the nodes from the IMU's positions at visible frames.
+
+    Local lines through the positions give value and slope at each frame, cubic Hermite polynomials what
+    lies between; beyond the first and the last frame the IMU rests.
 
     Parameters
     ----------
-    t, R : (n,) node times and (n, 3, 3) orientations.
-    frame_t, position : (k,) and (k, 3) m in {K}, increasing times.
+    t : ndarray, shape (n,), s
+        Nodes.
+    R : ndarray, shape (n, 3, 3)
+        Orientations at the nodes.
+    frame_t_imu : ndarray, shape (k,), s
+        Increasing times on the IMU's clock.
+    position : ndarray, shape (k, 3), m
+        The IMU's in {K}.
+
+    Returns
+    -------
+    states : States
+        At the nodes.
     """
-    p, v = _local_lines(frame_t, position)
-    if len(frame_t) == 1:
+    p, v = _local_lines(frame_t_imu, position)
+    if len(frame_t_imu) == 1:
         return States(R, np.tile(p[0], (len(t), 1)), np.zeros((len(t), 3)))
-    curve = CubicHermiteSpline(frame_t, p, v)
-    inside = np.clip(t, frame_t[0], frame_t[-1])
+    curve = CubicHermiteSpline(frame_t_imu, p, v)
+    inside = np.clip(t, frame_t_imu[0], frame_t_imu[-1])
     out = t != inside
     velocity = curve(inside, 1)
     velocity[out] = 0.0

@@ -1,4 +1,4 @@
-"""One window of the recording as plain arrays: what is asked of a graph, and what it answers.
+"""One window as plain arrays: what a graph is built from, and what it answers.
 
 Both travel between processes, so they hold arrays and numbers only.
 """
@@ -13,13 +13,16 @@ from .shared import Gaussian, SharedLayout
 
 @dataclass(frozen=True)
 class Priors:
-    """What a window is told about the quantities that it shares with the rest of the recording.
+    """A window's prior on the quantities that it shares with the rest of the recording.
 
     Attributes
     ----------
-    layout : where each stands in the vector.
-    shared : the vector, bias at the window's middle.
-    bias_walk : (6,) how far the bias wanders inside the window, unit/sqrt(s).
+    layout : SharedLayout
+        Which rows of the shared vector hold which quantity.
+    shared : Gaussian
+        On the shared vector, with the bias at the window's middle.
+    bias_walk : ndarray, shape (6,), m/s^2/sqrt(s) and rad/s/sqrt(s)
+        How far the bias wanders inside the window.
     """
 
     layout: SharedLayout
@@ -33,10 +36,18 @@ class ImuIncrements:
 
     Attributes
     ----------
-    acc : (m, 2, 3), gyro : (m, 3), h : (m,) of the blocks, bias taken off already.
-    first : (n,) index of each interval's first block and, last, m.
-    bias : (6,) the bias that was taken off.
-    velocity_error : (n - 1,) what knocks may have cost in each interval, m/s.
+    acc : ndarray, shape (m, 2, 3), m/s^2
+        Specific force in the halves of the steps, without the bias.
+    gyro : ndarray, shape (m, 3), rad/s
+        Angular rate in the steps, without the bias.
+    h : ndarray, shape (m,), s
+        Half of each step.
+    first : ndarray of int, shape (n,)
+        Index of each interval's first step, and m at the end.
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+        The bias that was subtracted.
+    velocity_error : ndarray, shape (n - 1,), m/s
+        What impacts may have cost in each interval.
     """
 
     acc: FloatArray
@@ -53,14 +64,21 @@ class JointMeasurements:
 
     Attributes
     ----------
-    joint : its name.
-    t_s : (k,) frame times on the IMU's clock, s.
-    node : (k,) index of the node each belongs to, increasing.
-    position : (k, 3) m in {K}.
-    sigma_m : (k,) standard deviation an axis, m.
-    shift : (k, 3) joint at the frame less joint at the node, m in {K}, as the IMU has it; zero for a frame
-        that is a node.
-    velocity : (k, 3) joint's velocity at the frame less the IMU's at the node, m/s in {K}.
+    joint : str
+        Its name.
+    t_s : ndarray, shape (k,), s
+        Frame times on the IMU's clock.
+    node : ndarray of int, shape (k,)
+        Index of the node that each belongs to, increasing.
+    position : ndarray, shape (k, 3), m
+        In {K}.
+    sigma_m : ndarray, shape (k,), m
+        Standard deviation an axis.
+    shift : ndarray, shape (k, 3), m
+        The joint at the frame less the joint at the node in {K}, by the IMU; zero for a frame that is a
+        node.
+    velocity : ndarray, shape (k, 3), m/s
+        The joint's velocity at the frame less the IMU's at the node, in {K}.
     """
 
     joint: str
@@ -78,10 +96,14 @@ class ShoulderMeasurements:
 
     Attributes
     ----------
-    node : (k,) node whose time the knot shares.
-    position : (k, 3) m in {K}, nan where the camera saw none.
-    sigma_m : (k,) m an axis.
-    start : (k, 3) start value, m in {K}.
+    node : ndarray of int, shape (k,)
+        The node whose time the knot shares.
+    position : ndarray, shape (k, 3), m
+        In {K}; nan where the camera saw no shoulder.
+    sigma_m : ndarray, shape (k,), m
+        Standard deviation an axis.
+    start : ndarray, shape (k, 3), m
+        Initial value in {K}.
     """
 
     node: IntArray
@@ -92,7 +114,17 @@ class ShoulderMeasurements:
 
 @dataclass(frozen=True)
 class States:
-    """Pose and velocity at the nodes: R_K_A (n, 3, 3), position (n, 3) m, velocity (n, 3) m/s in {K}."""
+    """Pose and velocity at the nodes.
+
+    Attributes
+    ----------
+    R : ndarray, shape (n, 3, 3)
+        Orientation `R_K_A`.
+    p : ndarray, shape (n, 3), m
+        Position of the IMU in {K}.
+    v : ndarray, shape (n, 3), m/s
+        Velocity of the IMU in {K}.
+    """
 
     R: FloatArray
     p: FloatArray
@@ -101,14 +133,18 @@ class States:
 
 @dataclass(frozen=True)
 class FieldMeasurements:
-    """A calibrated magnetometer's directions (see `magnetic`).
+    """A calibrated magnetometer's directions.
 
     Attributes
     ----------
-    node : (k,) index of the node each belongs to.
-    in_A : (k, 3) unit vectors in {A}.
-    in_K : (3,) unit vector of the field in {K}.
-    sigma_rad : of each, rad an axis.
+    node : ndarray of int, shape (k,)
+        Index of the node that each belongs to.
+    in_A : ndarray, shape (k, 3)
+        Unit vectors in {A}.
+    in_K : ndarray, shape (3,)
+        Unit vector of the field in {K}.
+    sigma_rad : float, rad
+        Of each, an axis.
     """
 
     node: IntArray
@@ -121,8 +157,21 @@ class FieldMeasurements:
 class NoiseModel:
     """Densities and losses that all windows share.
 
-    The `..._share` grow with the motion: what scale and mounting errors of the sensor cost, as a part of
-    the specific force beyond gravity and of the angular rate, sqrt(s).
+    Attributes
+    ----------
+    accelerometer_density : float, m/s^2/sqrt(Hz)
+        White noise of the still sensor.
+    gyroscope_density : float, rad/s/sqrt(Hz)
+        White noise of the still sensor.
+    accelerometer_share, gyroscope_share : float, sqrt(s)
+        What scale and mounting errors of the sensor cost, as a share of the specific force beyond gravity
+        and of the angular rate: the noise grows with the motion.
+    cauchy : float
+        Length of a residual, in sigmas, where its weight is halved (Cauchy's loss).
+    upper_arm_sigma_m : float, m
+        How far from constant the upper arm's length is.
+    shoulder_walk : float, m/sqrt(s)
+        How the shoulder wanders.
     """
 
     accelerometer_density: float
@@ -136,11 +185,39 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Window:
-    """A piece of the recording to solve: nodes t (n,), of which [core_start_s, core_end_s] is its own.
+    """What one graph is built from.
 
-    `attitude` (3, 3) and its covariance, rad^2 in {K}, are a weak prior at one node: it keeps a direction
-    which the data leave free from being free. `velocity_change` (n - 1,) m/s: how much the velocity may
-    change in an interval, inf where nothing is said.
+    Attributes
+    ----------
+    index : int
+        Number of the window in its segment.
+    t : ndarray, shape (n,), s
+        Nodes on the IMU's clock, margins included.
+    core_start_s, core_end_s : float, s
+        The window's borders; the margins lie beyond them.
+    increments : ImuIncrements
+        Of the n - 1 intervals.
+    joint_measurements : tuple of JointMeasurements
+        Of the forearm's joints that the camera saw.
+    shoulder : ShoulderMeasurements or None
+        None where the camera saw no shoulder in the segment.
+    start : States
+        Initial values at the nodes.
+    velocity_change : ndarray, shape (n - 1,), m/s
+        How much the velocity may change in an interval; inf where nothing is known of it.
+    attitude_node : int
+        The node with a weak prior on its orientation, so that no direction is left free by the data.
+    attitude : ndarray, shape (3, 3)
+        The prior's `R_K_A`.
+    attitude_covariance : ndarray, shape (3, 3), rad^2
+        Of the prior, in {K}.
+    priors : Priors
+        On the shared quantities.
+    noise : NoiseModel
+        The same for all windows.
+    gravity_magnitude : float, m/s^2
+    field : FieldMeasurements or None
+        A magnetometer's directions where there is a calibrated one.
     """
 
     index: int
@@ -163,7 +240,15 @@ class Window:
 
 @dataclass(frozen=True)
 class Message:
-    """What a window found of the shared quantities: posterior, prior still inside, bias at t_s."""
+    """A window's answer on the shared quantities.
+
+    Attributes
+    ----------
+    t_s : float, s
+        The window's middle, where the bias holds.
+    shared : Gaussian
+        Posterior of the shared vector; the window's prior is still inside.
+    """
 
     t_s: float
     shared: Gaussian
@@ -175,16 +260,30 @@ class Solution:
 
     Attributes
     ----------
-    index : of the window.
-    states : at the window's nodes.
-    pose_covariance : (n, 6, 6) of (position, rotation vector) in {K}; None where not asked for.
-    velocity_covariance : (n, 3, 3); None where not asked for.
-    shoulder : (k, 3) knots, and shoulder_covariance (k, 3, 3).
-    message : the shared quantities.
-    bias : (n, 6) at the nodes.
-    residuals : by joint, camera minus answer (k, 3) in the order of `JointMeasurements`.
-    iterations, error : of the optimiser; `error` is half the weighted squared sum.
-    offset_information : on a clock offset of the window's own, 1/s^2; 0 where not asked for.
+    index : int
+        Of the window.
+    states : States
+        At the window's nodes.
+    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2, or None
+        Of (position, rotation vector) in {K}; None where not asked for.
+    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2, or None
+        In {K}; None where not asked for.
+    shoulder : ndarray, shape (k, 3), m, or None
+        At the knots, in {K}.
+    shoulder_covariance : ndarray, shape (k, 3, 3), m^2, or None
+        At the knots; None where not asked for.
+    message : Message
+        The shared quantities.
+    bias : ndarray, shape (n, 6), m/s^2 and rad/s
+        At the nodes.
+    residuals : dict of str to ndarray, shape (k, 3), m
+        By joint, camera minus answer in the order of `JointMeasurements`.
+    iterations : int
+        Of the optimiser.
+    error : float
+        Half the weighted squared sum.
+    offset_information : float, 1/s^2
+        On a clock offset of the window's own; 0 where not asked for.
     """
 
     index: int

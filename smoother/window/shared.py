@@ -15,7 +15,13 @@ from ..recording import FloatArray
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A mean and its covariance."""
+    """A Gaussian.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (s,)
+    covariance : ndarray, shape (s, s)
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -23,14 +29,21 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class SharedLayout:
-    """Where each shared quantity stands in the vector.
+    """Which rows of the shared vector hold which quantity.
 
     Attributes
     ----------
-    joints : those with a lever arm, (3,) m in {A} each.
-    has_upper_arm : the shoulder takes part, (1,) m.
-    gravity_axes : (2, 3) unit vectors in {K} across the direction of down; gravity's two coordinates
-        are the components of the unit vector of down along them.
+    joints : tuple of str
+        Those with a lever arm, (3,) m in {A} each.
+    has_upper_arm : bool
+        The shoulder takes part, (1,) m.
+    gravity_axes : ndarray, shape (2, 3)
+        Unit vectors in {K} across the direction of down; gravity's two coordinates are the components of
+        the unit vector of down along them.
+    bias : slice
+        Accelerometer's and gyroscope's, (6,) m/s^2 and rad/s.
+    gravity : slice
+        The two coordinates.
     """
 
     joints: tuple[str, ...]
@@ -47,21 +60,21 @@ class SharedLayout:
 
     @property
     def upper_arm(self) -> slice:
-        """Where the upper arm's length stands."""
+        """Rows of the upper arm's length."""
         return slice(8, 8 + int(self.has_upper_arm))
 
     @property
     def constants(self) -> slice:
-        """The part that belongs to the arm: upper arm and lever arms."""
+        """Rows of the arm's constants: upper arm and lever arms."""
         return slice(8, self.size)
 
     def lever(self, joint: str) -> slice:
-        """Where a joint's lever arm stands."""
+        """Rows of a joint's lever arm."""
         first = self.upper_arm.stop + 3 * self.joints.index(joint)
         return slice(first, first + 3)
 
     def down(self, vector: FloatArray) -> FloatArray:
-        """Unit vector of gravity (3,) in {K}."""
+        """Unit vector of gravity (3,) in {K}, of a shared vector (s,)."""
         across = self.gravity_axes.T @ vector[self.gravity]
         along = np.cross(self.gravity_axes[0], self.gravity_axes[1])
         return across + along * np.sqrt(max(1.0 - float(across @ across), 1e-6))

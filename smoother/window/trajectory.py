@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..linalg import interpolate
+from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FloatArray
 from .problem import Solution, States, Window
@@ -18,9 +18,28 @@ BLEND_HALF_S = 0.5
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The arm at times t (n,): states, covariances (see `Recovery`), bias (n, 6), gravity (n, 3) m/s^2.
+    """The arm at the nodes.
 
-    `levers`: by joint (n, 3) m in {A}, each window's own, which its poses go with.
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        Nodes on the IMU's clock.
+    states : States
+        Pose and velocity of the IMU.
+    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
+        Of (position, rotation vector) in {K}; zero where the windows were solved without.
+    velocity_covariance : ndarray, shape (n, 3, 3), m^2/s^2
+        In {K}; zero where the windows were solved without.
+    bias : ndarray, shape (n, 6), m/s^2 and rad/s
+        Of accelerometer and gyroscope.
+    gravity : ndarray, shape (n, 3), m/s^2
+        In {K}.
+    shoulder : ndarray, shape (n, 3), m, or None
+        In {K}; None where the camera saw no shoulder.
+    shoulder_covariance : ndarray, shape (n, 3, 3), m^2, or None
+        In {K}.
+    levers : dict of str to ndarray, shape (n, 3), m
+        Lever arms by joint in {A}, as the windows that the poses come from have them.
     """
 
     t: FloatArray
@@ -34,16 +53,28 @@ class Trajectory:
     levers: dict[str, FloatArray]
 
     def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
-        """A joint's lever arm (n, 3) m in {A} at times, as the windows there had it; zero for the IMU."""
+        """A joint's lever arm (k, 3) m in {A} at times (k,), as the windows there have it; 0 for the IMU."""
         if joint not in self.levers:
             return np.zeros((len(t), 3))
         return interpolate(self.t, self.levers[joint], t)
 
 
 def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory:
-    """Blend the windows at the nodes t (n,) of a stretch; each window covers a run of them.
+    """Blend the windows of a segment.
 
-    Covariances stay zero where the windows were solved without.
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        The segment's nodes; each window covers a run of them.
+    windows : list of Window
+        In order of time.
+    solutions : list of Solution
+        Of each.
+
+    Returns
+    -------
+    trajectory : Trajectory
+        Covariances stay zero where the windows were solved without.
     """
     n = len(t)
     R, p, v = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -57,12 +88,12 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
         offset = int(np.searchsorted(t, window.t[0] - 1e-9))
         own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == n)
         rows = offset + own
-        # share of this window against what stands there already (the window before)
+        # share of this window against the one before
         share = share_after(window.t[own], window.core_start_s)
         share[~filled[rows]] = 1.0
-        step = turn_to(R[rows], solution.states.R[own], filled[rows])
+        turn = turn_to(R[rows], solution.states.R[own], filled[rows])
         base = np.where(filled[rows, None, None], R[rows], solution.states.R[own])
-        R[rows] = base @ Rotation.from_rotvec(share[:, None] * step).as_matrix()
+        R[rows] = base @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
         for target, value in (
             (p, solution.states.p),
             (v, solution.states.v),
@@ -108,17 +139,17 @@ def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:
 
 
 def share_after(t: FloatArray, border_s: float) -> FloatArray:
-    """0 before the blend, 1 after it, smooth between."""
+    """Share (n,) of the window after a border at times (n,): 0 before the blend, 1 after it, smooth there."""
     u = np.clip((t - border_s + BLEND_HALF_S) / (2 * BLEND_HALF_S), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
 def turn_to(R: FloatArray, target: FloatArray, filled: np.ndarray) -> FloatArray:
-    """Rotation vector from R to the target, zero where nothing stands yet."""
-    step = np.zeros((len(R), 3))
+    """Rotation vectors (k, 3) from R to the target (k, 3, 3); zero where R is not filled yet."""
+    turn = np.zeros((len(R), 3))
     if filled.any():
-        step[filled] = Rotation.from_matrix(np.swapaxes(R[filled], 1, 2) @ target[filled]).as_rotvec()
-    return step
+        turn[filled] = Rotation.from_matrix(np.swapaxes(R[filled], 1, 2) @ target[filled]).as_rotvec()
+    return turn
 
 
 def mix(target: FloatArray, rows: np.ndarray, value: FloatArray, share: FloatArray) -> None:
@@ -137,22 +168,70 @@ def _shoulder_at_nodes(window: Window, solution: Solution) -> tuple[FloatArray, 
     )
 
 
+def joint_from_pose(
+    R: FloatArray,
+    p: FloatArray,
+    pose_covariance: FloatArray,
+    lever: FloatArray,
+    lever_covariance: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """A joint's position and covariance from the IMU's pose and the joint's lever arm.
+
+    First-order propagation of `p + R l` with a rotation error in {K}: J = [I, -[R l]x] (Barfoot, State
+    Estimation for Robotics, 2017, section 7.2); the lever arm's error counts as independent of the pose's.
+
+    Parameters
+    ----------
+    R : ndarray, shape (n, 3, 3)
+        Orientations `R_K_A`.
+    p : ndarray, shape (n, 3), m
+        The IMU's positions in {K}.
+    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2
+        Of (position, rotation vector) in {K}; nan where the pose's covariance is not known.
+    lever : ndarray, shape (3,) or (n, 3), m
+        The joint in {A}.
+    lever_covariance : ndarray, shape (3, 3), m^2, optional
+        Of the lever arm in {A}; none where the joint is the IMU itself.
+
+    Returns
+    -------
+    position : ndarray, shape (n, 3), m
+        The joint in {K}.
+    covariance : ndarray, shape (n, 3, 3), m^2
+        Of the position, in {K}.
+    """
+    arm = np.einsum("nij,nj->ni", R, np.broadcast_to(lever, p.shape))
+    jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
+    covariance = rotate_covariance(jacobian, pose_covariance)
+    if lever_covariance is not None:
+        covariance = covariance + rotate_covariance(R, lever_covariance)
+    return p + arm, covariance
+
+
 def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> States:
-    """Pose and velocity at any times within the nodes: the IMU carries each node's state forward.
+    """Pose and velocity at any times within the nodes: each node's state propagated forwards by the IMU.
 
     What is missing at the next node (millimetres) is spread over the interval by the cubic that
     leaves both ends where the graph put them.
 
     Parameters
     ----------
-    at : (N,) times between the first and the last node, increasing, s.
+    motion : Trajectory
+    signal : InertialSignal
+        Of the same segment.
+    at : ndarray, shape (N,), s
+        Increasing times between the first and the last node.
+
+    Returns
+    -------
+    states : States
+        At the N times.
     """
     nodes = motion.t
     union = np.union1d(nodes, at)
     node_row = np.searchsorted(union, nodes)
     interval = np.clip(np.searchsorted(nodes, union, side="right") - 1, 0, len(nodes) - 2)
-    piece_bias = motion.bias[interval[:-1]]
-    motion_pieces = integrate(signal, union, piece_bias)
+    delta = integrate(signal, union, motion.bias[interval[:-1]])
     R, p, v = np.zeros((len(union), 3, 3)), np.zeros((len(union), 3)), np.zeros((len(union), 3))
     R[node_row], p[node_row], v[node_row] = motion.states.R, motion.states.p, motion.states.v
     inside = np.diff(node_row) - 1
@@ -160,10 +239,10 @@ def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> Stat
     for k in range(int(inside.max(initial=0)) + 1):
         rows = np.flatnonzero(inside >= k)
         a = node_row[rows] + k
-        h, g = motion_pieces.dt[a, None], motion.gravity[rows]
-        next_p = p[a] + v[a] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R[a], motion_pieces.delta_p[a])
-        next_v = v[a] + g * h + np.einsum("nij,nj->ni", R[a], motion_pieces.delta_v[a])
-        next_R = R[a] @ motion_pieces.delta_R[a]
+        h, g = delta.dt[a, None], motion.gravity[rows]
+        next_p = p[a] + v[a] * h + 0.5 * g * h**2 + np.einsum("nij,nj->ni", R[a], delta.delta_p[a])
+        next_v = v[a] + g * h + np.einsum("nij,nj->ni", R[a], delta.delta_v[a])
+        next_R = R[a] @ delta.delta_R[a]
         ends = inside[rows] == k
         last = rows[ends]
         if len(last):
@@ -171,8 +250,8 @@ def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> Stat
             error_v[last] = motion.states.v[last + 1] - next_v[ends]
             turn = np.swapaxes(next_R[ends], 1, 2) @ motion.states.R[last + 1]
             error_R[last] = Rotation.from_matrix(turn).as_rotvec()
-        go = ~ends
-        R[a[go] + 1], p[a[go] + 1], v[a[go] + 1] = next_R[go], next_p[go], next_v[go]
+        inner = ~ends
+        R[a[inner] + 1], p[a[inner] + 1], v[a[inner] + 1] = next_R[inner], next_p[inner], next_v[inner]
     row = np.searchsorted(union, at)
     of = interval[row]
     length = np.diff(nodes)[of]

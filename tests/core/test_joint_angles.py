@@ -127,6 +127,13 @@ def test_forearm_axes_are_the_products_of_rotations():
     assert np.allclose(forearm_axes(scaled, R_F_A.as_matrix()), expected)
 
 
+def test_without_an_orientation_there_are_no_forearm_axes():
+    quaternion = np.array([[np.nan] * 4, [1.0, 0.0, 0.0, 0.0], [0.0] * 4])
+    axes = forearm_axes(quaternion, np.eye(3))
+    assert np.isnan(axes[[0, 2]]).all()
+    np.testing.assert_allclose(axes[1], np.eye(3), atol=1e-15)
+
+
 def test_what_is_missing_is_nan_and_singular_postures_are_told():
     joints = _arm(-UP, -UP)
     found = arm_angles(joints, 1, _forearm(-UP, TO_CAMERA), "right", DOWN)

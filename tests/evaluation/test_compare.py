@@ -14,7 +14,7 @@ from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.compare import compare
 from smoother.evaluation.gap_spread import spread_by_length, spread_of
 from smoother.evaluation.gaps import GapRow
-from smoother.evaluation.lag_left import lag_left_s
+from smoother.evaluation.lag import lag_s
 from smoother.evaluation.metrics import summarise
 from smoother.evaluation.placement import HiddenGap
 from smoother.recording import Recording, Truth
@@ -125,7 +125,7 @@ class TestLagLeft:
     @given(late=st.floats(-0.3, 0.3))
     def test_between_samples(self, late):
         # straight lines between samples are off by 25 microns at most; the vertex of 2 ms steps by 0.1 ms
-        found = lag_left_s(self.t[200:-200], path(self.t[200:-200] - late), self.t, path(self.t))
+        found = lag_s(self.t[200:-200], path(self.t[200:-200] - late), path(self.t), self.t)
         assert found == pytest.approx(late, abs=3e-4)
 
     @settings(max_examples=25, deadline=None)
@@ -133,19 +133,19 @@ class TestLagLeft:
     def test_one_short_gap_is_enough(self, late, start):
         inside = (self.t > start) & (self.t < start + 2.5)
         samples = np.where(inside[:, None], path(self.t - late), np.nan)
-        assert lag_left_s(self.t, samples, self.t, path(self.t)) == pytest.approx(late, abs=1e-3)
+        assert lag_s(self.t, samples, path(self.t), self.t) == pytest.approx(late, abs=1e-3)
 
     def test_shrunk_noisy_and_shifted_samples_keep_their_lag(self):
         rng = np.random.default_rng(3)
         samples = 0.7 * path(self.t - 0.05) + 0.1 + rng.normal(scale=0.02, size=(len(self.t), 3))
-        assert lag_left_s(self.t, samples, self.t, path(self.t)) == pytest.approx(0.05, abs=0.005)
+        assert lag_s(self.t, samples, path(self.t), self.t) == pytest.approx(0.05, abs=0.005)
 
     def test_nothing_where_nothing_can_be_told(self):
         known = path(self.t)
-        assert lag_left_s(self.t, np.full_like(known, np.nan), self.t, known) is None
-        assert lag_left_s(self.t, np.zeros_like(known), self.t, known) is None
-        assert lag_left_s(self.t[:10], known[:10], self.t, known) is None
-        assert lag_left_s(self.t, path(self.t - 1.2), self.t, known) is None  # beyond half a second
+        assert lag_s(self.t, np.full_like(known, np.nan), known, self.t) is None
+        assert lag_s(self.t, np.zeros_like(known), known, self.t) is None
+        assert lag_s(self.t[:10], known[:10], known, self.t) is None
+        assert lag_s(self.t, path(self.t - 1.2), known, self.t) is None  # beyond half a second
 
 
 class TestSpread:

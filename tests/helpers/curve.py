@@ -38,7 +38,7 @@ class Curve:
         waves = _harmonics(self.seed, 3, np.array([0.5, 0.4, 0.5]), self.fastest_hz)
         return self._sum(waves, t, order)
 
-    def _place(self, t: FloatArray, order: int) -> FloatArray:
+    def _position(self, t: FloatArray, order: int) -> FloatArray:
         waves = _harmonics(self.seed + 1000, 3, np.array([0.12, 0.10, 0.06]), self.fastest_hz)
         return self._sum(waves, t, order) + (np.array([0.0, 0.0, 2.0]) if order == 0 else 0.0)
 
@@ -46,10 +46,10 @@ class Curve:
         return Rotation.from_euler("ZYX", self._angles(t, 0))
 
     def position(self, t: FloatArray) -> FloatArray:
-        return self._place(t, 0)
+        return self._position(t, 0)
 
     def velocity(self, t: FloatArray) -> FloatArray:
-        return self._place(t, 1)
+        return self._position(t, 1)
 
     def rate(self, t: FloatArray) -> FloatArray:
         """Angular velocity (N, 3) in the body's axes, by the kinematics of zyx Euler angles."""
@@ -65,7 +65,7 @@ class Curve:
 
     def force(self, t: FloatArray) -> FloatArray:
         """Specific force (N, 3) in the body's axes."""
-        return self.rotation(t).inv().apply(self._place(t, 2) - G * self.down)
+        return self.rotation(t).inv().apply(self._position(t, 2) - G * self.down)
 
     def imu(self, rate_hz: float, duration_s: float) -> ImuStream:
         """Samples that are exact means over their intervals (Gauss-Legendre, 10 points: rounding only)."""

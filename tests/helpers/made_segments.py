@@ -1,4 +1,4 @@
-"""Pieces of recordings made by hand, for tests of single rules."""
+"""Segments made by hand, for tests of single rules."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ def forearm(
     t = np.arange(frames) / 30.0 + 0.1
     unit = np.array(along) / np.linalg.norm(along)
     position = np.full((frames, len(JOINTS), 3), np.nan)
-    for column, part in ((ELBOW, -0.5), (WRIST, 0.5), (HAND, 0.8), (STRAP, 0.3)):
-        position[:, column] = np.array(middle) + part * FOREARM_M * unit
+    for column, share in ((ELBOW, -0.5), (WRIST, 0.5), (HAND, 0.8), (STRAP, 0.3)):
+        position[:, column] = np.array(middle) + share * FOREARM_M * unit
     position += 1e-4 * np.random.default_rng(0).normal(size=position.shape)
     duration = float(t[-1]) + 0.5
     identity = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
     return Segment(
         signal=InertialSignal(still_imu(duration, rate)),
         attitude=InertialAttitude(np.array([0.0, duration]), identity, np.zeros(3)),
-        frame_t=t,
+        frame_t_camera=t,
         position=position,
         accepted=np.isfinite(position).all(axis=2),
         reason=np.zeros(position.shape[:2], np.uint8),
@@ -58,7 +58,7 @@ def forearm(
 
 
 def with_position(segment: Segment, rows: slice | list[int], column: int, value: FloatArray) -> Segment:
-    """The piece with other positions of a joint in some frames."""
+    """The segment with other positions of a joint in some frames."""
     position = segment.position.copy()
     position[rows, column] = value
     return replace(segment, position=position)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,10 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
         heard.append(Job(window, with_covariance, solution))
         return solution
 
-    with patch("smoother.recovery.passes.solve", listen), patch("smoother.selfcal.rounds.solve", listen):
+    places = ("recovery.first_pass", "recovery.second_pass", "selfcal.rounds")
+    with ExitStack() as patches:
+        for place in places:
+            patches.enter_context(patch(f"smoother.{place}.solve", listen))
         smooth(replace(recording, truth=None), calibration, config)
     return heard
 

@@ -44,7 +44,7 @@ def whitener(covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """A point of the search space; only windows with a single bias and all in one piece."""
+    """A point of the search space; only windows with a single bias."""
 
     R: FloatArray
     p: FloatArray
@@ -162,20 +162,20 @@ class SlowWindow:
         out = [times(self.inertial, error).ravel()]
         for measured in w.joint_measurements:
             lever = x.shared[layout.lever(measured.joint)] if measured.joint in layout.joints else np.zeros(3)
-            seen = x.p[measured.node] + x.R[measured.node] @ lever
-            out.append(((seen - measured.position) / measured.sigma_m[:, None]).ravel())
+            at_node = x.p[measured.node] + x.R[measured.node] @ lever
+            out.append(((at_node - measured.position) / measured.sigma_m[:, None]).ravel())
         out.append(self.prior @ (x.shared - w.priors.shared.mean))
         out.append(self.attitude @ self.R0 @ log(self.R0.T @ x.R[w.attitude_node]))
-        quiet = np.isfinite(w.velocity_change)
-        out.append((np.diff(x.v, axis=0)[quiet] / w.velocity_change[quiet, None]).ravel())
+        in_gap = np.isfinite(w.velocity_change)
+        out.append((np.diff(x.v, axis=0)[in_gap] / w.velocity_change[in_gap, None]).ravel())
         return np.concatenate(out + self._shoulder(x))
 
     def _shoulder(self, x: Unknowns) -> list[FloatArray]:
         w, layout = self.window, self.window.priors.layout
         if w.shoulder is None:
             return []
-        node, seen = w.shoulder.node, np.isfinite(w.shoulder.position[:, 0])
-        measured = (x.shoulder - w.shoulder.position)[seen] / w.shoulder.sigma_m[seen, None]
+        node, visible = w.shoulder.node, np.isfinite(w.shoulder.position[:, 0])
+        measured = (x.shoulder - w.shoulder.position)[visible] / w.shoulder.sigma_m[visible, None]
         walk = np.diff(x.shoulder, axis=0) / (w.noise.shoulder_walk * np.sqrt(np.diff(w.t[node])))[:, None]
         out = [measured.ravel(), walk.ravel()]
         if layout.has_upper_arm:

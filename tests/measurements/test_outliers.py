@@ -89,7 +89,7 @@ def test_a_jump(off_m: float, is_jump: bool) -> None:
 def test_a_fast_arm_does_not_jump() -> None:
     """Four metres a second, 13 cm a frame, straight on: far from its neighbours and still right."""
     segment = forearm()
-    position = segment.position + np.outer(4.0 * segment.frame_t, X)[:, None]
+    position = segment.position + np.outer(4.0 * segment.frame_t_camera, X)[:, None]
     fast = replace(segment, position=position)
     found = reject_by_camera(fast)
     assert found.accepted.sum() == fast.accepted.sum()
@@ -135,7 +135,7 @@ def test_the_strap_on_the_forearm_s_line(across_m: float, part: float, wrong: bo
 def test_the_direction_against_the_inertial_one(degrees: float, wrong: bool) -> None:
     segment = forearm()
     along = Rotation.from_rotvec([0.0, np.radians(degrees), 0.0]).apply(X)
-    found = reject_by_attitude(segment, segment.frame_t, RESTING, along)
+    found = reject_by_attitude(segment, segment.frame_t_camera, RESTING, along)
     mask = dropped(segment, found, DIRECTION)
     for column in (ELBOW, WRIST, HAND):
         assert mask[:, column].all() == wrong
@@ -153,7 +153,7 @@ def test_the_viewing_ray_only_where_it_is_misjudged(degrees: float, part: float,
     elbow, wrist = segment.position[:, ELBOW], segment.position[:, WRIST]
     turned = Rotation.from_rotvec([np.radians(degrees), 0.0, 0.0]).apply(wrist - elbow)
     off = with_position(segment, slice(40, 60), WRIST, (elbow + part * turned)[40:60])
-    mask = dropped(off, reject_by_attitude(off, off.frame_t, RESTING, inertial), RAY)
+    mask = dropped(off, reject_by_attitude(off, off.frame_t_camera, RESTING, inertial), RAY)
     assert frames_of(mask, WRIST) == (list(range(40, 60)) if wrong else [])
 
 
@@ -162,7 +162,7 @@ def test_off_the_ray_the_ray_s_rule_is_silent() -> None:
     elbow, wrist = segment.position[:, ELBOW], segment.position[:, WRIST]
     turned = Rotation.from_rotvec([0.0, np.radians(20.0), 0.0]).apply(wrist - elbow)
     off = with_position(segment, slice(40, 60), WRIST, (elbow + 0.8 * turned)[40:60])
-    assert reject_by_attitude(off, off.frame_t, RESTING, X).accepted[:, WRIST].all()
+    assert reject_by_attitude(off, off.frame_t_camera, RESTING, X).accepted[:, WRIST].all()
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_screening_only_ever_takes_away(
     noise = {joint: JointNoise(0.01, 0.01, 0.0) for joint in JOINTS}
     residual = rng.normal(size=position.shape) * spread
     one = reject_by_camera(segment)
-    two = reject_by_attitude(one, segment.frame_t, RESTING, X)
+    two = reject_by_attitude(one, segment.frame_t_camera, RESTING, X)
     three = reject_by_residual(two, residual, noise)
     for before, after in ((segment, one), (one, two), (two, three)):
         assert not (after.accepted & ~before.accepted).any()

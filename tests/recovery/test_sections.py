@@ -11,10 +11,11 @@ import pytest
 from smoother import Config, Recovery, smooth
 from smoother.config import Windows
 from smoother.measurements.clock import constant_clock
+from smoother.measurements.timeline import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS
-from smoother.recovery.sections import SECTION_S, Sections, _borders
-from smoother.recovery.stitch import _joined
+from smoother.recovery.merge import merged_gaps
+from smoother.recovery.sections import SECTION_S, Sections, section_borders
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 ALONE = Config(windows=Windows(processes=1))
@@ -49,7 +50,7 @@ def whole(made: SimulatedArm) -> Recovery:
 
 
 def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
-    sections = Sections(made.recording, constant_clock(0.0)).all
+    sections = Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
     for a, b in pairwise(sections):
@@ -59,16 +60,19 @@ def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
 
 
 def test_borders_lie_in_visible_time(made: SimulatedArm, sectioned: Recovery) -> None:
-    borders = [section.start_s for section in Sections(made.recording, constant_clock(0.0)).all[1:]]
+    borders = [
+        section.start_s
+        for section in Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1:]
+    ]
     for border in borders:
         assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
 
 
 def test_no_border_where_nothing_is_seen() -> None:
     runs = np.array([[0.0, 20.0], [220.0, 240.0]])
-    assert _borders(0.0, 240.0, runs) == []
-    assert _borders(0.0, 240.0, np.zeros((0, 2))) == []
-    assert _borders(0.0, SECTION_S, np.array([[0.0, SECTION_S]])) == []
+    assert section_borders(0.0, 240.0, runs) == []
+    assert section_borders(0.0, 240.0, np.zeros((0, 2))) == []
+    assert section_borders(0.0, SECTION_S, np.array([[0.0, SECTION_S]])) == []
 
 
 def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> None:
@@ -95,12 +99,12 @@ def test_accuracy_is_the_whole_one(made: SimulatedArm, sectioned: Recovery, whol
     assert rms(sectioned) < 1.05 * rms(whole)  # 4.0 against 4.0 mm
 
 
-def test_no_seam_at_the_borders(made: SimulatedArm, sectioned: Recovery) -> None:
+def test_no_seam_at_thesection_borders(made: SimulatedArm, sectioned: Recovery) -> None:
     """Second differences at the borders are no larger than elsewhere."""
     jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
     t = sectioned.t_s[1:-1]
     near = np.zeros(len(t), dtype=bool)
-    for section in Sections(made.recording, constant_clock(0.0)).all[1:]:
+    for section in Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1:]:
         near |= np.abs(t - section.start_s) < 1.0
     assert near.sum() > 300
     assert jump[near].max() <= jump[~near].max()
@@ -108,7 +112,7 @@ def test_no_seam_at_the_borders(made: SimulatedArm, sectioned: Recovery) -> None
 
 def test_a_border_in_a_gap_that_only_screening_finds(made: SimulatedArm) -> None:
     """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
-    border = Sections(made.recording, constant_clock(0.0)).all[1].start_s
+    border = Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1].start_s
     arm = made.recording.arm
     rows = np.flatnonzero((arm.t_s > border - 3.0) & (arm.t_s < border + 3.0))
     position = arm.position.copy()
@@ -129,9 +133,9 @@ def test_a_border_in_a_gap_that_only_screening_finds(made: SimulatedArm) -> None
 
 def test_gaps_of_two_sections_are_one() -> None:
     first = [Gap(1.0, 2.0), Gap(8.0, 12.0, open_end=True)]
-    assert _joined(first, (Gap(8.0, 14.0), Gap(20.0, 21.0))) == [
+    assert merged_gaps(first, (Gap(8.0, 14.0), Gap(20.0, 21.0))) == [
         Gap(1.0, 2.0),
         Gap(8.0, 14.0),
         Gap(20.0, 21.0),
     ]
-    assert _joined([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]
+    assert merged_gaps([], (Gap(0.0, 1.0, open_start=True),)) == [Gap(0.0, 1.0, open_start=True)]

@@ -114,27 +114,25 @@ def test_the_shoulder_is_as_bad_as_the_worst() -> None:
 
 def test_a_step_takes_differences_only() -> None:
     """Twice the mean residual, less what the joints have in common; outliers beyond the loss do not count."""
-    bias = JointBias()
     elbow, wrist = np.tile([0.004, 0.0, 0.0], (50, 1)), np.tile([0.0, 0.002, 0.0], (50, 1))
     elbow[0] = 1.0
     window, solution = answered({"elbow": elbow, "wrist": wrist, "hand": np.ones((5, 3))})
-    bias.step([window], [solution])
+    bias = JointBias().updated([window], [solution])
     assert bias.joints == ("elbow", "wrist")  # five samples of the hand are too few
-    found = {joint: bias.found_m[JOINTS.index(joint)] for joint in JOINTS}
+    found = {joint: bias.error_m[JOINTS.index(joint)] for joint in JOINTS}
     np.testing.assert_allclose(found["elbow"], GAIN * np.array([0.002, -0.001, 0.0]), atol=1e-12)
     np.testing.assert_allclose(found["wrist"], -found["elbow"], atol=1e-12)
     assert not found["hand"].any()
     piece = forearm()
-    (corrected,) = bias.corrected([piece])
+    corrected = bias.corrected(piece)
     moved = piece.position - corrected.position
     np.testing.assert_allclose(moved[:, JOINTS.index("elbow")], np.tile(found["elbow"], (90, 1)), atol=1e-12)
 
 
 def test_a_joint_alone_has_no_bias() -> None:
-    bias = JointBias()
     window, solution = answered({"wrist": np.full((50, 3), 0.003)})
-    bias.step([window], [solution])
-    assert not bias.found_m.any()
+    bias = JointBias().updated([window], [solution])
+    assert not bias.error_m.any()
     assert bias.sigma_m == 0.0
 
 

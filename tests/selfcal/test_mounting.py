@@ -102,7 +102,7 @@ def slow_loss(segment: Segment, offset_s: float, direction: FloatArray) -> float
     rows = np.flatnonzero(_both(segment))
     elbow, wrist = (segment.position[rows, JOINTS.index(joint)] for joint in ("elbow", "wrist"))
     seen = (wrist - elbow) / np.linalg.norm(wrist - elbow, axis=1)[:, None]
-    t = segment.frame_t[rows]
+    t = segment.frame_t_camera[rows]
     inertial = segment.attitude.at(t + offset_s).apply(direction)
     hint = (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
     total = 0.0

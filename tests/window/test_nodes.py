@@ -85,8 +85,8 @@ def test_pauses_split_the_stream(lengths: list[int], rate: float) -> None:
     joined = np.concatenate(t)
     if (np.diff(joined) > 0.5).sum() * 2 >= len(joined) - 1:
         return  # then the pause is the median spacing, and there is no rate to speak of
-    pieces = split_at_pauses(stream(joined))
-    assert [joined[piece].tolist() for piece in pieces] == [each.tolist() for each in t]
+    segments = split_at_pauses(stream(joined))
+    assert [joined[rows].tolist() for rows in segments] == [times.tolist() for times in t]
 
 
 def test_a_lost_sample_or_four_are_no_pause() -> None:

@@ -1,4 +1,4 @@
-"""What windows tell each other, against one dense Gaussian and against the published closed form."""
+"""What all windows but one say, against one dense Gaussian and against the published closed form."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smoother.window.pooling import (
     SLOW_WALK,
     _between_window_variance,
     _Information,
-    _others,
+    leave_one_out,
     leave_one_out_priors,
 )
 from smoother.window.problem import Message, Priors
@@ -61,17 +61,17 @@ def dense_others(
 
 @pytest.mark.parametrize("walk", [0.0, 0.3], ids=["constant", "wandering"])
 @pytest.mark.parametrize("count", [1, 2])
-def test_each_is_told_the_prior_and_the_others(count: int, walk: float) -> None:
+def test_each_prior_is_the_first_one_and_the_others(count: int, walk: float) -> None:
     """One or two windows: no excess is estimated, so the answer is exact linear algebra."""
     rng = np.random.default_rng(count)
     prior = Gaussian(rng.normal(size=4), spd(rng, 4, 3.0))
     data = [Gaussian(rng.normal(size=4), spd(rng, 4)) for _ in range(count)]
     t, speed = np.array([1.0, 7.0])[:count], np.full(4, walk)
-    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, speed))
+    others = list(leave_one_out([posterior(prior, d.mean, d.covariance) for d in data], prior, t, speed))
     for k in range(count):
         mean, covariance = dense_others(prior, data, t, speed, k)
-        np.testing.assert_allclose(told[k].mean, mean, rtol=1e-8, atol=1e-10)
-        np.testing.assert_allclose(told[k].covariance, covariance, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(others[k].mean, mean, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(others[k].covariance, covariance, rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -82,35 +82,35 @@ def test_many_windows_that_agree(seed: int) -> None:
     truth = rng.normal(size=3)
     data = [Gaussian(truth + 0.02 * rng.normal(size=3), spd(rng, 3) + 0.3 * np.eye(3)) for _ in range(5)]
     t, walk = np.array([0.0, 3.0, 9.0, 12.0, 30.0]), np.array([0.0, 0.1, 0.4])
-    told = list(_others([posterior(prior, d.mean, d.covariance) for d in data], prior, t, walk))
+    others = list(leave_one_out([posterior(prior, d.mean, d.covariance) for d in data], prior, t, walk))
     for k in range(5):
         mean, covariance = dense_others(prior, data, t, walk, k)
-        np.testing.assert_allclose(told[k].mean, mean, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(told[k].covariance, covariance, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(others[k].mean, mean, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(others[k].covariance, covariance, rtol=1e-7, atol=1e-9)
 
 
-def test_a_window_never_hears_itself() -> None:
-    """Whatever a window's own data say, what it is told is the same."""
+def test_a_window_is_left_out_of_its_own_prior() -> None:
+    """Whatever a window's own data say, its prior is the same."""
     rng = np.random.default_rng(0)
     prior = Gaussian(np.zeros(2), np.eye(2) * 4.0)
     data = [Gaussian(np.full(2, 0.01 * k), spd(rng, 2) + np.eye(2)) for k in range(2)]
     t, walk = np.array([0.0, 5.0]), np.full(2, 0.1)
     answers = [posterior(prior, d.mean, d.covariance) for d in data]
-    before = list(_others(answers, prior, t, walk))[1]
+    before = list(leave_one_out(answers, prior, t, walk))[1]
     answers[1] = posterior(prior, np.array([50.0, -20.0]), 1e-4 * np.eye(2))
-    after = list(_others(answers, prior, t, walk))[1]
+    after = list(leave_one_out(answers, prior, t, walk))[1]
     np.testing.assert_allclose(after.mean, before.mean, atol=1e-10)
     np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-10)
 
 
-def test_a_direction_that_no_window_saw_keeps_its_prior() -> None:
+def test_a_direction_without_data_keeps_its_prior() -> None:
     prior = Gaussian(np.array([1.0, 2.0]), np.diag([0.5, 3.0]))
     data = np.diag([0.1, 1e12])
     answers = [posterior(prior, np.array([0.3, -9.0]), data) for _ in range(4)]
-    for each in _others(answers, prior, np.arange(4.0), np.zeros(2)):
-        assert each.mean[1] == pytest.approx(2.0, abs=1e-6)
-        assert each.covariance[1, 1] == pytest.approx(3.0, rel=1e-6)
-        assert each.covariance[0, 0] < 0.04
+    for others in leave_one_out(answers, prior, np.arange(4.0), np.zeros(2)):
+        assert others.mean[1] == pytest.approx(2.0, abs=1e-6)
+        assert others.covariance[1, 1] == pytest.approx(3.0, rel=1e-6)
+        assert others.covariance[0, 0] < 0.04
 
 
 def der_simonian_laird(x: FloatArray, variance: FloatArray) -> float:
@@ -133,21 +133,21 @@ def test_excess_is_the_published_estimate(seed: int, between: float) -> None:
     )
 
 
-def test_excess_widens_what_everybody_is_told() -> None:
-    """Scalars that differ by far more than they state: told mean and variance by the random-effects model."""
+def test_excess_widens_every_prior() -> None:
+    """Scalars that differ by far more than they state: mean and variance by the random-effects model."""
     prior = Gaussian(np.zeros(1), np.array([[1e6]]))
     x, variance = np.array([1.0, -1.0, 3.0, -2.0, 0.5]), np.full(5, 0.01)
     answers = [posterior(prior, x[k : k + 1], variance[k : k + 1, None]) for k in range(5)]
     tau2 = der_simonian_laird(x, variance)
     assert tau2 > 3.0
-    for k, each in enumerate(_others(answers, prior, np.arange(5.0), np.zeros(1))):
+    for k, others in enumerate(leave_one_out(answers, prior, np.arange(5.0), np.zeros(1))):
         rest = np.delete(x, k)
-        assert each.mean[0] == pytest.approx(rest.mean(), abs=1e-4)
+        assert others.mean[0] == pytest.approx(rest.mean(), abs=1e-4)
         # the mean of four, each its own variance and the spread, and the window's own deviation
-        assert each.covariance[0, 0] == pytest.approx((0.01 + tau2) / 4 + tau2, rel=1e-4)
+        assert others.covariance[0, 0] == pytest.approx((0.01 + tau2) / 4 + tau2, rel=1e-4)
 
 
-def test_tell_lets_only_the_biases_wander() -> None:
+def test_only_the_biases_wander() -> None:
     down = np.array([0.0, -1.0, 0.0])
     layout = SharedLayout(joints=("elbow", "wrist"), has_upper_arm=True, gravity_axes=axes_across(down))
     rng = np.random.default_rng(1)
@@ -159,10 +159,10 @@ def test_tell_lets_only_the_biases_wander() -> None:
     ]
     walk = np.zeros(layout.size)
     walk[layout.bias] = SLOW_WALK
-    for k, each in enumerate(leave_one_out_priors(messages, priors)):
+    for k, others in enumerate(leave_one_out_priors(messages, priors)):
         mean, covariance = dense_others(prior, data, np.array([2.0, 90.0]), walk, k)
-        np.testing.assert_allclose(each.shared.mean, mean, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(each.shared.covariance, covariance, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(others.shared.mean, mean, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(others.shared.covariance, covariance, rtol=1e-7, atol=1e-9)
 
 
 def test_axes_across_are_right_handed_with_down() -> None:

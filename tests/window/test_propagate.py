@@ -1,4 +1,4 @@
-"""Camera frames that share a node: where the IMU says they were, what that costs, and the clock's slope."""
+"""Camera frames that share a node: where the IMU has them, what that costs, and the slope of the clock."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ def test_frames_before_and_after_a_node_are_where_the_curve_is(seed: int) -> Non
     frame_t = np.concatenate([node_t - GROUPED_S, node_t, node_t + GROUPED_S])
     node = np.tile(np.arange(3), 3)
     gravity = G * curve.down
-    way = propagate(
+    motion = propagate(
         InertialSignal(imu), node_t, states_of(curve, node_t), frame_t, node, gravity, np.zeros(6)
     )
     true = joint(curve, frame_t) - joint(curve, node_t[node])
-    np.testing.assert_allclose(way.shift(LEVER), true, atol=2e-5)  # 100 Hz samples of 8 m/s^2
-    assert angle_rad(way.R_frame, curve.rotation(frame_t).as_matrix()).max() < 1e-4
+    np.testing.assert_allclose(motion.shift(LEVER), true, atol=2e-5)  # 100 Hz samples of 8 m/s^2
+    assert angle_rad(motion.R_frame, curve.rotation(frame_t).as_matrix()).max() < 1e-4
     slope = (joint(curve, frame_t + 1e-5) - joint(curve, frame_t - 1e-5)) / 2e-5
-    velocity = way.velocity(LEVER) + curve.velocity(node_t)[node]
+    velocity = motion.velocity(LEVER) + curve.velocity(node_t)[node]
     np.testing.assert_allclose(velocity, slope, atol=5e-3)  # the rate is a mean over 20 ms
-    assert not way.shift(LEVER)[3:6].any()
+    assert not motion.shift(LEVER)[3:6].any()
 
 
 def test_a_wrong_velocity_cancels_over_a_group() -> None:
@@ -61,8 +61,8 @@ def test_a_wrong_velocity_cancels_over_a_group() -> None:
     states = states_of(curve, node_t)
     wrong = replace(states, v=states.v + np.array([0.5, 0.0, 0.0]))
     right, off = (
-        propagate(signal, node_t, each, frame_t, np.zeros(5, dtype=int), gravity, np.zeros(6)).shift(LEVER)
-        for each in (states, wrong)
+        propagate(signal, node_t, at_node, frame_t, np.zeros(5, dtype=int), gravity, np.zeros(6)).shift(LEVER)
+        for at_node in (states, wrong)
     )
     assert np.abs(off - right).max() == pytest.approx(0.5 * GROUPED_S, rel=1e-6)
     np.testing.assert_allclose((off - right).mean(axis=0), 0.0, atol=1e-12)
@@ -82,7 +82,7 @@ def test_groups_keep_near_their_node_and_away_from_gaps(seed: int, rate_hz: floa
     owner = group_frames(t, visible)
     if not len(t):
         return
-    assert (owner[owner] == owner).all()  # a node is told to itself
+    assert (owner[owner] == owner).all()  # a node's frame belongs to itself
     assert (np.diff(owner) >= 0).all()
     assert np.abs(t - t[owner]).max() <= 1.5 * GROUPED_S
     moved = owner != np.arange(len(t))
@@ -99,11 +99,11 @@ def test_frames_at_thirty_hertz_share_a_node_by_fives() -> None:
 
 
 def test_one_wrong_sample_of_a_group_costs_itself_only() -> None:
-    place = np.zeros((5, 3))
-    place[2] = [0.5, 0.0, 0.0]
+    position = np.zeros((5, 3))
+    position[2] = [0.5, 0.0, 0.0]
     nothing = np.zeros((5, 3))
     measured = JointMeasurements(
-        "wrist", np.arange(5) / 30, np.zeros(5, int), place, np.full(5, 0.01), nothing, nothing
+        "wrist", np.arange(5) / 30, np.zeros(5, int), position, np.full(5, 0.01), nothing, nothing
     )
     node, at, sigma = stacked_measurements(measured, cauchy=2.0)
     assert node.tolist() == [0]
@@ -127,7 +127,7 @@ def test_shared_nodes_cost_no_accuracy() -> None:
     assert one < 1.15 * two
 
 
-def pull(window: Window) -> tuple[float, float]:
+def fall_and_information(window: Window) -> tuple[float, float]:
     """Fall of the loss for a later offset (1/s) at the window's optimum, and the information stated."""
     solution = solve(window, with_covariance=False, with_offset=True)
     total = 0.0
@@ -138,8 +138,8 @@ def pull(window: Window) -> tuple[float, float]:
     return total, solution.offset_information
 
 
-def test_the_offsets_information_is_the_pulls_slope() -> None:
-    """Move every sample along its joint's velocity, solve again: the pull falls by the information.
+def test_the_offsets_information_is_the_slope_of_the_fall() -> None:
+    """Move every sample along its joint's velocity, solve again: the fall changes by the information.
 
     The noise-free IMU makes the velocities good to 1 %; the optimiser stops at 1e-3 of its error.
     """
@@ -158,8 +158,8 @@ def test_the_offsets_information_is_the_pulls_slope() -> None:
             for measured in window.joint_measurements
         ),
     )
-    before, information = pull(window)
-    after, _ = pull(moved)
+    before, information = fall_and_information(window)
+    after, _ = fall_and_information(moved)
     assert (after - before) / step_s == pytest.approx(information, rel=0.05)
     bound = sum(
         float(np.sum((solution.states.v[s.node] + s.velocity) ** 2 / s.sigma_m[:, None] ** 2))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import FloatArray
 from smoother.window.problem import Solution, States, Window
-from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, merge_windows
+from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, merge_windows
 
 
 class Joined:
@@ -225,3 +225,31 @@ def test_beyond_a_node_the_imu_leads(joined: Joined) -> None:
     t = float(joined.t[k] + 0.02 * length)
     found = at_times(joined.motion, joined.signal, np.array([t])).p[0]
     np.testing.assert_allclose(found, carried(joined.motion, joined.signal, k, t), atol=2e-5)
+
+
+def test_a_joint_follows_from_the_pose_and_its_lever_arm() -> None:
+    """Position exactly; covariance as scattered poses and lever arms have it, cross terms included."""
+    rng = np.random.default_rng(3)
+    R = Rotation.random(random_state=3).as_matrix()
+    p, lever = np.array([0.1, -0.2, 2.0]), np.array([0.02, 0.18, -0.01])
+    root = rng.normal(size=(6, 6)) * np.repeat([0.004, 0.01], 3)[:, None]
+    lever_covariance = np.diag(np.square([0.002, 0.006, 0.004]))
+    position, covariance = joint_from_pose(R[None], p[None], (root @ root.T)[None], lever, lever_covariance)
+    np.testing.assert_allclose(position[0], p + R @ lever, atol=1e-15)
+    error = rng.normal(size=(200_000, 6)) @ root.T
+    levers = lever + rng.normal(size=(200_000, 3)) * np.sqrt(np.diag(lever_covariance))
+    scattered = p + error[:, :3] + Rotation.from_rotvec(error[:, 3:]).apply(levers @ R.T)
+    scale = np.sqrt(np.diag(covariance[0]))
+    np.testing.assert_allclose(
+        np.cov(scattered.T) / np.outer(scale, scale), covariance[0] / np.outer(scale, scale), atol=0.02
+    )
+
+
+def test_a_joint_without_a_lever_arm_is_the_imu_and_an_unknown_pose_leaves_it_unknown() -> None:
+    R, p = np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.0]])
+    pose_covariance = np.tile(np.diag([1e-4] * 3 + [1e-2] * 3), (2, 1, 1))
+    pose_covariance[1] = np.nan
+    position, covariance = joint_from_pose(R, p, pose_covariance, np.zeros(3))
+    np.testing.assert_array_equal(position, p)
+    np.testing.assert_allclose(covariance[0], 1e-4 * np.eye(3))
+    assert np.isnan(covariance[1]).all()

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from smoother.baselines.scene import Scene
 from smoother.config import ArmPrior, CameraNoise, ImuNoise
 from smoother.linalg import interpolate
-from smoother.measurements.alignment import GRAVITY, lever_of
+from smoother.measurements.alignment import lever_of
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import FOREARM_JOINTS, JOINTS, FloatArray
+from smoother.units import GRAVITY
 from smoother.window.prepare import states_from_camera
 
 Pim = gtsam.PreintegratedCombinedMeasurements

@@ -14,7 +14,6 @@ from smoother.config import Config
 from smoother.measurements.clock import constant_clock
 from smoother.recording import Recording
 from smoother.result import Recovery
-from smoother.selfcal.clock_fit import ClockFit
 
 #: How far a tripod's camera is taken to be off the level, degrees.
 TILT_DEG = 3.0
@@ -40,17 +39,11 @@ def without_gravity(recording: Recording, config: Config) -> Recovery:
 
 def without_clock(recording: Recording, config: Config) -> Recovery:
     """Clock offset not solved: the camera's stamps are believed as they came."""
-
-    class Believed(ClockFit):
-        """Clocks that no residual moves."""
-
-        def __init__(self, clocks: list, synthetic_stamps: list) -> None:
-            super().__init__([constant_clock(0.0, 1e-4) for _ in clocks], synthetic_stamps)
-
-        def step(self, *_: object) -> None:
-            """Nothing."""
-
-    with patch("smoother.selfcal.rounds.ClockFit", Believed):
+    place = "smoother.selfcal.rounds"
+    with (
+        patch(f"{place}.constant_clock", lambda offset_s: constant_clock(0.0, 1e-4)),
+        patch(f"{place}.refined_clocks", lambda clocks, *_: tuple(clocks)),
+    ):
         return smooth(recording, None, config)
 
 

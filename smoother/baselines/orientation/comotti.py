@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ...measurements.alignment import GRAVITY
 from ...recording import FloatArray
+from ...units import GRAVITY
 from .samples import EvenSamples, start_attitude
 
 #: Noise of the gyroscope, its errors of scale and mounting included, rad/s/sqrt(Hz).

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import RecordingError
+from ...linalg import masked_correlation, nearest_rotation, robust_sigma
 from ...recording import FloatArray
 from ...result import Recovery
 from ..align import orientation_at, position_at
@@ -31,22 +32,30 @@ SHORTEST_S = 1.0
 SKEW_SIGMA = 3e-4
 #: Another offset that correlates nearly as well makes the answer doubtful (share of the best score).
 RIVAL = 0.97
-#: Neighbouring samples are not independent: the error of the answer is taken from blocks of this length, s.
-BLOCK_S = 1.0
+#: Neighbouring samples are not independent: sigmas are taken from sums over times of this length, s.
+INDEPENDENT_S = 1.0
 
 
 @dataclass(frozen=True)
 class MocapClock:
-    """The clock found.
+    """The mocap's clock against the IMU's.
 
     Attributes
     ----------
-    offset_s, sigma_s : t_imu = t_mocap (1 + skew) + offset; times count from the recording's origin.
-    skew, skew_sigma : parts (1e-6 = 1 ppm).
-    correlation : of the speeds at the offset found, -1 to 1.
-    by : what was compared.
-    R_A_P, mount_sigma_rad : the plate's rotation in the IMU where it was solved, else None and nan.
-    notes : what to know of it, one sentence each.
+    offset_s, sigma_s : float, s
+        `t_imu = t_mocap (1 + skew) + offset`; times count from the recording's origin.
+    skew, skew_sigma : float
+        Parts (1e-6 = 1 ppm).
+    correlation : float
+        Of the speeds at that offset, -1 to 1.
+    by : str
+        What was compared.
+    R_A_P : ndarray, shape (3, 3), or None
+        The plate's rotation in the IMU where it was solved.
+    mount_sigma_rad : float, rad
+        Its sigma; nan where it was not.
+    notes : tuple of str
+        What to know of it, one sentence each.
     """
 
     offset_s: float
@@ -144,9 +153,9 @@ class _Ways:
                 f"{motion.source}: the answer has none of its joints"
                 f" ({', '.join(motion.joints) or 'none'}), so there is nothing to align its clock by"
             )
-        seen = ~recovery.occluded[:, None]
+        visible = ~recovery.occluded[:, None]
         self._pairs = [
-            ((recovery.t_s, np.where(seen, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
+            ((recovery.t_s, np.where(visible, mine, np.nan)), (motion.t_s, other)) for mine, other in pairs
         ]
 
     def answer(self, t: FloatArray) -> FloatArray:
@@ -199,8 +208,10 @@ def _coarse(
     a, b = (
         signals.speed(read(grid)) for read, grid in zip((signals.answer, signals.truth), grids, strict=True)
     )
-    r, count = _masked_correlation(a, b)
-    score = np.where(count >= least_s * GRID_HZ, np.arctanh(np.clip(r, -1, 0.9999)) * np.sqrt(count), -np.inf)
+    r, count = masked_correlation(a, b, least_variance=1e-3)
+    score = np.where(
+        count >= least_s * GRID_HZ, np.arctanh(np.clip(r, -0.9999, 0.9999)) * np.sqrt(count), -np.inf
+    )
     if not np.isfinite(score).any():
         return 0.0, float("nan"), []
     lags = (np.arange(len(r)) - (len(b) - 1)) / GRID_HZ + grids[0][0] - grids[1][0]
@@ -210,30 +221,6 @@ def _coarse(
         float(lags[k]) for k in peaks if abs(lags[k] - lags[best]) > 0.5 and score[k] > RIVAL * score[best]
     ]
     return float(lags[best]), float(r[best]), rivals[:3]
-
-
-def _masked_correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pearson's correlation at every shift over the samples that both have, and their number."""
-    from scipy.signal import correlate
-
-    known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
-    a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
-    # small numbers: what comes out of the Fourier transform must not drown in its rounding
-    a, b = a / max(a.std(), 1e-12), b / max(b.std(), 1e-12)
-
-    def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
-        return np.asarray(correlate(x, y, mode="full", method="fft"))
-
-    n = np.round(shifted(known_a, known_b))
-    sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        covariance = shifted(a, b) - sum_a * sum_b / n
-        variance_a = shifted(a * a, known_b) - sum_a**2 / n
-        variance_b = shifted(known_a, b * b) - sum_b**2 / n
-        r = covariance / np.sqrt(variance_a * variance_b)
-    # a stretch at rest has no correlation to speak of
-    still = (variance_a < 1e-3 * n) | (variance_b < 1e-3 * n) | (n < 3)
-    return np.where(still | ~np.isfinite(r), 0.0, np.clip(r, -1, 1)), n
 
 
 def _refine(
@@ -258,7 +245,7 @@ def _refine(
         return values if mount is None else values @ mount.T
 
     size = 2 if mount is None else 11
-    information, block_sum = np.eye(size), np.eye(size)
+    information, gradient_covariance = np.eye(size), np.eye(size)
     for _ in range(12):
         at = centre + (t - offset - centre) / (1.0 + skew)
         model, ahead, behind = (signals.truth(at + shift) for shift in (0.0, 0.004, -0.004))
@@ -271,7 +258,7 @@ def _refine(
             turned = np.where(good, mounted(model), 0.0)
             columns += [-np.eye(3)[i] * turned[:, j, None] for i in range(3) for j in range(3)]
         residual = np.where(good, residual, 0.0)
-        spread = 1.4826 * np.median(np.abs(residual[good])) if good.any() else 1.0
+        spread = float(robust_sigma(residual[good])) if good.any() else 1.0
         weight = good / (1.0 + (residual / max(spread, 1e-9)) ** 2)
         # the derivative of the residual is + rate by the offset, - turned_j in row i by entry ij of a
         # matrix that is put before the mount
@@ -287,11 +274,11 @@ def _refine(
         skew += float(step[1])
         if mount is not None:
             mount = (np.eye(3) + step[2:].reshape(3, 3)) @ mount
-        block_sum = _by_blocks(t, gradient)
+        gradient_covariance = summed_covariance(t - t[0], gradient)
         if abs(step[0]) < 1e-8 and abs(step[1]) < 1e-9:
             break
     inverse = np.linalg.pinv(information)
-    covariance = inverse @ block_sum @ inverse
+    covariance = inverse @ gradient_covariance @ inverse
     to_zero = np.array([1.0, -centre])  # the offset at the mocap's zero
     sigma = float(np.sqrt(max(to_zero @ covariance[:2, :2] @ to_zero, 0.0)))
     return MocapClock(
@@ -301,14 +288,9 @@ def _refine(
         skew_sigma=float(np.sqrt(max(covariance[1, 1], 0.0))),
         correlation=correlation,
         by=signals.by,
-        R_A_P=_nearest_rotation(mount) if signals.solves_mount and mount is not None else None,
+        R_A_P=nearest_rotation(mount) if signals.solves_mount and mount is not None else None,
         mount_sigma_rad=_turn_sigma(covariance[2:, 2:]) if signals.solves_mount else float("nan"),
     )
-
-
-def _nearest_rotation(matrix: FloatArray) -> FloatArray:
-    U, _, Vt = np.linalg.svd(matrix)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def _turn_sigma(covariance: FloatArray) -> float:
@@ -319,16 +301,15 @@ def _turn_sigma(covariance: FloatArray) -> float:
     return float(np.sqrt(max(np.trace(turn @ covariance @ turn.T), 0.0)))
 
 
-def _by_blocks(t: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Covariance of the summed gradient (n, d), from blocks of a second that are taken to be independent."""
-    block = np.floor((t - t[0]) / BLOCK_S).astype(int)
-    sums = np.zeros((block.max() + 1, gradient.shape[1]))
-    np.add.at(sums, block, gradient)
+def summed_covariance(t: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Covariance (d, d) of the summed gradient (n, d), its sums over each second taken as independent."""
+    _, second = np.unique(np.floor(t / INDEPENDENT_S), return_inverse=True)
+    sums = np.zeros((second.max() + 1, gradient.shape[1]))
+    np.add.at(sums, second, gradient)
     return np.asarray(sums.T @ sums)
 
 
 def _first_mount(answer: FloatArray, plate: FloatArray) -> FloatArray:
     """`R_A_P` (3, 3) that brings the plate's turns to the IMU's (Kabsch without centring)."""
     good = np.isfinite(answer).all(axis=1) & np.isfinite(plate).all(axis=1)
-    rotation, _ = Rotation.align_vectors(answer[good], plate[good])
-    return np.asarray(rotation.as_matrix())
+    return nearest_rotation(answer[good].T @ plate[good])

@@ -13,10 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import CalibrationError, RecordingError
+from ...linalg import nearest_rotation
 from ...recording import CameraFrame, FloatArray, IntArray
 from ...result import Recovery
 from ..align import orientation_at, position_at
-from .clock import MocapClock
+from .clock import MocapClock, summed_covariance
+from .marker_map import numbers
 from .motion import MocapMotion
 
 #: `R_K_C`: optical axes to those of a recording. `zup` is taken as ROS has it: x forward, y left, z up.
@@ -26,8 +28,6 @@ FROM_OPTICAL = {
     CameraFrame.ZUP: np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
 }
 TABLE = "camera_from_mocap"
-#: Errors of joint centres hang together over some tenths of a second: sigmas are taken from blocks, s.
-BLOCK_S = 1.0
 #: The joint centres must spread this far in two directions, m (rms), for a transform to be solved.
 LEAST_SPREAD_M = 0.02
 
@@ -38,11 +38,16 @@ class CameraFromMocap:
 
     Attributes
     ----------
-    R_K_E, t_K_E : (3, 3) and (3,) m.
-    rotation_sigma_deg, translation_sigma_m : square root of the trace; nan where not solved here. The
-        translation's is that of the place where the arm was.
-    residual_m : rms distance of the joint centres that it was solved from; nan where not.
-    by : what it was taken from.
+    R_K_E, t_K_E : ndarray, shape (3, 3) and (3,), m
+        Rotation and translation.
+    by : str
+        What it was taken from.
+    rotation_sigma_deg : float, degrees
+        Square root of the covariance's trace; nan where not solved here.
+    translation_sigma_m : float, m
+        Likewise, of the place where the arm was.
+    residual_m : float, m
+        Rms distance of the joint centres that it was solved from; nan where not.
     """
 
     R_K_E: FloatArray
@@ -86,11 +91,10 @@ def stated_frame(table: Any, frame: CameraFrame | None, source: str) -> CameraFr
 
 
 def _numbers(table: dict[str, Any], key: str, size: int, source: str) -> FloatArray:
-    value = table.get(key)
-    good = isinstance(value, list) and len(value) == size
-    if not good or not all(isinstance(x, int | float) and np.isfinite(x) for x in value):  # type: ignore[union-attr]
+    values = numbers(table.get(key), size)
+    if values is None:
         raise CalibrationError(f"{source}: {TABLE}.{key} must be {size} numbers")
-    return np.array(value, dtype=np.float64)
+    return values
 
 
 def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> CameraFromMocap:
@@ -117,9 +121,9 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
     K = np.concatenate([answer[rows] for answer, _, _ in points])
     E = np.concatenate([position_at(motion.t_s, position, t) for _, position, _ in points])
     owner = np.repeat(np.arange(len(points)), len(rows))
-    blocks = np.tile(np.floor(recovery.t_s[rows] / BLOCK_S).astype(int), len(points))
+    t_imu = np.tile(recovery.t_s[rows], len(points))
     good = np.isfinite(K).all(axis=1) & np.isfinite(E).all(axis=1)
-    K, E, owner, blocks = K[good], E[good], owner[good], blocks[good]
+    K, E, owner, t_imu = K[good], E[good], owner[good], t_imu[good]
     if len(K) < 10:
         raise RecordingError(
             f"{motion.source}: truth and visible answer share {len(K)} samples, too few to align them by;"
@@ -132,7 +136,7 @@ def solve_frame(recovery: Recovery, motion: MocapMotion, clock: MocapClock) -> C
             " about it open; map more joints, or give --calibration with [camera_from_mocap]"
         )
     stated = [_typical_variance(covariance[rows]) for _, _, covariance in points]
-    return _kabsch(K, E, blocks, owner, np.array(stated))
+    return _robust_transform(K, E, t_imu, owner, np.array(stated))
 
 
 def _typical_variance(covariance: FloatArray) -> float:
@@ -142,18 +146,19 @@ def _typical_variance(covariance: FloatArray) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _kabsch(
-    K: FloatArray, E: FloatArray, blocks: IntArray, owner: IntArray, variance: FloatArray
+def _robust_transform(
+    K: FloatArray, E: FloatArray, t_imu: FloatArray, owner: IntArray, variance: FloatArray
 ) -> CameraFromMocap:
-    """Kabsch with Cauchy weights.
+    """The transform from pairs of points (n, 3): nearest rotation, Cauchy weights.
 
-    Its sigma has two parts: what differs between blocks of a second, and the error that each point (`owner`)
-    has all the time, for which the answer's own variance (P,) stands; in the worst case all points share it.
+    Its sigma has two parts: what differs from second to second (errors of joint centres stay alike over some
+    tenths of one), and the error that each point (`owner`) has all the time, for which the answer's own
+    variance (P,) stands; in the worst case all points share it.
     """
     weight = np.ones(len(K))
     for _ in range(20):
         centre_K, centre_E = np.average(K, axis=0, weights=weight), np.average(E, axis=0, weights=weight)
-        R = Rotation.align_vectors(K - centre_K, E - centre_E, weights=weight)[0].as_matrix()
+        R = nearest_rotation((weight[:, None] * (K - centre_K)).T @ (E - centre_E))
         residual = K - centre_K - (E - centre_E) @ R.T
         size = np.linalg.norm(residual, axis=1)
         fresh = 1.0 / (1.0 + (size / max(2.0 * np.median(size), 1e-9)) ** 2)
@@ -168,11 +173,8 @@ def _kabsch(
         design[:, axis, 3 + axis] = 1.0
     information = np.einsum("n,ndi,ndj->ij", weight, design, design)
     gradient = np.einsum("n,ndi,nd->ni", weight, design, residual)
-    _, index = np.unique(blocks, return_inverse=True)
-    sums = np.zeros((index.max() + 1, 6))
-    np.add.at(sums, index, gradient)
     inverse = np.linalg.inv(information)
-    covariance = inverse @ (sums.T @ sums) @ inverse
+    covariance = inverse @ summed_covariance(t_imu, gradient) @ inverse
     for point, each in enumerate(variance):
         gain = inverse @ np.einsum("n,ndi->id", weight * (owner == point), design)
         covariance += each * gain @ gain.T

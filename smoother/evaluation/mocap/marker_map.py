@@ -51,12 +51,18 @@ class MarkerMap:
 
     Attributes
     ----------
-    joints : names of the markers whose mean is the joint's centre, by joint.
-    plate : names of the markers on the IMU's plate; empty without one.
-    landmarks : a marker's name by landmark.
-    plate_A : places (3,) of the plate's markers in the IMU's axes, m, by name; empty where unknown.
-    R_A_P, p_A_P : rotation (3, 3) and origin (3,) m of the plate's axes in the IMU's, or None.
-    source : what to call the map in messages.
+    joints : dict[str, tuple of str]
+        Names of the markers whose mean is the joint's centre, by joint.
+    plate : tuple of str
+        Names of the markers on the IMU's plate; empty without one.
+    landmarks : dict[str, str]
+        A marker's name by landmark.
+    plate_A : dict[str, ndarray], shape (3,), m
+        Places of the plate's markers in the IMU's axes, by name; empty where unknown.
+    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
+        Rotation and origin of the plate's axes in the IMU's.
+    source : str
+        What to call the map in messages.
     """
 
     joints: dict[str, tuple[str, ...]]
@@ -138,7 +144,7 @@ def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, s
     RecordingError
         A marker is not there, or only with the prefixes of several subjects.
     """
-    found = []
+    columns = []
     for name in wanted:
         exact = [k for k, other in enumerate(names) if other == name]
         matches = exact or [k for k, other in enumerate(names) if _bare(other) == _bare(name)]
@@ -149,8 +155,8 @@ def find_markers(wanted: Sequence[str], names: Sequence[str], map_source: str, s
         if len(matches) > 1:
             several = ", ".join(names[k] for k in matches)
             raise RecordingError(f"{map_source}: {name!r} may be any of {several}; name it with its subject")
-        found.append(matches[0])
-    return found
+        columns.append(matches[0])
+    return columns
 
 
 def _bare(name: str) -> str:
@@ -179,7 +185,15 @@ def _names(value: Any, key: str, path: Path) -> tuple[str, ...]:
 
 
 def _vector(value: Any, size: int, key: str, path: Path) -> FloatArray:
+    values = numbers(value, size)
+    if values is None:
+        raise RecordingError(f"{path}: {key} must be {size} numbers")
+    return values
+
+
+def numbers(value: Any, size: int) -> FloatArray | None:
+    """A list of so many finite numbers as an array (size,); None where it is none."""
     good = isinstance(value, list) and len(value) == size
     if not good or not all(isinstance(x, int | float) and np.isfinite(x) for x in value):
-        raise RecordingError(f"{path}: {key} must be {size} numbers")
+        return None
     return np.array(value, dtype=np.float64)

@@ -34,12 +34,18 @@ class MocapMotion:
 
     Attributes
     ----------
-    t_s : (N,) on the mocap's clock, s.
-    joints, landmarks : positions (N, 3) by name, m in {E}; nan where a marker of theirs was not seen.
-    R_E_P, p_E_P : (N, 3, 3) and (N, 3) m: pose of the plate's axes {P}; None without a plate.
-    R_A_P, p_A_P : the plate's axes in the IMU's, (3, 3) and (3,) m; None where to be solved.
-    source : what to call it in messages.
-    notes : what was decided, one sentence each.
+    t_s : ndarray, shape (n,), s
+        On the mocap's clock.
+    joints, landmarks : dict[str, ndarray], shape (n, 3), m
+        Positions by name, in {E}; nan where a marker of theirs was not seen.
+    R_E_P, p_E_P : ndarray, shape (n, 3, 3) and (n, 3), m, or None
+        Pose of the plate's axes {P}; None without a plate.
+    R_A_P, p_A_P : ndarray, shape (3, 3) and (3,), m, or None
+        The plate's axes in the IMU's; None where to be solved.
+    source : str
+        What to call it in messages.
+    notes : tuple of str
+        What was decided, one sentence each.
     """
 
     t_s: FloatArray
@@ -76,12 +82,12 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
         return markers.position[:, index]
 
     plate = MocapMotion(markers.t_s, source=markers.source, notes=markers.notes)
-    seen = {joint: places(names) for joint, names in marker_map.joints.items()}
-    _check_unit(seen, markers)
+    positions = {joint: places(names) for joint, names in marker_map.joints.items()}
+    _check_unit(positions, markers)
     if marker_map.plate:
         plate = _with_plate(plate, places(marker_map.plate), marker_map)
     filled = {
-        joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in seen.items()
+        joint: _filled(plate, each) if joint in ON_FOREARM else (each, 0) for joint, each in positions.items()
     }
     joints = {joint: each.mean(axis=1) for joint, (each, _) in filled.items()}
     landmarks = {name: places([marker])[:, 0] for name, marker in marker_map.landmarks.items()}
@@ -104,12 +110,12 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
     return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_holes(joints)))
 
 
-def _check_unit(seen: dict[str, FloatArray], markers: Markers) -> None:
+def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
     """Refuse bones of impossible length, from markers (N, M, 3) by joint."""
     for one, other in (("elbow", "wrist"), ("shoulder", "elbow")):
-        if one not in seen or other not in seen:
+        if one not in positions or other not in positions:
             continue
-        length = np.linalg.norm(seen[one].mean(axis=1) - seen[other].mean(axis=1), axis=1)
+        length = np.linalg.norm(positions[one].mean(axis=1) - positions[other].mean(axis=1), axis=1)
         length = length[np.isfinite(length)]
         if len(length) and not BONE_M[0] < float(np.median(length)) < BONE_M[1]:
             raise RecordingError(
@@ -118,12 +124,13 @@ def _check_unit(seen: dict[str, FloatArray], markers: Markers) -> None:
             )
 
 
-def _filled(plate: MocapMotion, seen: FloatArray) -> tuple[FloatArray, int]:
+def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:
     """Markers (N, M, 3) of a joint with short holes filled, and the number of samples that were."""
     if plate.R_E_P is None or plate.p_E_P is None:
-        return seen, 0
+        return positions, 0
     parts = [
-        fill_on_plate(plate.t_s, seen[:, marker], plate.R_E_P, plate.p_E_P) for marker in range(seen.shape[1])
+        fill_on_plate(plate.t_s, positions[:, marker], plate.R_E_P, plate.p_E_P)
+        for marker in range(positions.shape[1])
     ]
     return np.stack([path for path, _ in parts], axis=1), sum(count for _, count in parts)
 
@@ -146,18 +153,18 @@ def _holes(joints: dict[str, FloatArray]) -> list[str]:
     )
 
 
-def _with_plate(motion: MocapMotion, seen: FloatArray, marker_map: MarkerMap) -> MocapMotion:
+def _with_plate(motion: MocapMotion, positions: FloatArray, marker_map: MarkerMap) -> MocapMotion:
     """Add the plate's pose: its shape from the frames, its axes from the map where that states them."""
-    shape = find_shape(seen)
+    shape = find_shape(positions)
     if np.isfinite(shape).all(axis=1).sum() < 3:
         raise RecordingError(
             f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) are never seen three at a"
             " time, or lie on a line, so the plate has no pose"
         )
     shape, R_A_P, p_A_P = _in_stated_axes(shape, marker_map, motion.source)
-    found = follow(shape, seen)
-    answered = np.isfinite(found.residual_m)
-    tried = np.isfinite(seen).all(axis=2).sum(axis=1) >= 3
+    poses = follow(shape, positions)
+    answered = np.isfinite(poses.residual_m)
+    tried = np.isfinite(positions).all(axis=2).sum(axis=1) >= 3
     if not answered.sum() >= LEAST_RIGID * tried.sum():
         raise RecordingError(
             f"{motion.source}: the plate's markers ({', '.join(marker_map.plate)}) do not move as one body;"
@@ -165,11 +172,11 @@ def _with_plate(motion: MocapMotion, seen: FloatArray, marker_map: MarkerMap) ->
         )
     notes = [
         f"IMU plate: {len(shape)} markers, a pose in {100 * answered.mean():.1f} % of the mocap's frames,"
-        f" {1000 * np.sqrt(np.nanmean(found.residual_m**2)):.2f} mm rms from a rigid body."
+        f" {1000 * np.sqrt(np.nanmean(poses.residual_m**2)):.2f} mm rms from a rigid body."
     ]
-    if found.mistaken:
-        notes.append(f"IMU plate: {found.mistaken} marker samples lay off the body and were set aside.")
-    rotation, position = smoothed(motion.t_s, found.rotation, found.position)
+    if poses.mistaken:
+        notes.append(f"IMU plate: {poses.mistaken} marker samples lay off the body and were rejected.")
+    rotation, position = smoothed(motion.t_s, poses.rotation, poses.position)
     return MocapMotion(
         motion.t_s, motion.joints, motion.landmarks, rotation, position, R_A_P, p_A_P, motion.source,
         (*motion.notes, *notes),
@@ -213,10 +220,10 @@ def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tup
     # a missing frame would shift the samples against the window, so stretches end there
     parts = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > min(1.5 * period, HOLE_S)) + 1)
     quaternions = [_continuous(Rotation.from_matrix(rotation[part]).as_quat()) for part in parts]
-    for part, found in zip(parts, _best_smooth(quaternions, period), strict=True):
-        rotation[part] = Rotation.from_quat(found).as_matrix()
-    for part, found in zip(parts, _best_smooth([position[part] for part in parts], period), strict=True):
-        position[part] = found
+    for part, smooth in zip(parts, _best_smooth(quaternions, period), strict=True):
+        rotation[part] = Rotation.from_quat(smooth).as_matrix()
+    for part, smooth in zip(parts, _best_smooth([position[part] for part in parts], period), strict=True):
+        position[part] = smooth
     return rotation, position
 
 

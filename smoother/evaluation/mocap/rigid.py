@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...linalg import nearest_rotation
 from ...recording import BoolArray, FloatArray, IntArray
 
 #: A marker this far off its place on the body is mistaken (swapped, or a ghost), m.
@@ -22,10 +23,14 @@ class ClusterMotion:
 
     Attributes
     ----------
-    rotation, position : (N, 3, 3) and (N, 3): p_E = rotation p_P + position; nan where unknown.
-    residual_m : (N,) rms distance of the seen markers from the body, m.
-    used : (N, M) the marker took part.
-    mistaken : number of single samples that were set aside.
+    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
+        `p_E = rotation p_P + position`; nan where unknown.
+    residual_m : ndarray, shape (n,), m
+        Rms distance of the seen markers from the body.
+    used : ndarray of bool, shape (n, m)
+        The marker took part.
+    mistaken : int
+        Single samples that were rejected.
     """
 
     rotation: FloatArray
@@ -36,26 +41,32 @@ class ClusterMotion:
 
 
 def fit_poses(
-    shape: FloatArray, seen: FloatArray, weight: FloatArray | BoolArray
+    shape: FloatArray, observed: FloatArray, weight: FloatArray | BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Least-squares poses (N, 3, 3), (N, 3) that bring a shape to the markers seen (Kabsch 1976).
 
     Parameters
     ----------
-    shape : (M, 3) or (N, M, 3), m.
-    seen : (N, M, 3) m; places of weight zero may be nan.
-    weight : (N, M).
+    shape : ndarray, shape (m, 3) or (n, m, 3), m
+        The markers on the body.
+    observed : ndarray, shape (n, m, 3), m
+        The markers as seen; those of weight zero may be nan.
+    weight : ndarray, shape (n, m)
+        Zero where a marker takes no part.
+
+    Returns
+    -------
+    rotation, position : ndarray, shape (n, 3, 3) and (n, 3), m
+        `p_E = rotation p_P + position`.
     """
     weight = np.asarray(weight, dtype=np.float64)
-    shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), seen.shape)
-    seen = np.where(weight[..., None] > 0, seen, 0.0)
+    shape = np.broadcast_to(np.where(np.isfinite(shape), shape, 0.0), observed.shape)
+    observed = np.where(weight[..., None] > 0, observed, 0.0)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     centre_shape = np.einsum("nm,nmi->ni", weight, shape) / total
-    centre_seen = np.einsum("nm,nmi->ni", weight, seen) / total
-    from_centre, to_centre = shape - centre_shape[:, None], seen - centre_seen[:, None]
-    U, _, Vt = np.linalg.svd(np.einsum("nm,nmi,nmj->nij", weight, to_centre, from_centre))
-    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]  # no mirror images
-    rotation = U @ Vt
+    centre_seen = np.einsum("nm,nmi->ni", weight, observed) / total
+    from_centre, to_centre = shape - centre_shape[:, None], observed - centre_seen[:, None]
+    rotation = nearest_rotation(np.einsum("nm,nmi,nmj->nij", weight, to_centre, from_centre))
     return rotation, centre_seen - np.einsum("nij,nj->ni", rotation, centre_shape)
 
 
@@ -67,7 +78,8 @@ def find_shape(position: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    position : (N, M, 3) m; nan where a marker was not seen.
+    position : ndarray, shape (n, m, 3), m
+        nan where a marker was not seen.
     """
     finite: BoolArray = np.asarray(np.isfinite(position).all(axis=2))
     rows = np.flatnonzero(finite.sum(axis=1) >= 3)
@@ -106,7 +118,7 @@ def _typical(position: FloatArray, finite: BoolArray) -> FloatArray:
 def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
     """Poses of a body of known shape (M, 3) in every frame with three markers that span a plane.
 
-    Where four or more do not fit, the one without which the others fit best is set aside, one after another,
+    Where four or more do not fit, the one without which the others fit best is rejected, one after another,
     until none is more than 5 mm off; where three are left that do not fit, there is no pose.
     """
     known = np.isfinite(shape).all(axis=1)
@@ -120,12 +132,12 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
         open_rows = open_rows[wide & (weight[open_rows].sum(axis=1) >= 3)]
         if not len(open_rows):
             break
-        seen, used = position[open_rows], weight[open_rows]
-        R, p, off = _fit(shape, seen, used)
+        observed, used = position[open_rows], weight[open_rows]
+        R, p, off = _fit(shape, observed, used)
         fits = off.max(axis=1) <= MISTAKEN_M
-        done = open_rows[fits]
-        rotation[done], origin[done] = R[fits], p[fits]
-        residual[done] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
+        fitted = open_rows[fits]
+        rotation[fitted], origin[fitted] = R[fits], p[fits]
+        residual[fitted] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
         # with three markers there is nothing to tell which one is wrong
         open_rows = open_rows[~fits & (used.sum(axis=1) > 3)]
         weight[open_rows, _odd_one(shape, position[open_rows], weight[open_rows])] = False
@@ -134,22 +146,24 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
     return ClusterMotion(rotation, origin, residual, weight, mistaken)
 
 
-def _fit(shape: FloatArray, seen: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _fit(
+    shape: FloatArray, observed: FloatArray, used: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Poses, and how far each used marker (N, M) is off its place, m."""
-    R, p = fit_poses(shape, seen, used)
-    off = seen - np.einsum("nij,mj->nmi", R, shape) - p[:, None]
+    R, p = fit_poses(shape, observed, used)
+    off = observed - np.einsum("nij,mj->nmi", R, shape) - p[:, None]
     return R, p, np.linalg.norm(np.where(used[..., None], off, 0.0), axis=2)
 
 
-def _odd_one(shape: FloatArray, seen: FloatArray, used: BoolArray) -> IntArray:
+def _odd_one(shape: FloatArray, observed: FloatArray, used: BoolArray) -> IntArray:
     """The marker (N,) without which the others fit best."""
-    left = np.full(used.shape, np.inf)
+    error = np.full(used.shape, np.inf)
     for marker in range(used.shape[1]):
         without = used.copy()
         without[:, marker] = False
-        rest = (_fit(shape, seen, without)[2] ** 2).sum(axis=1)
-        left[:, marker] = np.where(used[:, marker], rest, np.inf)
-    return np.asarray(left.argmin(axis=1))
+        rest = (_fit(shape, observed, without)[2] ** 2).sum(axis=1)
+        error[:, marker] = np.where(used[:, marker], rest, np.inf)
+    return np.asarray(error.argmin(axis=1))
 
 
 def _width(shape: FloatArray, weight: BoolArray) -> FloatArray:

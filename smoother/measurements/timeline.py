@@ -1,0 +1,56 @@
+"""The times of a recording, looked at once: segments, even stamps, visible frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording import BoolArray, FloatArray, JointState, Recording
+from .segment import SegmentTraits, traits_of
+from .timestamps import dejitter, split_at_pauses
+from .visibility import enough_joints
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What every step needs to know of a recording's times.
+
+    Attributes
+    ----------
+    segments : tuple of slice
+        Rows of the IMU between its pauses, in order of time.
+    even_t_imu : ndarray, shape (N,), s
+        The IMU's stamps, dejittered segment by segment.
+    visible : ndarray of bool, shape (F,)
+        Frames in which the camera tracked enough of the forearm.
+    traits : SegmentTraits
+        What holds for all segments: gravity's rough direction, whether the camera's stamps are synthetic.
+    """
+
+    segments: tuple[slice, ...]
+    even_t_imu: FloatArray
+    visible: BoolArray
+    traits: SegmentTraits
+
+    @classmethod
+    def of(cls, recording: Recording) -> Timeline:
+        """The timeline of a recording; its samples are not read, only its stamps and the joints' states."""
+        traits = traits_of(recording)
+        segments = tuple(split_at_pauses(recording.imu))
+        even_t = np.empty(len(recording.imu))
+        for rows in segments:
+            even_t[rows] = dejitter(np.asarray(recording.imu.t_s[rows]))
+        visible = enough_joints(recording.arm.state == JointState.TRACKED, traits.needed)
+        return cls(segments, even_t, visible, traits)
+
+    @property
+    def synthetic_stamps(self) -> bool:
+        """The camera's frames were spread evenly by a program instead of measured."""
+        return self.traits.synthetic_stamps
+
+    def length_s(self) -> float:
+        """Time in all segments together, s."""
+        return sum(
+            float(self.even_t_imu[rows.stop - 1] - self.even_t_imu[rows.start]) for rows in self.segments
+        )

@@ -1,0 +1,208 @@
+"""The first pass: every section alone, for what all sections share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+
+from ..errors import SolveError
+from ..graph.solve import solve
+from ..measurements.outliers import reject_by_camera
+from ..recording import FloatArray
+from ..runtime.pool import Pool
+from ..runtime.store import Store
+from ..selfcal.clock_fit import ClockScore, clock_score
+from ..selfcal.rounds import reject_by_direction
+from ..window.cut import cut_times
+from ..window.prepare import prepare
+from ..window.problem import FieldMeasurements, Message, Priors
+from ..window.trajectory import merge_windows
+from .magnetometer import observe
+from .sections import SectionData, Sections
+from .task import SectionState, Task
+
+#: The first pass is a start for the second, which ends within 0.02 sigma (0.15 mm) of where it would with a
+#: ten times smaller tolerance.
+TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class FirstAnswer:
+    """What a section says to all.
+
+    Attributes
+    ----------
+    state : SectionState
+        What its second pass needs.
+    messages : list of Message
+        On the shared quantities, one a window.
+    strengths : tuple of ndarray
+        Of the magnetic field where it was read, one a window.
+    clock_score : ClockScore
+        On the clock, of one window.
+    """
+
+    state: SectionState
+    messages: list[Message]
+    strengths: tuple[FloatArray, ...]
+    clock_score: ClockScore
+
+
+def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
+    """Solve a section by itself; None where the camera saw too little of the forearm.
+
+    Parameters
+    ----------
+    data : SectionData
+    task : Task
+
+    Raises
+    ------
+    SolveError
+        A window leaves something free; the text names the time.
+    """
+    segment = data.segment()
+    if segment is None:
+        return None
+    model, config = task.model, task.config
+    segment = model.joint_bias.corrected(reject_by_camera(segment))
+    segment, alignment = reject_by_direction(segment, model.prior, model.clock)
+    ready = prepare(
+        segment, model.prior, model.clock, model.joint_sigma_m, config.windows.margin_s, alignment
+    )
+    if ready is None:
+        return None
+    prepared, alignment = ready
+    borders = cut_times(prepared, config.windows.length_s)
+    windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1))
+    middle = len(windows) // 2
+    solutions = [
+        solve(
+            window,
+            with_covariance=task.magnetometer,  # it is judged by what this pass knows of the attitude
+            with_offset=task.with_clock and k == middle,
+            tolerance=TOLERANCE,
+        )
+        for k, window in enumerate(windows)
+    ]
+    observations = tuple(
+        observe(data.imu, window, solution)
+        for window, solution in zip(windows, solutions, strict=True)
+        if task.magnetometer
+    )
+    state = SectionState(
+        imu_t=data.imu.t_s,
+        first_sample=data.section.samples.start,
+        segment=segment,
+        prepared=prepared,
+        alignment=alignment,
+        clock=model.clock,
+        borders=borders,
+        trajectory=merge_windows(prepared.t, windows, solutions),
+        observations=observations,
+    )
+    return FirstAnswer(
+        state,
+        [solution.message for solution in solutions],
+        tuple(observation.strength for observation in observations),
+        clock_score([windows[middle]], [solutions[middle]]).condensed(),
+    )
+
+
+@dataclass(frozen=True)
+class SecondJob:
+    """A section of the second pass: its state, and of each of its windows the priors and the field.
+
+    Attributes
+    ----------
+    state : SectionState
+    priors : list of Priors
+        One a window.
+    field : dict of int to FieldMeasurements
+        What the magnetometer adds, by the window's number in the section.
+    """
+
+    state: SectionState
+    priors: list[Priors]
+    field: dict[int, FieldMeasurements]
+
+
+@dataclass
+class FirstPass:
+    """The answers of all sections, in the order of time; their states lie in a store.
+
+    Attributes
+    ----------
+    messages : list of Message
+        Of all windows.
+    clock_scores : list of ClockScore
+        One a section.
+    strengths : list of ndarray
+        Of the magnetic field, one a window; empty without a magnetometer.
+    """
+
+    store: Store
+    messages: list[Message] = field(default_factory=list)
+    clock_scores: list[ClockScore] = field(default_factory=list)
+    strengths: list[FloatArray] = field(default_factory=list)
+    _states: list[tuple[object, range]] = field(default_factory=list)
+
+    @classmethod
+    def over(
+        cls, sections: Sections, task: Task, workers: Pool, store: Store, progress: Callable[[float], None]
+    ) -> FirstPass:
+        """Solve all sections, side by side.
+
+        Raises
+        ------
+        SolveError
+            No section has enough inliers.
+        """
+        first = cls(store)
+        for count, answer in enumerate(workers.map(partial(solve_alone, task=task), sections), start=1):
+            if answer is not None:
+                first._add(answer)
+            progress(count / len(sections))
+        if not first.messages:
+            raise SolveError(f"{sections.name}: too little of what the camera saw can be believed")
+        return first
+
+    def _add(self, answer: FirstAnswer) -> None:
+        windows = range(len(self.messages), len(self.messages) + len(answer.messages))
+        self._states.append((self.store.put(answer.state), windows))
+        self.messages += answer.messages
+        self.strengths += answer.strengths
+        self.clock_scores.append(answer.clock_score)
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def states(self) -> Iterator[tuple[SectionState, range]]:
+        """Each section's state, taken out of the store, and the numbers of its windows."""
+        states, self._states = self._states, []
+        for handle, windows in states:
+            state = self.store.pop(handle)
+            assert isinstance(state, SectionState)
+            yield state, windows
+
+    def put_back(self, state: SectionState, windows: range) -> None:
+        """A section's state that was taken out, in the order of time."""
+        self._states.append((self.store.put(state), windows))
+
+    def jobs(
+        self, priors: Iterator[Priors], field_by_window: Mapping[int, FieldMeasurements]
+    ) -> Iterator[SecondJob]:
+        """The second pass's jobs, a section each.
+
+        Parameters
+        ----------
+        priors : iterator of Priors
+            Of all windows, in the order of time.
+        field_by_window : mapping of int to FieldMeasurements
+            What the magnetometer adds, by the window's number in the recording.
+        """
+        for state, windows in self.states():
+            own = {k - windows.start: field_by_window[k] for k in windows if k in field_by_window}
+            yield SecondJob(state, list(islice(priors, len(windows))), own)

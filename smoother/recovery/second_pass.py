@@ -1,0 +1,65 @@
+"""The second pass: every section again, with priors from all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from ..graph.solve import solve
+from ..runtime.pool import Pool
+from ..window.problem import Message
+from ..window.trajectory import merge_windows
+from .first_pass import SecondJob
+from .samples import SectionAnswer, sample_section
+from .task import Task
+
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class SecondAnswer:
+    """The section's answer at its samples, and its windows' messages."""
+
+    answer: SectionAnswer
+    messages: list[Message]
+
+
+def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
+    """Solve a section with the priors that all others give it.
+
+    Parameters
+    ----------
+    job : SecondJob
+    task : Task
+        Refined by the first pass.
+
+    Raises
+    ------
+    SolveError
+        A window leaves something free; the text names the time.
+    """
+    state = job.state.without_outliers(task)
+    windows = [
+        replace(window, field=job.field.get(number))
+        for number, window in enumerate(task.windows(state.prepared, state.borders, job.priors))
+    ]
+    solutions = [
+        solve(window, with_covariance=True, with_message=False, tolerance=TOLERANCE) for window in windows
+    ]
+    trajectory = merge_windows(state.prepared.t, windows, solutions)
+    answer = sample_section(
+        state.imu_t,
+        state.first_sample,
+        state.segment,
+        state.prepared,
+        trajectory,
+        task.model,
+        task.joints,
+    )
+    return SecondAnswer(answer, [solution.message for solution in solutions])
+
+
+def second_pass(jobs: Iterable[SecondJob], task: Task, workers: Pool) -> Iterator[SecondAnswer]:
+    """The sections' answers in the order of time, solved side by side as they are asked for."""
+    return workers.map(partial(solve_again, task=task), jobs)

@@ -1,0 +1,175 @@
+"""What holds for all sections of a recording, and what is known of one between the two passes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..config import Config
+from ..measurements.alignment import Alignment
+from ..measurements.clock import Clock
+from ..measurements.outliers import reject_by_residual
+from ..measurements.segment import Segment
+from ..recording import JOINTS, FloatArray, Recording
+from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
+from ..selfcal.rounds import SelfCalibration, with_initial_values
+from ..units import GRAVITY
+from ..window.cut import PreparedSegment, cut
+from ..window.pooling import pooled
+from ..window.prepare import prepare
+from ..window.priors import calibration_from, first_priors, noise_of
+from ..window.problem import Message, NoiseModel, Priors, Window
+from ..window.trajectory import Trajectory
+from .magnetometer import FieldObservation, takes_part
+from .samples import frame_residuals
+from .sections import Sections
+
+#: With so many sections the clock is found anew from all of them: it wanders over a long recording.
+CLOCK_SECTIONS = 5
+
+
+@dataclass(frozen=True)
+class Task:
+    """What holds for all sections.
+
+    Attributes
+    ----------
+    model : SelfCalibration
+        What the excerpts gave.
+    config : Config
+    prior : Priors
+        Of every window of the first pass.
+    noise : NoiseModel
+        Densities and losses.
+    sharing : int
+        How many windows share the attitude prior, about.
+    joints : tuple of str
+        To answer for.
+    magnetometer : bool
+        There is a calibrated one.
+    with_clock : bool
+        The first pass asks every section for the clock.
+    """
+
+    model: SelfCalibration
+    config: Config
+    prior: Priors
+    noise: NoiseModel
+    sharing: int
+    joints: tuple[str, ...]
+    magnetometer: bool
+    with_clock: bool
+
+    @classmethod
+    def of(cls, recording: Recording, sections: Sections, model: SelfCalibration, config: Config) -> Task:
+        """The task of a recording whose sections are cut."""
+        present = recording.arm.present
+        length_s = config.windows.length_s
+        return cls(
+            model=model,
+            config=config,
+            prior=first_priors(model.initial, model.prior, config),
+            noise=noise_of(config, model.upper_arm_sigma_m),
+            sharing=sum(max(round(section.length_s / length_s), 1) for section in sections.all),
+            joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
+            magnetometer=takes_part(recording.imu),
+            with_clock=len(sections) >= CLOCK_SECTIONS,
+        )
+
+    def refined(
+        self, messages: Sequence[Message], scores: Sequence[ClockScore], synthetic_stamps: bool
+    ) -> Task:
+        """The task with the arm and the clock as all sections of the first pass together have them.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            Of all windows.
+        scores : sequence of ClockScore
+            Of all sections.
+        synthetic_stamps : bool
+            The camera's stamps are.
+        """
+        model = self.model
+        arm = pooled(messages, self.prior)
+        estimate = calibration_from(arm, self.prior.layout, model.prior, model.joint_bias.sigma_m)
+        clocks = model.clocks
+        if self.with_clock:
+            clocks = (refined_clock(model.clock, pooled_score(scores), synthetic_stamps),)
+        return replace(self, model=replace(model, estimate=estimate, clocks=clocks))
+
+    def windows(
+        self, prepared: PreparedSegment, borders: list[float], priors: Sequence[Priors]
+    ) -> list[Window]:
+        """A section's windows."""
+        margin_s = self.config.windows.margin_s
+        return list(cut(prepared, priors, self.noise, borders, margin_s, GRAVITY, self.sharing))
+
+
+@dataclass(frozen=True)
+class SectionState:
+    """What the second pass needs of a section's first.
+
+    Attributes
+    ----------
+    imu_t : ndarray, shape (n,), s
+        The IMU's stamps; the first is the recording's sample `first_sample`.
+    first_sample : int
+    segment, prepared : Segment, PreparedSegment
+        Samples and nodes.
+    alignment : Alignment
+        Of the inertial frame to the camera's.
+    clock : Clock
+        That the first pass had.
+    borders : list of float, s
+        Where windows begin and end.
+    trajectory : Trajectory
+        The first pass's.
+    observations : tuple of FieldObservation
+        What the magnetometer read, one a window; empty without one.
+    outliers_rejected : bool
+        Samples that the first pass contradicts are out already.
+    """
+
+    imu_t: FloatArray
+    first_sample: int
+    segment: Segment
+    prepared: PreparedSegment
+    alignment: Alignment
+    clock: Clock
+    borders: list[float]
+    trajectory: Trajectory
+    observations: tuple[FieldObservation, ...]
+    outliers_rejected: bool = False
+
+    def without_outliers(self, task: Task) -> SectionState:
+        """Samples that the first pass contradicts rejected, and its trajectory as start values."""
+        if self.outliers_rejected:
+            return self
+        segment, prepared, clock = self.segment, self.prepared, task.model.clock
+        frame_t_imu = segment.frame_t_imu(clock)
+        residual = frame_residuals(
+            segment.position, frame_t_imu, prepared, self.trajectory, task.model.estimate
+        )
+        inliers = reject_by_residual(segment, residual, task.model.joint_noise)
+        again = None
+        if inliers is not segment:
+            again = prepare(
+                inliers,
+                task.model.prior,
+                clock,
+                task.model.joint_sigma_m,
+                task.config.windows.margin_s,
+                self.alignment,
+            )
+        if again is not None:
+            prepared = with_initial_values(again[0], self.trajectory)
+            return replace(self, segment=inliers, prepared=prepared, outliers_rejected=True)
+        # frames may lie elsewhere, on a clock that was found anew; they are propagated to the same nodes
+        before = segment.frame_t_imu(self.clock)
+        inside = (before >= segment.start_s) & (before <= segment.end_s)
+        frame_t = np.clip(frame_t_imu, prepared.signal.start_s, prepared.signal.end_s)[inside]
+        prepared = replace(prepared, start=self.trajectory.states, frame_t_imu=frame_t)
+        return replace(self, prepared=prepared, outliers_rejected=True)

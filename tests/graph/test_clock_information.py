@@ -1,0 +1,127 @@
+"""What a window says of the clock offset, against the dense information of the extended problem.
+
+The twin knows nothing of factors: the window is built again with every camera sample moved along its joint's
+velocity, and the offset's column comes from differences of the graph's gradient and of the loss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import V, X
+from scenes import arm, last_pass, plain, point
+
+import smoother.window.nodes
+from smoother.graph.build import build
+from smoother.graph.clock_information import USUAL_SHARE, offset_information
+from smoother.recording import FloatArray
+from smoother.simulation import SimulatedArm
+from smoother.window.problem import States, Window
+
+#: The graph is linear in the samples' positions but for the robust loss: a large step would change its
+#: weights, s.
+STEP_S = 1e-3
+
+
+def window_of(made: SimulatedArm, grouped: bool) -> Window:
+    """The only window of a recording with white noise; several frames a node, or a node for every frame."""
+    with patch.object(
+        smoother.window.nodes, "GROUPED_S", smoother.window.nodes.GROUPED_S if grouped else 0.0
+    ):
+        (job,) = last_pass(made.recording, made.calibration)
+    return plain(job.window)
+
+
+def optimum(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, States]:
+    graph, values = build(window)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    poses = [values.atPose3(X(i)) for i in range(len(window.t))]
+    states = States(
+        np.array([pose.rotation().matrix() for pose in poses]),
+        np.array([pose.translation() for pose in poses]),
+        np.array([values.atVector(V(i)) for i in range(len(window.t))]),
+    )
+    return graph, values, states
+
+
+def later(window: Window, states: States, offset_s: float) -> Window:
+    """The window with every sample taken this much later: where its joint was that much earlier."""
+    measured = tuple(
+        replace(m, position=m.position - offset_s * (states.v[m.node] + m.velocity))
+        for m in window.joint_measurements
+    )
+    return replace(window, joint_measurements=measured)
+
+
+def bound(window: Window, states: States) -> float:
+    """The offset's information if no state could follow, sample by sample."""
+    return sum(
+        float(np.sum((states.v[m.node] + m.velocity) ** 2 / m.sigma_m[:, None] ** 2))
+        for m in window.joint_measurements
+    )
+
+
+def dense_information(window: Window, values: gtsam.Values, states: States) -> float:
+    """The Schur complement of the dense information matrix with the offset as its last column."""
+
+    def gradient(offset_s: float) -> FloatArray:
+        return np.asarray(build(later(window, states, offset_s))[0].linearize(values).hessian()[1])
+
+    information = np.asarray(build(window)[0].linearize(values).hessian()[0])
+    column = (gradient(STEP_S) - gradient(-STEP_S)) / (2 * STEP_S)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    root = np.linalg.solve(np.linalg.cholesky(information * scale[:, None] * scale), column * scale)
+    return bound(window, states) - float(root @ root)
+
+
+def made(name: str) -> SimulatedArm:
+    if name == "strap":
+        return point(4, duration_s=2.0, occlusion_lengths_s=())
+    white = {"protocol": "random", "occlusion_lengths_s": ()}
+    if name == "precise":
+        return arm(4, "clean", noise_m=0.001, duration_s=1.1, **white)
+    return arm(3, duration_s=2.0, **white)
+
+
+@pytest.mark.parametrize("name", ["arm", "precise", "strap"])
+def test_a_node_for_every_frame(name: str) -> None:
+    window = window_of(made(name), grouped=False)
+    graph, values, states = optimum(window)
+    stated = offset_information(graph, values, window, states)
+    assert stated == pytest.approx(dense_information(window, values, states), rel=1e-6)  # measured 2e-9
+    assert 0.0 < stated < bound(window, states)
+
+
+def test_frames_that_share_a_node() -> None:
+    """To 1e-3: the sigma of a node's mean is rounded to a micrometre, 3e-4 of it."""
+    window = window_of(arm(3, protocol="random", duration_s=4.0, occlusion_lengths_s=()), grouped=True)
+    assert len(window.t) < len(window.joint_measurements[0].t_s)
+    graph, values, states = optimum(window)
+    stated = offset_information(graph, values, window, states)
+    assert stated == pytest.approx(dense_information(window, values, states), rel=1e-3)
+
+
+def test_the_loss_bends_by_the_bound() -> None:
+    """The twin's own sum over samples is the second difference of the graph's error, states held."""
+    window = window_of(arm(3, protocol="random", duration_s=1.1, occlusion_lengths_s=()), grouped=False)
+    _, values, states = optimum(window)
+    before, here, after = (
+        build(later(window, states, offset_s))[0].error(values) for offset_s in (-STEP_S, 0.0, STEP_S)
+    )
+    assert (before - 2 * here + after) / STEP_S**2 == pytest.approx(bound(window, states), rel=1e-5)
+
+
+def test_a_usual_share_stands_in_where_the_elimination_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    class GivesUp(gtsam.GaussianFactorGraph):
+        def marginal(self, _: object) -> None:
+            raise RuntimeError("Indeterminant linear system detected")
+
+    window = window_of(arm(3, protocol="random", duration_s=1.1, occlusion_lengths_s=()), grouped=False)
+    graph, values, states = optimum(window)
+    monkeypatch.setattr(gtsam, "GaussianFactorGraph", GivesUp)
+    stated = offset_information(graph, values, window, states)
+    assert stated == pytest.approx(USUAL_SHARE * bound(window, states), rel=1e-9)
