@@ -20,7 +20,19 @@ _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "fo
 
 @dataclass(frozen=True)
 class TopicRow:
-    """A topic: its schema, number of messages, mean rate, first to last log time."""
+    """A topic.
+
+    Attributes
+    ----------
+    name, schema : str
+        The topic and its schema.
+    count : int
+        Number of messages.
+    rate_hz : float, Hz, optional
+        Mean rate.
+    duration_s : float, s
+        First to last log time.
+    """
 
     name: str
     schema: str
@@ -35,19 +47,37 @@ class RecordingInfo:
 
     Attributes
     ----------
-    path, size_bytes : the file.
-    topics : all topics.
-    imus, skeletons, poses : streams found, as sentences a line each.
-    imu, skeleton, side, joints : what would be taken; empty where that is not settled.
-    imu_rate_hz, camera_rate_hz : median rates.
-    camera_frame : convention of the camera's axes, or None.
-    clocks : per stream, first and last stamp (s) and how far log times lie behind stamps.
-    duration_s : time that IMU and camera share.
-    gaps : number of occluded stretches; gap_total_s, gap_longest_s : their length together and the longest.
-    missing : by step, what is missing for it, one sentence; without `smooth` it can be recovered.
-    optional : what the file lacks and recovering does not need, with what it would be good for.
-    result : the file holds a recovery already.
-    notes : what was dropped, decided or wrong.
+    path : str
+    size_bytes : int
+        The file.
+    topics : list of TopicRow
+        All topics.
+    imus, skeletons, poses : list of str
+        Streams found, as sentences a line each.
+    imu, skeleton, side : str
+        What would be taken; empty where that is not settled.
+    joints : list of str
+        Of the skeleton that would be taken.
+    imu_rate_hz, camera_rate_hz : float, optional
+        Median rates.
+    camera_frame : str, optional
+        Convention of the camera's axes, or None.
+    clocks : dict of str to dict of str to float
+        Per stream, first and last stamp (s) and how far log times lie behind stamps.
+    duration_s : float, optional
+        Time that IMU and camera share.
+    gaps : int, optional
+        Number of gaps.
+    gap_total_s, gap_longest_s : float, optional
+        Their length together, and the longest.
+    missing : dict of str to str
+        By step, what is missing for it, one sentence; without `smooth` it can be recovered.
+    optional : dict of str to str
+        What the file lacks and recovering does not need, with what it would be good for.
+    result : bool
+        The file holds a recovery already.
+    notes : list of str
+        What was dropped, decided or wrong.
     """
 
     path: str
@@ -90,6 +120,19 @@ def describe(
 
     A file that cannot be smoothed is described all the same: what is wrong stands under
     `missing["smooth"]`.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    imu, skeleton, side : str, optional
+    body : int, optional
+        As in `read_recording`.
+
+    Returns
+    -------
+    RecordingInfo
+        What it holds and lacks.
 
     Raises
     ------
@@ -171,7 +214,7 @@ def _optional(file: RecordingFile, recording: Recording | None) -> dict[str, str
     if not file.poses:
         optional["truth"] = "`unocclude validate`; `unocclude gaps` needs none"
     if recording is not None and recording.imu.mag is None:
-        optional["magnetometer"] = "a heading for some of the peers"
+        optional["magnetometer"] = "a heading for some of the baselines"
     if recording is not None and recording.base_imu is None:
         optional["IMU on the camera"] = "a camera that is moved"
     if not any(topic.schema in _DEPTH for topic in file.topics):

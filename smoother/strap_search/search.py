@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,13 +16,13 @@ from calib.strap.strap_mount import Mounted
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.merge import Output
-from ..io.mcap.messages import Run, Topic
+from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap_cameras import Cameras, StrapFound
-from ..io.media.strap_writing import arm_with_strap
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
-from ..io.result.write import _IMAGES
+from ..io.recording.write import arm_messages
+from ..io.result.write import may_copy
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from ..runtime.atomic import writing
 
@@ -109,17 +108,18 @@ def import_strap(
     with_strap = replace(arm, position=position, state=state)
 
     def wanted(topic: Topic) -> bool:
-        return topic.name != skeleton and (passthrough_images or not _IMAGES.search(topic.schema))
+        return topic.name != skeleton and may_copy(topic, passthrough_images)
 
     with writing(path, force) as temporary, Output(temporary) as output:
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
         output.metadata(METADATA, metadata)
         outgoing = [
-            arm_with_strap(output, with_strap if each is arm else each, covariances if each is arm else None)
+            arm_messages(output, with_strap, strap_covariance=covariances)
+            if each is arm
+            else arm_messages(output, each)
             for each in arms
         ]
-        unchanged: Iterator[Run] = Container(source).runs(wanted)
-        output.carry(unchanged)
+        output.interleave(Container(source).chunks(wanted))
         output.write(outgoing)
     return cameras.found
 

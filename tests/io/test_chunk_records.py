@@ -58,11 +58,11 @@ def by_package(data: bytes) -> list[tuple[str, int, int, int, bytes]]:
     return found
 
 
-def by_runs(path: Path) -> list[tuple[str, int, int, int, bytes]]:
+def by_chunks(path: Path) -> list[tuple[str, int, int, int, bytes]]:
     found = []
-    for run in Container(path).runs(lambda topic: True):
-        names = [run.topics[number].name for number in run.topic.tolist()]
-        columns = run.log_ns.tolist(), run.publish_ns.tolist(), run.sequence.tolist(), run.data
+    for chunk in Container(path).chunks(lambda topic: True):
+        names = [chunk.topics[number].name for number in chunk.topic.tolist()]
+        columns = chunk.log_ns.tolist(), chunk.publish_ns.tolist(), chunk.sequence.tolist(), chunk.data
         found += list(zip(names, *columns, strict=True))
     return found
 
@@ -70,9 +70,9 @@ def by_runs(path: Path) -> list[tuple[str, int, int, int, bytes]]:
 def by_rows(path: Path) -> dict[str, list[tuple[int, bytes]]]:
     container = Container(path)
     found: dict[str, list[tuple[int, bytes]]] = {}
-    for batch in container.rows(lambda topic: True):
+    for batch in container.by_topic(lambda topic: True):
         for position, rows in batch.items():
-            data = [rows.block[a:b] for a, b in zip(rows.start.tolist(), rows.stop.tolist(), strict=True)]
+            data = [rows.chunk[a:b] for a, b in zip(rows.start.tolist(), rows.stop.tolist(), strict=True)]
             found.setdefault(container.topics[position].name, []).extend(
                 zip(rows.log_ns.tolist(), data, strict=True)
             )
@@ -102,7 +102,7 @@ def test_all_messages_are_found(tmp_path: Path, events: list[tuple[int, int, int
     path.write_bytes(write(events, **how))
     expected = by_package(path.read_bytes())
     assert len(expected) == len(events)
-    assert by_runs(path) == expected
+    assert by_chunks(path) == expected
     with open(path, "rb") as file:  # the package's other reader, by the index at the file's end
         logged = sorted(message.log_time for _, _, message in make_reader(file).iter_messages())
     assert logged == sorted(row[1] for row in expected)
@@ -119,12 +119,23 @@ def test_a_cut_file_gives_what_it_has(
     whole = write(events, **how)
     path = tmp_path / "a.mcap"
     path.write_bytes(whole[: 8 + int(part * (len(whole) - 8))])
-    found, expected = by_runs(path), by_package(path.read_bytes())
+    found, expected = by_chunks(path), by_package(path.read_bytes())
     # Of a chunk that is cut, the package gives nothing; what goes beyond must be of the whole file.
     assert found[: len(expected)] == expected
     assert found == by_package(whole)[: len(found)]
     rows = by_rows(path)
     assert sum(map(len, rows.values())) == len(found)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_file_may_be_cut_at_any_byte(tmp_path: Path, compression: CompressionType):
+    """Also within a chunk's head, where the name of its compression stands."""
+    whole = write([(i % 3, i, 40) for i in range(12)], compression=compression, chunk_size=300)
+    path, expected = tmp_path / "a.mcap", by_package(whole)
+    for stop in range(8, len(whole)):
+        path.write_bytes(whole[:stop])
+        found = by_chunks(path)
+        assert found == expected[: len(found)]
 
 
 def records(messages: list[tuple[int, int]], definitions: set[int]) -> tuple[bytes, list[int], list[int]]:
@@ -160,7 +171,7 @@ def index_of(places: list[int]) -> bytes:
     st.sets(st.integers(0, 24)),
     st.data(),
 )
-def test_an_index_is_never_believed_against_the_records(
+def test_the_records_count_where_an_index_says_otherwise(
     messages: list[tuple[int, int]], definitions: set[int], data: st.DataObject
 ):
     block, places, short = records(messages, definitions)
@@ -169,14 +180,14 @@ def test_an_index_is_never_believed_against_the_records(
     assert walked.heads["sequence"].tolist() == [i for i, (_, size) in enumerate(messages) if size >= 0]
     assert len(walked.definitions) == len([i for i in definitions if i < len(messages)])
     lies = data.draw(st.sampled_from(["none", "fewer", "other", "bytes", "cut", "twice", "short"]))
-    told, index = list(places), b""
-    if lies == "fewer" and told:
-        del told[data.draw(st.integers(0, len(told) - 1))]
+    stated, index = list(places), b""
+    if lies == "fewer" and stated:
+        del stated[data.draw(st.integers(0, len(stated) - 1))]
     if lies in ("other", "twice"):
-        told += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
-        told += places[:1] if lies == "twice" else []
-    told += short if lies == "short" else []
-    index = index_of(data.draw(st.permutations(told)))
+        stated += data.draw(st.lists(st.integers(0, max(len(block), 1)), max_size=3))
+        stated += places[:1] if lies == "twice" else []
+    stated += short if lies == "short" else []
+    index = index_of(data.draw(st.permutations(stated)))
     if lies == "bytes":
         index = index[: data.draw(st.integers(0, len(index)))]
     if lies == "cut":
@@ -202,9 +213,9 @@ def test_messages_before_their_channel_are_of_nobody(tmp_path: Path):
     path = tmp_path / "late.mcap"
     end = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
     path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", Opcode.CHUNK, len(chunk)) + chunk + end)
-    assert [(row[0], row[3]) for row in by_runs(path)] == [("/t0", 0), ("/t0", 2), ("/t1", 3)]
+    assert [(row[0], row[3]) for row in by_chunks(path)] == [("/t0", 0), ("/t0", 2), ("/t1", 3)]
     container = Container(path)
-    assert [sorted(batch) for batch in container.rows(lambda topic: topic.name == "/t1")] == [[1]]
+    assert [sorted(batch) for batch in container.by_topic(lambda topic: topic.name == "/t1")] == [[1]]
     assert [topic.count for topic in container.topics] == [2, 1]
 
 
@@ -220,5 +231,5 @@ def test_what_is_not_wanted_is_counted_and_passed_over(tmp_path: Path):
     assert [message.log_ns for batch in batches for message in batch[1]] == [10 * i for i in range(1, 300, 3)]
     assert all(list(batch) == [1] for batch in batches)
     assert [(topic.name, topic.count) for topic in container.topics] == [(name, 100) for name in TOPICS]
-    (run,) = Container(path).runs(wanted)
-    assert [topic.name for topic in run.topics] == ["/b"] and set(run.topic.tolist()) == {0}
+    (chunk,) = Container(path).chunks(wanted)
+    assert [topic.name for topic in chunk.topics] == ["/b"] and set(chunk.topic.tolist()) == {0}

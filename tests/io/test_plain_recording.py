@@ -140,6 +140,45 @@ def test_missing_and_empty_files(tmp_path: Path, plain_folder: Folder) -> None:
         import_csv(plain_folder(imu="t_s,ax,ay,az,gx,gy,gz\n\n"))
 
 
+TABLE = "x,word,z\n"
+
+
+@pytest.mark.parametrize(
+    ("rows", "x", "words"),
+    [
+        ("1,a,2\n\n  \n,\n3,b,\n", [1, 3], ["a", "b"]),  # blank lines
+        ('"1", "a, b", "2"\n', [1], ["a, b"]),  # quotes behind spaces
+        ('1,"a\nb",2\n', [1], ["a\nb"]),
+        ("+1,a,2\n1_000,b,\n", [1, 1000], ["a", "b"]),  # as Python writes numbers, not Arrow
+        ("1e400,a, \n-inf,b,   \n", [np.inf, -np.inf], ["a", "b"]),
+        (" 1 ,\ta,2\r\n2,,3\r\n", [1, 2], ["a", ""]),
+        ("1,a,2\r2,b,3\r", [1, 2], ["a", "b"]),
+    ],
+)
+def test_tables_that_are_not_plain(tmp_path: Path, rows: str, x: list[float], words: list[str]) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(TABLE + rows, encoding="utf-8", newline="")
+    numbers, texts = read_table(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
+    assert numbers["x"].tolist() == x and texts["word"] == words
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("1,a,2\n" * 5000 + "\n1,a,2\n1,b,x\n", "line 5004: 'x' in column z is not a number"),
+        ('1,"a\nb",2\n,b,2\n', "line 4: column x is empty"),
+        ("1,a,2\n1,a\n", "line 3: 2 cells where the header has 3"),
+        ("# rows\n1,a,2\n", "line 2: 1 cells where the header has 3"),
+        (",,\n", "line 2: column x is empty"),
+    ],
+)
+def test_the_wrong_line_of_a_table_is_named(tmp_path: Path, rows: str, said: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(TABLE + rows, encoding="utf-8", newline="")
+    with pytest.raises(RecordingError, match=said):
+        read_table(path, ("x", "word"), ("z",), words=("word",), empty=("z",))
+
+
 cells = st.floats(allow_nan=False, allow_infinity=False)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -230,9 +229,7 @@ def test_images_cost_no_memory(tmp_path: Path, compression: CompressionType):
             if count % 40 == 0 and count < 2400:
                 writer.add_message(images, message.log_ns, image, message.log_ns)
         writer.finish()
-    command = [sys.executable, "-c", LONG, str(tmp_path / "short.mcap"), str(path), "False"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    grown, samples, _ = done.split()
+    grown, samples, _ = program_output(LONG, tmp_path / "short.mcap", path, False).split()
     assert int(samples) == 600
     assert float(grown) < 40  # MB; a chunk packed and unpacked, and the unpacker's own: measured 13 to 24
 
@@ -245,11 +242,8 @@ def test_a_base_imu_is_averaged_in_parts(monkeypatch: pytest.MonkeyPatch):
     acc = rng.normal(size=(len(t), 3))
     seconds = np.floor(t - t[0])
     expected = [acc[seconds == second].mean(axis=0) for second in np.unique(seconds)]
-    found = apply._means(ImuStream("base", t, acc, acc), Store())
+    found = apply._means(ImuStream("base", t, acc, acc))
     np.testing.assert_allclose(found, expected, atol=1e-12)  # sums of 70 in another order
-
-
-# The pieces.
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -278,8 +272,8 @@ def test_samples_are_even(count: int, enough: int):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(column, "BATCH_ROWS", 7)
         patch.setattr(column, "_ENOUGH", enough)
-        np.testing.assert_array_equal(sampled(values, Store()), values[:: max(count // enough, 1)])
-        assert [i for part in batches(count, Store()) for i in values[part]] == values.tolist()
+        np.testing.assert_array_equal(sampled(values), values[:: max(count // enough, 1)])
+        assert [i for part in batches(count) for i in values[part]] == values.tolist()
 
 
 def joint_events() -> st.SearchStrategy[list[tuple[int, int, int, int, int]]]:

@@ -30,16 +30,25 @@ class C3dContent:
 
     Attributes
     ----------
-    names : of the points, M.
-    position : (N, M, 3) m; nan where there is none. The file holds millimetres and says so.
-    rate_hz : frames a second.
-    residual : (N, M) of each point by the format's convention: -1 none, 0 computed, above 0 measured; -1
-        wherever the position is not finite. None: 0 and -1.
-    descriptions : of the points, or empty.
-    channels : further signals (N,) at the frames' rate, by name, with their unit.
-    events : (label, time in s from the first frame), with `context` for all of them.
-    context : "Left", "Right" or "General".
-    parameters : group UNOCCLUDE: texts by parameter name.
+    names : sequence of str
+        Of the points, M.
+    position : ndarray, shape (N, M, 3), m
+        nan where there is none. The file holds millimetres and says so.
+    rate_hz : float
+        Frames a second.
+    residual : ndarray, shape (N, M), optional
+        Of each point by the format's convention: -1 none, 0 computed, above 0 measured; -1 wherever the
+        position is not finite. None: 0 and -1.
+    descriptions : sequence of str
+        Of the points, or empty.
+    channels : mapping of str to (ndarray, str)
+        Further signals (N,) at the frames' rate, by name, with their unit.
+    events : sequence of (str, float)
+        Label and time (s from the first frame), with `context` for all of them.
+    context : str
+        "Left", "Right" or "General".
+    parameters : mapping of str to sequence of str
+        Group UNOCCLUDE: texts by parameter name.
     """
 
     names: Sequence[str]
@@ -55,6 +64,15 @@ class C3dContent:
 
 def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = False) -> None:
     """Write a C3D file (floating point, millimetres).
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    content : C3dContent
+        What it is to hold.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------
@@ -140,9 +158,9 @@ def _add_events(file: Any, content: C3dContent) -> None:
 def _check_size(path: Path, frames: int, numbers: int) -> None:
     """ezc3d says nothing when the disk is full; a file that was cut short is not to be delivered."""
     size = path.stat().st_size if path.exists() else 0
-    begin = 0
+    start = 0
     if size >= _BLOCK:
         with open(path, "rb") as file:
-            begin = (int.from_bytes(file.read(18)[16:18], "little") - 1) * _BLOCK
-    if size < begin + 4 * frames * numbers or begin <= 0:
+            start = (int.from_bytes(file.read(18)[16:18], "little") - 1) * _BLOCK
+    if size < start + 4 * frames * numbers or start <= 0:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

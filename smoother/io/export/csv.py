@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 import os
+from typing import NamedTuple
 
 import numpy as np
 
 from ...recording import FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
 
 _ROWS = 20_000
 _JOINTS = ("elbow", "wrist", "shoulder")
+
+
+class ColumnGroup(NamedTuple):
+    """Columns of an export that belong together.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the columns.
+    values : ndarray, shape (N, columns)
+        nan where there is no answer.
+    unit, description : str
+        Of all of them.
+    """
+
+    names: list[str]
+    values: FloatArray
+    unit: str
+    description: str
 
 
 def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = False) -> None:
@@ -21,9 +41,12 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
 
     Parameters
     ----------
-    recovery : one arm.
-    path : the file to write.
-    force : overwrite a file that exists.
+    recovery : Recovery
+        One arm.
+    path : path-like
+        The file to write.
+    force : bool
+        Overwrite a file that exists.
 
     Notes
     -----
@@ -55,25 +78,43 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
 
 def csv_columns(recovery: Recovery) -> tuple[list[str], FloatArray]:
     """Header of the export, and its number columns (N, C) between `t_s`, `occluded` and `usable`."""
+    groups = column_groups(recovery)
+    header = ["t_s", "occluded", *(name for group in groups for name in group.names)]
+    return header, np.concatenate([group.values for group in groups], axis=1)
+
+
+def column_groups(recovery: Recovery) -> list[ColumnGroup]:
+    """The numbers of an export, in the order of their columns."""
     count = len(recovery)
     nothing = np.full((count, 3), np.nan)
-    groups: list[tuple[list[str], FloatArray]] = [
-        (_xyz("imu"), recovery.position),
-        ([f"imu_q{part}" for part in "wxyz"], recovery.quaternion),
+    position, sigma = (
+        ("m", "position in the camera's frame"),
+        ("m", "one standard deviation, an axis of the camera"),
+    )
+    sigma_deg = "square root of the trace of the orientation's covariance"
+    groups: list[tuple[list[str], FloatArray, str, str]] = [
+        (_xyz("imu"), recovery.position, *position),
+        (
+            [f"imu_q{part}" for part in "wxyz"],
+            recovery.quaternion,
+            "1",
+            "rotation IMU axes to camera, quaternion",
+        ),
     ]
-    groups += [(_xyz(joint), recovery.joints.get(joint, nothing)) for joint in _JOINTS]
-    groups += [(_xyz("sigma"), recovery.sigma_m), (["sigma_deg"], recovery.sigma_deg[:, None])]
+    groups += [(_xyz(joint), recovery.joints.get(joint, nothing), *position) for joint in _JOINTS]
+    groups.append((_xyz("sigma"), recovery.sigma_m, *sigma))
+    groups.append((["sigma_deg"], recovery.sigma_deg, "deg", sigma_deg))
     for joint in ("wrist", "elbow", "shoulder"):
         spread = recovery.joint_covariance.get(joint)
-        sigma = nothing if spread is None else np.sqrt(np.einsum("nii->ni", spread))
-        groups.append((_xyz(f"{joint}_sigma"), sigma))
-    groups.append((["vx", "vy", "vz"], recovery.velocity))
+        deviation = nothing if spread is None else np.sqrt(np.einsum("nii->ni", spread))
+        groups.append((_xyz(f"{joint}_sigma"), deviation, *sigma))
+    groups.append((["vx", "vy", "vz"], recovery.velocity, "m/s", "velocity of the IMU in the camera's frame"))
     if "hand" in recovery.joints:
-        groups.append((_xyz("hand"), recovery.joints["hand"]))
-    header = ["t_s", "occluded", *(name for names, _ in groups for name in names)]
-    values = np.concatenate([values.reshape(count, -1) for _, values in groups], axis=1)
-    values[~np.isfinite(values)] = np.nan
-    return header, values
+        groups.append((_xyz("hand"), recovery.joints["hand"], *position))
+    return [
+        ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
+        for names, values, *said in groups
+    ]
 
 
 def _xyz(name: str) -> list[str]:

@@ -22,9 +22,12 @@ class Grid:
 
     Attributes
     ----------
-    t_s : (G,) s after the recovery's origin.
-    rate_hz : rows a second.
-    same : the times are the recovery's own: nothing is interpolated.
+    t_s : ndarray, shape (G,), s
+        After the recovery's origin.
+    rate_hz : float
+        Rows a second.
+    same : bool
+        The times are the recovery's own: nothing is interpolated.
     """
 
     t_s: FloatArray
@@ -37,7 +40,15 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
 
     Parameters
     ----------
-    rate_hz : rows a second; None for the IMU's rate.
+    recovery : Recovery
+        One arm.
+    rate_hz : float, optional
+        Rows a second; None for the IMU's rate.
+
+    Returns
+    -------
+    Grid
+        The times.
 
     Raises
     ------
@@ -64,7 +75,7 @@ def constant_step(recovery: Recovery, rate_hz: float | None = None) -> Grid:
 def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
     """A recovery's values (N, ..) at the grid's times, by cubic splines; nan where there is none.
 
-    Splines never cross samples that are missing, or a hole in the times.
+    Splines never cross samples that are missing, or a gap in the times.
     """
     from scipy.interpolate import CubicSpline
 
@@ -72,7 +83,7 @@ def at_grid(t_s: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
         return values
     flat = values.reshape(len(values), -1)
     out = np.full((len(grid.t_s), flat.shape[1]), np.nan)
-    for run in runs(t_s, np.asarray(np.isfinite(flat).all(axis=1))):
+    for run in unbroken(t_s, np.asarray(np.isfinite(flat).all(axis=1))):
         inside = (grid.t_s >= t_s[run.start] - STEADY_S) & (grid.t_s <= t_s[run.stop - 1] + STEADY_S)
         if run.stop - run.start < 2:
             out[inside] = flat[run.start]
@@ -94,13 +105,24 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
 
     Parameters
     ----------
-    t_s : (F,) frame times on the IMU's clock, s.
-    has : (F,) frames that have a value. One that stands alone goes to the nearest time of the grid.
+    t_s : ndarray, shape (F,), s
+        Frame times on the IMU's clock.
+    values : ndarray, shape (F, C)
+        What to interpolate.
+    has : ndarray of bool, shape (F,)
+        Frames that have a value. One that stands alone goes to the nearest time of the grid.
+    grid : Grid
+        The times to interpolate at.
+
+    Returns
+    -------
+    ndarray, shape (G, C)
+        nan where there is none.
     """
     out = np.full((len(grid.t_s), values.shape[1]), np.nan)
     if not len(grid.t_s):
         return out
-    for run in runs(t_s, has):
+    for run in unbroken(t_s, has):
         first, last = np.searchsorted(grid.t_s, [t_s[run.start] - STEADY_S, t_s[run.stop - 1] + STEADY_S])
         for column in range(values.shape[1] if last > first else 0):
             out[first:last, column] = np.interp(grid.t_s[first:last], t_s[run], values[run, column])
@@ -112,15 +134,10 @@ def frames_at_grid(t_s: FloatArray, values: FloatArray, has: BoolArray, grid: Gr
     return out
 
 
-def runs(t_s: FloatArray, has: BoolArray) -> list[slice]:
-    """Stretches of samples that all have a value and follow each other in time."""
-    if not len(t_s):
-        return []
+def unbroken(t_s: FloatArray, has: BoolArray) -> list[slice]:
+    """Runs of samples that all have a value and follow each other in time."""
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     index = np.flatnonzero(has)
-    if not len(index):
-        return []
     apart = (np.diff(index) > 1) | (np.diff(t_s[index]) > MOST_STEPS * step)
-    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
-    stops = np.concatenate([starts[1:], [len(index)]])
-    return [slice(int(index[a]), int(index[b - 1]) + 1) for a, b in zip(starts, stops, strict=True)]
+    parts = np.split(index, np.flatnonzero(apart) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts if len(part)]

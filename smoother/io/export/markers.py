@@ -32,12 +32,18 @@ class MarkerTable:
 
     Attributes
     ----------
-    grid : the times, s after the recovery's origin.
-    names : recovered joints and `imu`, then `camera_` and a joint.
-    position : (G, M, 3) m in the chosen axes; nan where there is none.
-    residual : (G, M) as C3D files have it: 1, 0, -1 (see `_RESIDUALS`).
-    occluded : (G,) the camera did not see the forearm.
-    sigma_m : (G, A) one standard deviation of the A recovered markers, root mean square over the axes.
+    grid : Grid
+        The times.
+    names : tuple of str
+        Recovered joints and `imu`, then `camera_` and a joint.
+    position : ndarray, shape (G, M, 3), m
+        In the chosen axes; nan where there is none.
+    residual : ndarray, shape (G, M)
+        As C3D files have it: 1, 0, -1 (see `_RESIDUALS`).
+    occluded : ndarray of bool, shape (G,)
+        The camera did not see the forearm.
+    sigma_m : ndarray, shape (G, A), m
+        One standard deviation of the A recovered markers, root mean square over the axes.
     """
 
     grid: Grid
@@ -58,12 +64,21 @@ def marker_table(
 
     Parameters
     ----------
-    recovery : one arm.
-    frame : "camera", or "opensim": x horizontally towards the camera (forward for a person who faces
-        it), y up against gravity, z to that person's right; the origin stays in the camera.
-    rate_hz : rows a second; None for the IMU's rate.
-    level_down : (3,) down in the camera's axes if the camera stands level, for a method that did not
-        find gravity; None where the axes are not known.
+    recovery : Recovery
+        One arm.
+    frame : str
+        "camera", or "opensim": x horizontally towards the camera (forward for a person who faces it), y up
+        against gravity, z to that person's right; the origin stays in the camera.
+    rate_hz : float, optional
+        Rows a second; None for the IMU's rate.
+    level_down : ndarray, shape (3,), optional
+        Down in the camera's axes if the camera stands level, for a method that did not find gravity; None
+        where the axes are not known.
+
+    Returns
+    -------
+    MarkerTable
+        In the chosen axes.
 
     Raises
     ------
@@ -97,6 +112,18 @@ def marker_table(
 def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> FloatArray:
     """`R_K_O` (3, 3): OpenSim's axes (y up) in the camera's; a row vector of {K} times it is in {O}.
 
+    Parameters
+    ----------
+    recovery : Recovery
+        One arm.
+    level_down : ndarray, shape (3,), optional
+        See `marker_table`.
+
+    Returns
+    -------
+    R_K_O : ndarray, shape (3, 3)
+        By the direction of gravity.
+
     Raises
     ------
     UnoccludeError
@@ -129,7 +156,7 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
         if gap.end_s >= start and gap.start_s <= end:
             events.append(("gap start", float(np.clip(gap.start_s, start, end) - start)))
             events.append(("gap end", float(np.clip(gap.end_s, start, end) - start)))
-    said = ["recovered"] * answers + ["as the camera delivered it"] * (len(table.names) - answers)
+    descriptions = ["recovered"] * answers + ["as the camera delivered it"] * (len(table.names) - answers)
     parameters = {
         "METHOD": [recovery.method],
         "VERSION": [version],
@@ -147,7 +174,7 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
         table.position,
         table.grid.rate_hz,
         table.residual,
-        said,
+        descriptions,
         channels,
         events,
         {"left": "Left", "right": "Right"}.get(recovery.side, "General"),

@@ -12,7 +12,7 @@ from ...joint_angles import defined, recovery_angles, wrapped_deg
 from ...recording import BoolArray, FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
-from .grid import Grid, at_grid, constant_step, nearest, runs
+from .grid import Grid, at_grid, constant_step, nearest, unbroken
 
 _ROWS = 20_000
 
@@ -23,12 +23,18 @@ class MotTable:
 
     Attributes
     ----------
-    t_s : (G,) s after the recovery's origin.
-    rate_hz : rows a second.
-    angles : (G,) by coordinate, degrees.
-    occluded : (G,) the camera did not see the forearm.
-    answered : (G,) False where the method has no answer and a straight line bridges it.
-    notes : what a reader must know, one sentence each.
+    t_s : ndarray, shape (G,), s
+        After the recovery's origin.
+    rate_hz : float
+        Rows a second.
+    angles : dict of str to ndarray, shape (G,), deg
+        By coordinate.
+    occluded : ndarray of bool, shape (G,)
+        The camera did not see the forearm.
+    answered : ndarray of bool, shape (G,)
+        False where the method has no answer and a straight line bridges it.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     t_s: FloatArray
@@ -50,7 +56,15 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
 
     Parameters
     ----------
-    rate_hz : rows a second; None for the IMU's rate.
+    recovery : Recovery
+        One arm.
+    rate_hz : float, optional
+        Rows a second; None for the IMU's rate.
+
+    Returns
+    -------
+    MotTable
+        From the first sample with all angles to the last.
 
     Raises
     ------
@@ -58,14 +72,14 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
         No joint angle is known anywhere: shoulder, elbow and wrist are needed.
     """
     grid = constant_step(recovery, rate_hz)
-    found = recovery_angles(recovery if grid.same else _resampled(recovery, grid))
+    isb_angles = recovery_angles(recovery if grid.same else _resampled(recovery, grid))
     angles = {
-        "elv_angle": found["shoulder_plane"],
-        "shoulder_elv": found["shoulder_elevation"],
-        "shoulder_rot": wrapped_deg(found["shoulder_rotation"] + found["shoulder_plane"]),
-        "elbow_flexion": found["elbow_flexion"],
-        "carrying_angle": found["carrying"],
-        "pro_sup": wrapped_deg(found["pronation"] - 90.0),
+        "elv_angle": isb_angles["shoulder_plane"],
+        "shoulder_elv": isb_angles["shoulder_elevation"],
+        "shoulder_rot": wrapped_deg(isb_angles["shoulder_rotation"] + isb_angles["shoulder_plane"]),
+        "elbow_flexion": isb_angles["elbow_flexion"],
+        "carrying_angle": isb_angles["carrying"],
+        "pro_sup": wrapped_deg(isb_angles["pronation"] - 90.0),
     }
     angles = {name: values for name, values in angles.items() if np.isfinite(values).any()}
     if "elbow_flexion" not in angles:
@@ -84,19 +98,30 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
     part = slice(int(first), int(last) + 1)
     place = np.arange(len(answered))
     bridged = {name: np.interp(place, place[answered], values[answered]) for name, values in angles.items()}
-    kept = answered[part]
+    answered_part = answered[part]
     return MotTable(
         grid.t_s[part],
         grid.rate_hz,
         {name: values[part] for name, values in bridged.items()},
         recovery.occluded[nearest(recovery.t_s, grid)][part],
-        kept,
-        _notes(kept, len(answered) - len(kept), grid.rate_hz, found),
+        answered_part,
+        _notes(answered_part, len(answered) - len(answered_part), grid.rate_hz, isb_angles),
     )
 
 
 def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery, force: bool = False) -> None:
     """Write joint angles as OpenSim reads them.
+
+    Parameters
+    ----------
+    table : MotTable
+        The angles.
+    path : path-like
+        The file to write.
+    recovery : Recovery
+        What they are of, for the header.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------
@@ -140,14 +165,14 @@ def _resampled(recovery: Recovery, grid: Grid) -> Recovery:
     joints = {name: at_grid(recovery.t_s, values, grid) for name, values in recovery.joints.items()}
     quaternion = recovery.quaternion.copy()
     # Both signs mean the same rotation: one of them goes on smoothly.
-    for run in runs(recovery.t_s, np.asarray(np.isfinite(quaternion).all(axis=1))):
+    for run in unbroken(recovery.t_s, np.asarray(np.isfinite(quaternion).all(axis=1))):
         q = quaternion[run]
         turn = np.where((q[1:] * q[:-1]).sum(axis=1) < 0, -1.0, 1.0)
         q[1:] *= np.cumprod(turn)[:, None]
     return replace(recovery, t_s=grid.t_s, joints=joints, quaternion=at_grid(recovery.t_s, quaternion, grid))
 
 
-def _notes(kept: BoolArray, cut: int, rate_hz: float, found: dict[str, FloatArray]) -> tuple[str, ...]:
+def _notes(kept: BoolArray, cut: int, rate_hz: float, isb_angles: dict[str, FloatArray]) -> tuple[str, ...]:
     notes = []
     if not kept.all():
         notes.append(
@@ -156,12 +181,12 @@ def _notes(kept: BoolArray, cut: int, rate_hz: float, found: dict[str, FloatArra
         )
     if cut:
         notes.append(f"{cut / rate_hz:.2f} s without an answer at the ends are left out of the MOT file.")
-    trusted = defined(found)
+    trusted = defined(isb_angles)
     for name, of in (
         ("pronation", "pro_sup"),
         ("shoulder_plane", "elv_angle and shoulder_rot"),
     ):
-        known = np.isfinite(found[name])
+        known = np.isfinite(isb_angles[name])
         share = float((known & ~trusted[name]).sum() / max(known.sum(), 1))
         if share > 0.01:
             notes.append(

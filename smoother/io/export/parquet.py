@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 import os
-import re
 
 import numpy as np
 
 from ...result import Recovery
 from ...runtime.atomic import writing
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..result.metadata import recovery_values
 from ..result.usable import usable
-from .csv import csv_columns
+from .csv import column_groups
 
 #: Key of the file's metadata under which the rest of the result lies, as JSON.
 METADATA_KEY = b"unocclude"
-_UNITS = (
-    (r"t_s", "s", "the IMU's own stamp"),
-    (r"stamp_ns", "ns", "the IMU's own stamp"),
-    (r"occluded", "", "the camera did not see the forearm"),
-    (r"usable", "", "there is an answer, below the limit on sigma if one was set"),
-    (r"imu_q[wxyz]", "1", "rotation IMU axes to camera, quaternion"),
-    (r"sigma_deg", "deg", "square root of the trace of the orientation's covariance"),
-    (r"(\w+_)?sigma_[xyz]", "m", "one standard deviation, an axis of the camera"),
-    (r"v[xyz]", "m/s", "velocity of the IMU in the camera's frame"),
-    (r"\w+_[xyz]", "m", "position in the camera's frame"),
-)
 _GROUP = 100_000
 
 
@@ -41,10 +29,14 @@ def export_parquet(
 
     Parameters
     ----------
-    recovery : one arm.
-    path : the file to write.
-    version : of the program that made the recovery.
-    force : overwrite a file that exists.
+    recovery : Recovery
+        One arm.
+    path : path-like
+        The file to write.
+    version : str
+        Of the program that made the recovery.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------
@@ -54,28 +46,30 @@ def export_parquet(
     import pyarrow as pa
     from pyarrow import parquet
 
-    header, values = csv_columns(recovery)
     stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
-    arrays = [pa.array(stamp * 1e-9), pa.array(recovery.occluded)]
-    arrays += [pa.array(np.ascontiguousarray(column), from_pandas=True) for column in values.T]
-    names = [*header, "usable", "stamp_ns"]
-    arrays += [pa.array(usable(recovery)), pa.array(stamp)]
-    fields = [_field(name, array.type) for name, array in zip(names, arrays, strict=True)]
+    certain = "there is an answer, below the limit on sigma if one was set"
+    columns = [
+        ("t_s", pa.array(stamp * 1e-9), "s", "the IMU's own stamp"),
+        ("occluded", pa.array(recovery.occluded), "", "the camera did not see the forearm"),
+    ]
+    for group in column_groups(recovery):
+        for name, values in zip(group.names, group.values.T, strict=True):
+            array = pa.array(np.ascontiguousarray(values), from_pandas=True)
+            columns.append((name, array, group.unit, group.description))
+    columns.append(("usable", pa.array(usable(recovery)), "", certain))
+    columns.append(("stamp_ns", pa.array(stamp), "ns", "the IMU's own stamp"))
+    fields = [
+        pa.field(name, array.type, metadata={"unit": unit, "description": description})
+        for name, array, unit, description in columns
+    ]
     rest = (
         "{" + ", ".join(f'"{key}": {text}' for key, text in recovery_values(recovery, version).items()) + "}"
     )
     # NaN is no JSON, and others read this.
     schema = pa.schema(fields, metadata={METADATA_KEY: _strict(rest).encode()})
-    table = pa.Table.from_arrays(arrays, schema=schema)
+    table = pa.Table.from_arrays([array for _, array, _, _ in columns], schema=schema)
     with writing(path, force) as temporary:
         parquet.write_table(table, temporary, compression="zstd", row_group_size=_GROUP)
-
-
-def _field(name: str, kind: object) -> object:
-    import pyarrow as pa
-
-    unit, said = next((unit, said) for pattern, unit, said in _UNITS if re.fullmatch(pattern, name))
-    return pa.field(name, kind, metadata={"unit": unit, "description": said})
 
 
 def _strict(text: str) -> str:

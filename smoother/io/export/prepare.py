@@ -24,11 +24,16 @@ class Export:
 
     Attributes
     ----------
-    rows : in the file.
-    write : writes it to a path; the second argument is `force`.
-    rate_hz : rows a second where the step is constant.
-    frame : axes of the positions.
-    notes : what a reader must know, one sentence each.
+    rows : int
+        In the file.
+    write : callable
+        Writes it to a path; the second argument is `force`.
+    rate_hz : float, optional
+        Rows a second where the step is constant.
+    frame : str, optional
+        Axes of the positions.
+    notes : tuple of str
+        What a reader must know, one sentence each.
     """
 
     rows: int
@@ -50,12 +55,23 @@ def prepare_export(
 
     Parameters
     ----------
-    recovery : one arm.
-    format_name : one of `FORMATS`.
-    frame : "camera" or "opensim" for `trc` (default opensim) and `c3d` (default camera).
-    rate_hz : rows a second for `trc`, `mot`, `c3d`; None for the IMU's rate.
-    level_down : see `marker_table`.
-    version : of the program that made the recovery.
+    recovery : Recovery
+        One arm.
+    format_name : str
+        One of `FORMATS`.
+    frame : str, optional
+        "camera" or "opensim" for `trc` (default opensim) and `c3d` (default camera).
+    rate_hz : float, optional
+        Rows a second for `trc`, `mot`, `c3d`; None for the IMU's rate.
+    level_down : ndarray, shape (3,), optional
+        See `marker_table`.
+    version : str
+        Of the program that made the recovery.
+
+    Returns
+    -------
+    Export
+        Ready to be written.
 
     Raises
     ------

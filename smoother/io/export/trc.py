@@ -30,12 +30,18 @@ def write_trc(
 
     Parameters
     ----------
-    path : the file to write.
-    names : of the markers, M.
-    t_s : (N,) times, s.
-    position : (N, M, 3) m; nan where there is none. The file holds millimetres and says so.
-    rate_hz : of the rows, for the header.
-    force : overwrite a file that exists.
+    path : path-like
+        The file to write.
+    names : sequence of str
+        Of the markers, M.
+    t_s : ndarray, shape (N,), s
+        Times.
+    position : ndarray, shape (N, M, 3), m
+        nan where there is none. The file holds millimetres and says so.
+    rate_hz : float
+        Of the rows, for the header.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------

@@ -18,6 +18,16 @@ def read_c3d(path: Path) -> Markers:
     `LABELS3` .. where there are more than 255. Time zero is the trial's frame zero: a file that was cut
     out of a trial begins later.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Markers
+        All points.
+
     Raises
     ------
     RecordingError
@@ -112,16 +122,16 @@ def _residuals(data: dict[str, Any], shape: tuple[int, ...]) -> np.ndarray:
 
 def _names(point: dict[str, Any], count: int, path: Path) -> tuple[tuple[str, ...], list[str]]:
     """A name for every point; labels go on in LABELS2, LABELS3 .."""
-    found: list[str] = [str(name) for name in point.get("LABELS", {}).get("value", [])]
+    labels: list[str] = [str(name) for name in point.get("LABELS", {}).get("value", [])]
     number = 2
-    while len(found) < count and f"LABELS{number}" in point:
-        found += [str(name) for name in point[f"LABELS{number}"]["value"]]
+    while len(labels) < count and f"LABELS{number}" in point:
+        labels += [str(name) for name in point[f"LABELS{number}"]["value"]]
         number += 1
     notes = []
-    if len(found) < count:
-        notes.append(f"{path.name}: {count - len(found)} of {count} points have no name.")
-        found += [""] * (count - len(found))
-    names, twice = told_apart(found[:count])
+    if len(labels) < count:
+        notes.append(f"{path.name}: {count - len(labels)} of {count} points have no name.")
+        labels += [""] * (count - len(labels))
+    names, twice = told_apart(labels[:count])
     if twice:
         notes.append(f"{path.name}: several points are called {', '.join(dict.fromkeys(twice))}; numbered.")
     return names, notes

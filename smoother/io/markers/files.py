@@ -17,6 +17,16 @@ MARKER_FORMATS = (".c3d", ".trc")
 def read_markers(path: str | os.PathLike[str]) -> Markers:
     """Read a `.c3d` or `.trc` file.
 
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    Markers
+        In the mocap's frame, on its clock.
+
     Raises
     ------
     RecordingError

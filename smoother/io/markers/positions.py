@@ -24,8 +24,14 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
 
     Parameters
     ----------
-    path : CSV with the columns `marker`, `x`, `y`, `z` in metres, a row a marker; or `.trc` or
-        `.c3d`, whose frames are averaged.
+    path : path-like
+        CSV with the columns `marker`, `x`, `y`, `z` in metres, a row a marker; or `.trc` or `.c3d`, whose
+        frames are averaged.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (3,), m
+        By marker.
 
     Raises
     ------
@@ -48,7 +54,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
 
 def _still(markers: Markers) -> dict[str, FloatArray]:
     """The mean over time, about the median; refused where a marker moved."""
-    found = {}
+    means = {}
     for column, name in enumerate(markers.names):
         track = markers.position[:, column]
         track = track[np.isfinite(track).all(axis=1)]
@@ -61,7 +67,7 @@ def _still(markers: Markers) -> dict[str, FloatArray]:
                 f"{markers.source}: marker {name} moved by {1e3 * spread:.0f} mm (rms) and must be still; cut"
                 " the file to the moment of the images."
             )
-        found[name] = track[away <= max(3 * np.median(away), 1e-6)].mean(axis=0)
-    if not found:
+        means[name] = track[away <= max(3 * np.median(away), 1e-6)].mean(axis=0)
+    if not means:
         raise RecordingError(f"{markers.source} holds no marker that was seen for long enough.")
-    return found
+    return means

@@ -26,15 +26,23 @@ class Markers:
 
     Attributes
     ----------
-    names : as the file has them, without spaces around.
-    t_s : (N,) frame times, s.
-    position : (N, M, 3) m; nan where a marker was not seen.
-    rate_hz : as the file states it; nan where it does not.
-    unit : of the file.
-    residual_m : (N, M) the capture's own residual, m (0 = measured or filled without one, nan where
-        the marker was not seen), or None where the format has none.
-    source : what to call the file in messages.
-    notes : what was dropped or decided on reading, one sentence each.
+    names : tuple of str
+        As the file has them, without spaces around.
+    t_s : ndarray, shape (N,), s
+        Frame times.
+    position : ndarray, shape (N, M, 3), m
+        nan where a marker was not seen.
+    rate_hz : float
+        As the file states it; nan where it does not.
+    unit : str
+        Of the file.
+    residual_m : ndarray, shape (N, M), m, optional
+        The capture's own residual (0 = measured or filled without one, nan where the marker was not
+        seen), or None where the format has none.
+    source : str
+        What to call the file in messages.
+    notes : tuple of str
+        What was dropped or decided on reading, one sentence each.
     """
 
     names: tuple[str, ...]
@@ -81,14 +89,14 @@ def told_apart(names: list[str]) -> tuple[tuple[str, ...], list[str]]:
     """Names without spaces around and none twice (`name_2` ..), and the names that were."""
     result: list[str] = []
     twice: list[str] = []
-    taken = {name.strip() for name in names}
+    originals = {name.strip() for name in names}
     used: set[str] = set()
     for number, name in enumerate((name.strip() for name in names), 1):
         name = name or f"unnamed_{number}"
         if name in used:
             twice.append(name)
             count = 2
-            while f"{name}_{count}" in taken | used:
+            while f"{name}_{count}" in originals | used:
                 count += 1
             name = f"{name}_{count}"
         used.add(name)

@@ -170,8 +170,8 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
         if not (np.isfinite(rate) and rate > 0):
             raise RecordingError(f"{path}: neither the column Time nor DataRate tells the frames' times")
         first = table[0, 0] if np.isfinite(table[0, 0]) else 1.0
-        made = np.asarray((first - 1.0 + np.arange(len(table))) / rate, dtype=np.float64)
-        return made, [f"{path.name}: times are made of DataRate."]
+        even = np.asarray((first - 1.0 + np.arange(len(table))) / rate, dtype=np.float64)
+        return even, [f"{path.name}: times are made of DataRate."]
     back = np.flatnonzero(np.diff(t_s) <= 0)
     if len(back):
         raise RecordingError(
@@ -186,6 +186,4 @@ def _times(path: Path, table: FloatArray, rate: float) -> tuple[FloatArray, list
     real = (len(t_s) - 1) / np.ptp(t_s)
     if abs(real / rate - 1) < 0.01:
         return t_s, []
-    return t_s, [
-        f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times are believed."
-    ]
+    return t_s, [f"{path.name}: DataRate states {rate:g} Hz and the times make {real:g} Hz; the times count."]

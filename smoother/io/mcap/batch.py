@@ -12,25 +12,27 @@ from numpy.typing import NDArray
 
 from ...recording import IntArray
 from ..wire.protobuf_encode import HEAD_BYTES
-from .messages import Run
+from .messages import ChunkMessages
+from .records import HEAD, MESSAGE
 
 #: Messages of one stream: rows (n, HEAD_BYTES + size) behind room for their heads, or one by one.
 Encoded = NDArray[np.uint8] | list[bytes]
 
-_HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log", "<u8"),
-        ("publish", "<u8"),
-    ]
-)
-
 
 class Records(NamedTuple):
-    """Messages with their heads, as they stand in a file: channel, log time (ns) and length of each (n,)."""
+    """Messages with their heads, as they stand in a file.
+
+    Attributes
+    ----------
+    channel : ndarray of int, shape (n,)
+        Numbers of their channels.
+    log_ns : ndarray of int, shape (n,), ns
+        Log times.
+    sizes : ndarray of int, shape (n,), bytes
+        Of the records.
+    records : list of bytes
+        Heads and payloads.
+    """
 
     channel: IntArray
     log_ns: IntArray
@@ -54,11 +56,11 @@ class Batch:
         self._columns.append(columns)
         self._data.append(data)
 
-    def add(self, run: Run, channels: list[int]) -> None:
-        """Messages carried over, which keep their numbers; `channels` of the run's topics."""
-        channel = np.array(channels, np.int64)[run.topic]
-        self._columns.append(np.stack([channel, run.sequence, run.log_ns, run.publish_ns]))
-        self._data.append(run.data)
+    def add(self, messages: ChunkMessages, channels: list[int]) -> None:
+        """Messages of another file, which keep their numbers; `channels` are those of its topics."""
+        channel = np.array(channels, np.int64)[messages.topic]
+        self._columns.append(np.stack([channel, messages.sequence, messages.log_ns, messages.publish_ns]))
+        self._data.append(messages.data)
 
     def own(self) -> Counter[int]:
         """How many messages of our own it has, by channel."""
@@ -73,7 +75,8 @@ class Batch:
 
         Parameters
         ----------
-        numbers : the next message's number by channel; zero where there is none.
+        numbers : mapping of int to int
+            The next message's number by channel; zero where there is none.
         """
         if not self._columns:
             nothing = np.empty(0, np.int64)
@@ -88,25 +91,25 @@ class Batch:
             rows = by_channel[start : start + int(counts[number])]
             sequence[rows] = numbers.get(number, 0) + np.arange(len(rows))
             start += len(rows)
-        heads = np.empty(len(channel), _HEAD)
+        heads = np.empty(len(channel), MESSAGE)
         heads["opcode"] = Opcode.MESSAGE
         heads["channel"], heads["sequence"] = channel, sequence
         heads["log"], heads["publish"] = log_ns, publish_ns
         records: list[bytes] = []
         for data in self._data:
             records += _records(heads[len(records) : len(records) + len(data)], data)
-        sizes = heads["length"].astype(np.int64) + 9
+        sizes = heads["length"].astype(np.int64) + HEAD.size
         return Records(channel[order], log_ns[order], sizes[order], [records[i] for i in order.tolist()])
 
 
 def _records(heads: NDArray, data: Encoded) -> list[bytes]:
     """Heads and messages put together; the heads learn the messages' lengths."""
     if isinstance(data, list):
-        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + _HEAD.itemsize - 9
+        heads["length"] = np.fromiter(map(len, data), np.int64, len(data)) + (MESSAGE.itemsize - HEAD.size)
         raw = heads.tobytes()
-        starts = range(0, len(raw), _HEAD.itemsize)
-        return [raw[at : at + _HEAD.itemsize] + each for at, each in zip(starts, data, strict=True)]
-    heads["length"] = data.shape[1] - 9
+        starts = range(0, len(raw), MESSAGE.itemsize)
+        return [raw[at : at + MESSAGE.itemsize] + each for at, each in zip(starts, data, strict=True)]
+    heads["length"] = data.shape[1] - HEAD.size
     data[:, :HEAD_BYTES] = heads.view(np.uint8).reshape(len(data), -1)
     records: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
     return records

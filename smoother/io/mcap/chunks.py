@@ -31,10 +31,11 @@ from mcap.records import (
 )
 
 from ...recording import IntArray
+from .records import CHUNK, HEAD, INDEX, MAGIC
 
-_MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_BYTES = 1 << 20
 _LIBRARY = "unocclude"
+_COMPRESSION = "zstd"
 #: Of zstd: level 3 takes half as long again for files that are one in a hundred smaller.
 _LEVEL = 1
 #: Threads that compress, and records that may wait for them.
@@ -48,7 +49,8 @@ class ChunkedFile:
 
     Parameters
     ----------
-    file : opened for writing in binary.
+    file : IO[bytes]
+        Opened for writing in binary.
     """
 
     def __init__(self, file: IO[bytes]):
@@ -60,7 +62,7 @@ class ChunkedFile:
         self._metadata: list[MetadataIndex] = []
         self._packers = ThreadPoolExecutor(_THREADS)
         self._waiting: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
-        file.write(_MAGIC)
+        file.write(MAGIC)
         self._record(Header(profile="", library=_LIBRARY))
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
@@ -90,8 +92,12 @@ class ChunkedFile:
 
         Parameters
         ----------
-        channel, log_ns : (n,) of the messages.
-        sizes, records : the messages with their heads, and how long they are.
+        channel, log_ns : ndarray of int, shape (n,)
+            Of the messages; log times in ns.
+        sizes : ndarray of int, shape (n,), bytes
+            Of the records.
+        records : sequence of bytes
+            The messages with their heads.
         """
         count, ends = len(records), np.cumsum(sizes)
         start = 0
@@ -151,15 +157,16 @@ class ChunkedFile:
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start), zlib.crc32(summary))
         self._file.write(summary)
         self._record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
-        self._file.write(_MAGIC)
+        self._file.write(MAGIC)
 
     def _chunk(
         self, packing: Future[_Packed], channel: IntArray, log_ns: IntArray, offsets: IntArray
     ) -> None:
         packed, first, last = packing.result(), int(log_ns.min()), int(log_ns.max())
         at, length = self._file.tell(), len(packed.data)
-        head = struct.pack("<QQQII4sQ", first, last, packed.size, packed.crc, 4, b"zstd", length)
-        self._file.write(struct.pack("<BQ", Opcode.CHUNK, len(head) + length) + head)
+        name = _COMPRESSION.encode()
+        head = CHUNK.pack(first, last, packed.size, packed.crc, len(name)) + name + struct.pack("<Q", length)
+        self._file.write(HEAD.pack(Opcode.CHUNK, len(head) + length) + head)
         self._file.write(packed.data)
         index_at = self._file.tell()
         self._chunks.append(
@@ -170,7 +177,7 @@ class ChunkedFile:
                 chunk_length=index_at - at,
                 message_index_offsets=self._index(channel, log_ns, offsets),
                 message_index_length=self._file.tell() - index_at,
-                compression="zstd",
+                compression=_COMPRESSION,
                 compressed_size=length,
                 uncompressed_size=packed.size,
             )
@@ -181,15 +188,15 @@ class ChunkedFile:
         order = np.argsort(channel.astype(np.uint16), kind="stable")
         rows = np.stack([log_ns[order], offsets[order]], axis=1).astype("<u8").tobytes()
         counts = np.bincount(channel)
-        found, start = {}, 0
+        offset_of, start = {}, 0
         for number in np.flatnonzero(counts).tolist():
             entries = rows[16 * start : 16 * (start + int(counts[number]))]
             start += int(counts[number])
-            found[number] = self._file.tell()
-            head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries))
-            self._file.write(head + entries)
+            offset_of[number] = self._file.tell()
+            head = HEAD.pack(Opcode.MESSAGE_INDEX, INDEX.size + len(entries))
+            self._file.write(head + INDEX.pack(number, len(entries)) + entries)
             self._counts[number] = self._counts.get(number, 0) + int(counts[number])
-        return found
+        return offset_of
 
     def _named(self, metadata: Metadata) -> None:
         offset = self._file.tell()

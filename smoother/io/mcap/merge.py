@@ -16,11 +16,11 @@ from ..wire.schemas import schema_data
 from .batch import Batch
 from .batch import Encoded as Encoded
 from .chunks import ChunkedFile
-from .messages import Run, Topic
+from .messages import ChunkMessages, Topic
 
 #: Messages that are encoded together; keeps memory flat however long the recording is.
 SLICE = 2048
-#: Messages carried over are written at the latest when they hold so many bytes.
+#: Messages of another file are written at the latest when they hold so many bytes.
 _HELD_BYTES = 1 << 23
 #: After all times.
 END = int(np.iinfo(np.int64).max)
@@ -32,9 +32,12 @@ class Outgoing:
 
     Attributes
     ----------
-    channel : the channel's number.
-    time_ns : (N,) log times, ns; negative ones are written as zero.
-    encode : wire form of a slice of the messages.
+    channel : int
+        The channel's number.
+    time_ns : ndarray of int, shape (N,), ns
+        Log times; negative ones are written as zero.
+    encode : callable
+        Wire form of a slice of the messages.
     """
 
     channel: int
@@ -57,8 +60,8 @@ class Output:
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._sequence: Counter[int] = Counter()
         self._latest: dict[int, int] = {}
-        self._passed: Iterator[Run] = iter(())
-        self._waiting: Run | None = None
+        self._foreign: Iterator[ChunkMessages] = iter(())
+        self._next_foreign: ChunkMessages | None = None
 
     def __enter__(self) -> Output:
         self._open = open(self._path, "wb")
@@ -96,18 +99,20 @@ class Output:
             self._channels[key] = self._file.channel(topic.name, topic.encoding, schema, topic.metadata)
         return self._channels[key]
 
-    def carry(self, passed: Iterable[Run]) -> None:
+    def interleave(self, chunks: Iterable[ChunkMessages]) -> None:
         """Write these messages of another file between all that comes, about in the order of their times."""
-        self._passed = iter(passed)
-        self._waiting = next(self._passed, None)
+        self._foreign = iter(chunks)
+        self._next_foreign = next(self._foreign, None)
 
     def write(self, outgoing: Sequence[Outgoing], until: int = END) -> None:
-        """Write streams by log time, and between them what is carried over.
+        """Write streams by log time, and between them those of another file.
 
         Parameters
         ----------
-        outgoing : streams to encode.
-        until : log time before which all of them lie, and from which on others will come, ns.
+        outgoing : sequence of Outgoing
+            Streams to encode.
+        until : int, ns
+            Log time before which all of them lie, and from which on others will come.
         """
         latest = dict(self._latest)
         for stream in outgoing:  # streams that go on where an earlier part of them ended
@@ -116,36 +121,36 @@ class Output:
                 last = int(stream.time_ns[-1])
                 self._latest[stream.channel] = max(self._latest.get(stream.channel, 0), last)
         for edge, batch in _slices(outgoing, until):
-            self._write(self._with_carried(batch, edge))
+            self._write(self._with_foreign(batch, edge))
 
-    def _with_carried(self, batch: Batch, edge: int) -> Batch:
-        """A batch with the messages carried over that come before an edge; some are written at once."""
+    def _with_foreign(self, batch: Batch, edge: int) -> Batch:
+        """A batch with the messages of another file that come before an edge; some are written at once."""
         held = 0
-        while self._waiting is not None:
-            run = self._waiting
-            late = run.log_ns >= edge
-            stop = int(np.argmax(late)) if late.any() and edge != END else len(run.data)
+        while self._next_foreign is not None:
+            chunk = self._next_foreign
+            late = chunk.log_ns >= edge
+            stop = int(np.argmax(late)) if late.any() and edge != END else len(chunk.data)
             if stop:
-                part = run.part(slice(0, stop))
-                batch.add(part, [self._channel(topic) for topic in part.topics])
-                held += sum(map(len, part.data))
-            if stop < len(run.data):
-                self._waiting = run.part(slice(stop, None))
+                early = chunk.select(slice(0, stop))
+                batch.add(early, [self._channel(topic) for topic in early.topics])
+                held += sum(map(len, early.data))
+            if stop < len(chunk.data):
+                self._next_foreign = chunk.select(slice(stop, None))
                 break
-            self._waiting = next(self._passed, None)
+            self._next_foreign = next(self._foreign, None)
             if held > _HELD_BYTES:
                 self._write(batch)
                 batch, held = Batch(), 0
         return batch
 
     def _write(self, batch: Batch) -> None:
-        found = batch.sorted(self._sequence)
+        records = batch.sorted(self._sequence)
         self._sequence.update(batch.own())
-        self._file.messages(*found)
+        self._file.messages(*records)
 
 
 def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Batch]]:
-    """Yield runs of time: where each ends, and the messages of all streams in it."""
+    """Yield batches of messages of all streams, and the log time that each ends before."""
     streams = [stream for stream in outgoing if len(stream.time_ns)]
     longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))
     edges = [*longest[SLICE::SLICE].tolist(), until]
@@ -154,7 +159,7 @@ def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Bat
         batch = Batch()
         for i, stream in enumerate(streams):
             stop = int(np.searchsorted(stream.time_ns, edge)) if edge != until else len(stream.time_ns)
-            # A stream may be far denser here than the longest is: encode it in pieces all the same.
+            # A stream may be far denser here than the longest is: encode it in parts all the same.
             for start in range(starts[i], stop, SLICE):
                 part = slice(start, min(start + SLICE, stop))
                 batch.extend(stream.channel, stream.time_ns[part], stream.encode(part))

@@ -13,16 +13,25 @@ from ...recording import IntArray
 
 @dataclass
 class Topic:
-    """A channel of the file and what it carried.
+    """A channel of the file.
 
     Attributes
     ----------
-    name : the topic.
-    schema : name of its schema; "" where there is none.
-    schema_encoding, schema_data : as the file has them.
-    encoding : of the messages (`cdr`, `protobuf`).
-    count : number of messages.
-    first_ns, last_ns : smallest and largest log time, ns.
+    name : str
+        The topic.
+    schema : str
+        Name of its schema; "" where there is none.
+    schema_encoding : str
+    schema_data : bytes
+        As the file has them.
+    encoding : str
+        Of the messages (`cdr`, `protobuf`).
+    metadata : dict of str to str
+        Of the channel.
+    count : int
+        Number of messages.
+    first_ns, last_ns : int, ns
+        Smallest and largest log time.
     """
 
     name: str
@@ -44,33 +53,57 @@ class Topic:
 
 
 class McapMessage(NamedTuple):
-    """A message as it lies in the file."""
+    """A message as it lies in the file.
+
+    Attributes
+    ----------
+    topic : Topic
+        Its topic.
+    log_ns : int, ns
+        Its log time.
+    data : memoryview
+        Its payload.
+    """
 
     topic: Topic
     log_ns: int
     data: memoryview
 
 
-class Rows(NamedTuple):
-    """Messages of one topic in a run of the file's bytes, as columns (n,) in the file's order.
+class TopicMessages(NamedTuple):
+    """Messages of one topic in a chunk, as columns (n,) in the file's order.
 
     Attributes
     ----------
-    log_ns : log times, ns.
-    block : the bytes; payloads stay where they lie in them.
-    start, stop : where each payload begins and ends.
+    log_ns : ndarray of int, shape (n,), ns
+        Log times.
+    chunk : bytes
+        Its bytes; payloads stay where they lie in them.
+    start, stop : ndarray of int, shape (n,)
+        Where each payload begins and ends.
     """
 
     log_ns: IntArray
-    block: bytes
+    chunk: bytes
     start: IntArray
     stop: IntArray
 
 
-class Run(NamedTuple):
-    """Messages of one chunk as columns, (n,) each, in the file's order.
+class ChunkMessages(NamedTuple):
+    """Messages of one chunk, of all topics, in the file's order.
 
-    `topic` numbers the list `topics`; `data` are copies.
+    Attributes
+    ----------
+    topics : list of Topic
+        All of them so far.
+    topic : ndarray of int, shape (n,)
+        Of each message, as a position in `topics`.
+    sequence : ndarray of int, shape (n,)
+        Their numbers within the channel.
+    log_ns, publish_ns : ndarray of int, shape (n,), ns
+        Their times.
+    data : list of bytes
+        Copies of the payloads.
     """
 
     topics: list[Topic]
@@ -80,9 +113,9 @@ class Run(NamedTuple):
     publish_ns: IntArray
     data: list[bytes]
 
-    def part(self, rows: slice) -> Run:
+    def select(self, rows: slice) -> ChunkMessages:
         """Some of the messages."""
-        return Run(
+        return ChunkMessages(
             self.topics,
             self.topic[rows],
             self.sequence[rows],

@@ -1,4 +1,4 @@
-"""Where the records of a chunk lie: by the index behind it where that is right, else record by record."""
+"""The records of an MCAP file, and where those of a chunk lie: by its index where that is right."""
 
 from __future__ import annotations
 
@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from ...recording import IntArray
 from ..wire.layout import cut_out
 
+#: An MCAP file begins and ends with these bytes.
+MAGIC = b"\x89MCAP0\r\n"
 #: Opcode and length that every record begins with.
 HEAD = struct.Struct("<BQ")
+#: What a chunk begins with, up to the name of its compression: first and last log time, size and checksum of
+#: its records, letters of the name. Behind the name stand the compressed size (u64) and the records.
+CHUNK = struct.Struct("<QQQII")
+#: A chunk's index of a channel up to its entries: the channel, and the bytes of the entries.
+INDEX = struct.Struct("<HI")
 #: A message record up to its payload.
 MESSAGE = np.dtype(
     [
@@ -28,9 +35,7 @@ MESSAGE = np.dtype(
 )
 #: Length that a message without payload states.
 _SHORTEST = MESSAGE.itemsize - HEAD.size
-#: Channel and size in front of an index record's entries of time and place.
-_INDEX_HEAD = 6
-#: More stretches between messages than this are not looked into one by one.
+#: More gaps than this between the messages of an index are not looked into one by one.
 _MOST_GAPS = 64
 
 
@@ -47,10 +52,14 @@ class RecordPlaces(NamedTuple):
 
     Attributes
     ----------
-    place : (n,) where message records begin.
-    heads : (n,) what they begin with, `MESSAGE`.
-    definitions : schemas and channels, in order.
-    is_cut : the last record goes beyond the end.
+    place : ndarray of int, shape (n,)
+        Where message records begin.
+    heads : ndarray, shape (n,)
+        What they begin with, `MESSAGE`.
+    definitions : list of Definition
+        Schemas and channels, in order.
+    is_cut : bool
+        The last record goes beyond the end.
     """
 
     place: IntArray
@@ -59,52 +68,54 @@ class RecordPlaces(NamedTuple):
     is_cut: bool
 
 
-def find(block: bytes, index: Sequence[bytes]) -> RecordPlaces:
+def find(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces:
     """All messages, schemas and channels of a chunk.
 
     Parameters
     ----------
-    block : its records.
-    index : contents of the message index records behind it.
+    chunk : bytes
+        Its records.
+    index : sequence of bytes
+        Contents of the message index records behind it.
     """
-    return _indexed(block, index) or _walked(block, 0, len(block))
+    return _indexed(chunk, index) or _walked(chunk, 0, len(chunk))
 
 
-def _indexed(block: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
+def _indexed(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
     """The same by the index; None unless each record begins where the one before ends."""
     try:
-        entries = [np.frombuffer(content, "<u8", offset=_INDEX_HEAD) for content in index]
+        entries = [np.frombuffer(content, "<u8", offset=INDEX.size) for content in index]
         place = np.sort(np.concatenate([each.reshape(-1, 2)[:, 1] for each in entries]))
     except ValueError:  # no index, or not of whole entries
         return None
-    if not len(place) or place[-1] > len(block) - MESSAGE.itemsize:
+    if not len(place) or place[-1] > len(chunk) - MESSAGE.itemsize:
         return None
     place = place.astype(np.int64)
-    heads = _heads(block, place)
+    heads = _heads(chunk, place)
     length = heads["length"]
-    if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _SHORTEST).any() or (length > len(block)).any():
+    if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _SHORTEST).any() or (length > len(chunk)).any():
         return None
-    begin = np.append(place, len(block))
-    end = np.concatenate([np.zeros(1, np.int64), place + HEAD.size + length.astype(np.int64)])
-    gaps = np.flatnonzero(begin != end)
-    if len(gaps) > _MOST_GAPS or (end > begin).any():
+    starts = np.append(place, len(chunk))
+    stops = np.concatenate([np.zeros(1, np.int64), place + HEAD.size + length.astype(np.int64)])
+    gaps = np.flatnonzero(starts != stops)
+    if len(gaps) > _MOST_GAPS or (stops > starts).any():
         return None
     definitions: list[Definition] = []
     for gap in gaps.tolist():
-        between = _walked(block, int(end[gap]), int(begin[gap]))
+        between = _walked(chunk, int(stops[gap]), int(starts[gap]))
         if between.is_cut or len(between.place):
             return None
         definitions += between.definitions
     return RecordPlaces(place, heads, definitions, False)
 
 
-def _walked(block: bytes, start: int, stop: int) -> RecordPlaces:
+def _walked(chunk: bytes, start: int, stop: int) -> RecordPlaces:
     places: list[int] = []
     definitions: list[Definition] = []
     is_cut, position = False, start
     head, message, last, add = HEAD.unpack_from, int(Opcode.MESSAGE), stop - HEAD.size, places.append
     while position <= last:
-        opcode, length = head(block, position)
+        opcode, length = head(chunk, position)
         end = position + HEAD.size + length
         if end > stop:
             is_cut = True
@@ -115,8 +126,8 @@ def _walked(block: bytes, start: int, stop: int) -> RecordPlaces:
             definitions.append(Definition(opcode, position + HEAD.size, end))
         position = end
     place = np.array(places, np.int64)
-    return RecordPlaces(place, _heads(block, place), definitions, is_cut)
+    return RecordPlaces(place, _heads(chunk, place), definitions, is_cut)
 
 
-def _heads(block: bytes, place: IntArray) -> NDArray:
-    return cut_out(block, place, MESSAGE.itemsize).reshape(-1).view(MESSAGE)
+def _heads(chunk: bytes, place: IntArray) -> NDArray:
+    return cut_out(chunk, place, MESSAGE.itemsize).reshape(-1).view(MESSAGE)

@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
+from ..wire.cdr import CdrReader
 from ..wire.schemas import message_class
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
@@ -23,14 +24,18 @@ _ROS = ("audio_common_msgs/AudioData", "audio_common_msgs/AudioDataStamped", "au
 
 @dataclass(frozen=True)
 class Track:
-    """A run of sound without a hole.
+    """Sound without a gap.
 
     Attributes
     ----------
-    samples : (N,) the loudest channel, full scale 1.
-    rate_hz : samples a second, as measured by the stamps where there are several.
-    start_s : time of the first sample: 0 for a WAV file, s on the recorder's clock for a topic.
-    source : file, and topic where there is one.
+    samples : ndarray, shape (N,)
+        The loudest channel, full scale 1.
+    rate_hz : float
+        Samples a second, as measured by the stamps where there are several.
+    start_s : float, s
+        Time of the first sample: 0 for a WAV file, on the recorder's clock for a topic.
+    source : str
+        File, and topic where there is one.
     """
 
     samples: FloatArray
@@ -46,9 +51,17 @@ def read_sound(
 
     Parameters
     ----------
-    path : the file; anything that does not end in .mcap is read as WAV.
-    topic : the audio topic, where there are several.
-    ros_rate_hz : sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+    path : path-like
+        The file; anything that does not end in .mcap is read as WAV.
+    topic : str, optional
+        The audio topic, where there are several.
+    ros_rate_hz : int
+        Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+
+    Returns
+    -------
+    list of Track
+        In order of time.
 
     Raises
     ------
@@ -128,15 +141,12 @@ def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, f
         data = np.frombuffer(audio.data, "<i2", count * audio.number_of_channels)
         values = data.reshape(count, audio.number_of_channels) / 32767.0
         return stamp or 1e-9 * message.log_ns, values, float(audio.sample_rate)
-    raw = bytes(message.data)
-    order = "<" if raw[1] else ">"
-    at, stamp = 4, 1e-9 * message.log_ns
+    cdr, stamp = CdrReader(bytes(message.data)), 1e-9 * message.log_ns
     if not message.topic.schema.endswith("AudioData"):  # std_msgs/Header in front
-        seconds, nanoseconds, length = np.frombuffer(raw, f"{order}u4", 3, at).tolist()
-        stamp = seconds + 1e-9 * nanoseconds or stamp
-        at += 12 + length + -length % 4
-    (size,) = np.frombuffer(raw, f"{order}u4", 1, at).tolist()
-    samples = np.frombuffer(raw, f"{order}i2", size // 2, at + 4) / 32767.0
+        stamp = cdr.number("I") + 1e-9 * cdr.number("I") or stamp
+        cdr.text()
+    raw = cdr.octets()
+    samples = np.frombuffer(raw, f"{cdr.order}i2", len(raw) // 2) / 32767.0
     return stamp, samples[:, None], float(ros_rate_hz)
 
 
@@ -146,10 +156,10 @@ def _tracks(blocks: list[tuple[float, FloatArray, float]], source: str) -> list[
     first = 0
     while first < len(blocks):
         rate, last, count = blocks[first][2], first, 0
-        begin = blocks[first][0]
+        start = blocks[first][0]
         while last < len(blocks) and blocks[last][2] == rate:
             length = len(blocks[last][1])
-            if abs(blocks[last][0] - begin - count / rate) > max(JUMP_PART * length / rate, 0.05):
+            if abs(blocks[last][0] - start - count / rate) > max(JUMP_PART * length / rate, 0.05):
                 break
             count, last = count + length, last + 1
         part = blocks[first:last]

@@ -16,6 +16,8 @@ from calib.intrinsics import Intrinsics
 from ...errors import RecordingError
 from ..mcap.container import Container
 from ..mcap.messages import Topic
+from ..mcap.stamps import SECOND_NS
+from ..wire.cdr import CdrReader
 from ..wire.schemas import message_class
 
 IMAGES = {
@@ -45,9 +47,12 @@ class ImageMessage:
 
     Attributes
     ----------
-    topic, frame_id : where it came from.
-    stamp_ns : its stamp; the log time where that is zero.
-    encoding : of the pixels; "" for a compressed image.
+    topic, frame_id : str
+        Where it came from.
+    stamp_ns : int, ns
+        Its stamp; the log time where that is zero.
+    encoding : str
+        Of the pixels; "" for a compressed image.
     """
 
     topic: str
@@ -97,8 +102,15 @@ def read_images(
 
     Parameters
     ----------
-    path : the file.
-    wanted : topics to look at; those of other schemas are passed over in any case.
+    path : path-like
+        The file.
+    wanted : callable
+        Topics to look at; those of other schemas are passed over in any case.
+
+    Yields
+    ------
+    ImageMessage or LensMessage
+        Those that are damaged are passed over.
 
     Raises
     ------
@@ -123,7 +135,7 @@ def read_images(
 def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:
     if topic.encoding == "protobuf":
         return _foxglove(topic, message_class(topic.schema).FromString(data), log_ns)
-    return _ros(topic, _Cdr(data), log_ns)
+    return _ros(topic, CdrReader(data), log_ns)
 
 
 def _foxglove(topic: Topic, message: Any, log_ns: int) -> ImageMessage | LensMessage:
@@ -143,21 +155,20 @@ def _foxglove(topic: Topic, message: Any, log_ns: int) -> ImageMessage | LensMes
     )
 
 
-def _ros(topic: Topic, cdr: _Cdr, log_ns: int) -> ImageMessage | LensMessage:
-    seconds, nanoseconds = cdr.number("i"), cdr.number("I")
-    stamp = seconds * 1_000_000_000 + nanoseconds or log_ns
+def _ros(topic: Topic, cdr: CdrReader, log_ns: int) -> ImageMessage | LensMessage:
+    stamp = cdr.number("i") * SECOND_NS + cdr.number("I") or log_ns
     frame_id = cdr.text()
     if topic.schema == "sensor_msgs/msg/CompressedImage":
         cdr.text()
-        data = cdr.block()
+        data = cdr.octets()
         return ImageMessage(topic.name, frame_id, stamp, "", lambda: _uncompressed(data))
     height, width = cdr.number("I"), cdr.number("I")
     if topic.schema == "sensor_msgs/msg/CameraInfo":
         model = cdr.text()
-        distortion = cdr.doubles(cdr.number("I"))
-        return _lens(topic, frame_id, width, height, model, distortion, cdr.doubles(9))
+        distortion = cdr.values("d", cdr.number("I"))
+        return _lens(topic, frame_id, width, height, model, distortion, cdr.values("d", 9))
     encoding, big = cdr.text(), bool(cdr.number("B"))
-    step, data = cdr.number("I"), cdr.block()
+    step, data = cdr.number("I"), cdr.octets()
     return ImageMessage(
         topic.name, frame_id, stamp, encoding, lambda: _raw(data, encoding, height, width, step, big)
     )
@@ -197,42 +208,3 @@ def _uncompressed(data: bytes) -> NDArray:
     if image is None:
         raise ValueError("neither PNG nor JPEG")
     return np.asarray(image)
-
-
-class _Cdr:
-    """Reads a CDR message value by value."""
-
-    def __init__(self, data: bytes):
-        if len(data) < 4 or data[0] != 0 or data[1] > 1:
-            raise ValueError("not plain CDR")
-        self._data, self._at = data, 4
-        self._order = "<" if data[1] else ">"
-
-    def number(self, kind: str) -> int:
-        """One integer of a `struct` kind."""
-        size = struct.calcsize(kind)
-        self._at += -(self._at - 4) % size
-        (value,) = struct.unpack_from(self._order + kind, self._data, self._at)
-        self._at += size
-        return int(value)
-
-    def doubles(self, count: int) -> tuple[float, ...]:
-        """So many doubles."""
-        if not count:
-            return ()
-        self._at += -(self._at - 4) % 8
-        values = struct.unpack_from(f"{self._order}{count}d", self._data, self._at)
-        self._at += 8 * count
-        return values
-
-    def block(self) -> bytes:
-        """A sequence of bytes."""
-        length = self.number("I")
-        self._at += length
-        if self._at > len(self._data):
-            raise ValueError("message is cut off")
-        return self._data[self._at - length : self._at]
-
-    def text(self) -> str:
-        """A string."""
-        return self.block().rstrip(b"\0").decode("utf-8", "replace")

@@ -15,6 +15,7 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import Topic
+from ..mcap.stamps import SECOND_NS, ros_stamps
 from ..wire.layout import Grouper
 from ..wire.schemas import message_class
 from .panel_session import read_pairs
@@ -23,7 +24,6 @@ from .panel_session import read_pairs
 ABOUT_S = 0.25
 _SCENE, _ARRAY = "foxglove.SceneUpdate", "visualization_msgs/MarkerArray"
 _NAMED = ("marker", "mocap")
-_BILLION = 1_000_000_000
 
 
 def read_panel_session(
@@ -35,10 +35,13 @@ def read_panel_session(
 
     Parameters
     ----------
-    path : MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker)
+    path : path-like
+        MCAP with depth and infrared images, and the markers as `foxglove.SceneUpdate` (a sphere a marker).
         or `visualization_msgs/MarkerArray` on a topic named `marker` or `mocap`, m.
-    given : markers by pose that take the place of the recording's; may be empty.
-    lens : takes the place of the recording's.
+    given : list of dict of str to ndarray
+        Markers by pose that take the place of the recording's; may be empty.
+    lens : Intrinsics, optional
+        Takes the place of the recording's.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def _markers_at(path: Path, stamps: list[int]) -> list[dict[str, FloatArray]]:
     for stamp, name, position in _markers(path):
         any_marker = True
         nearest = int(np.argmin(np.abs(at - stamp)))
-        if abs(at[nearest] - stamp) <= ABOUT_S * _BILLION:
+        if abs(at[nearest] - stamp) <= ABOUT_S * SECOND_NS:
             tracks[nearest].setdefault(name, []).append(position)
     if not any_marker:
         raise RecordingError(
@@ -132,8 +135,7 @@ def _array_markers(
     for index, block, layout in Grouper(partial(marker_array, textured=textured)).groups(payloads):
         if not layout.counts["markers"]:
             continue
-        seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-        stamps = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+        stamps = ros_stamps(block, layout)
         names = layout.many(block, "id")[:, :, 0]
         places = layout.many(block, "position").astype(float)
         for row, message in enumerate(index.tolist()):

@@ -13,9 +13,10 @@ from calib.panel.images import View, view
 
 from ...errors import RecordingError
 from ...recording import ImuStream
+from ..mcap.stamps import seconds
 from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
-from ..recording.read import open_recording, seconds
+from ..recording.read import open_recording
 from .images import ImageMessage, LensMessage, read_images
 
 #: Depth and infrared image of one exposure have stamps this near, s.
@@ -31,10 +32,16 @@ class PanelSession:
 
     Attributes
     ----------
-    views, times_s : a pair of images a pose, and its time.
-    panel, base : the IMU on the panel and the one on the camera; times count as `times_s`.
-    lens : of the depth camera, or None.
-    notes : what was dropped, one sentence each.
+    views : list of View
+        A pair of images a pose.
+    times_s : list of float, s
+        Of the views.
+    panel, base : ImuStream
+        The IMU on the panel and the one on the camera; times count as `times_s`.
+    lens : Intrinsics, optional
+        Of the depth camera, or None.
+    notes : list of str
+        What was dropped, one sentence each.
     """
 
     views: list[View]
@@ -52,8 +59,10 @@ def read_session(
 
     Parameters
     ----------
-    path : the file.
-    panel_topic, base_topic : topics of the IMUs, or parts of their names.
+    path : path-like
+        The file.
+    panel_topic, base_topic : str
+        Topics of the IMUs, or parts of their names.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from ...errors import UnoccludeError
 from ...recording import FloatArray, ImuStream
 from ...runtime.atomic import check_output, writing
 from ..mcap.merge import Outgoing, Output
-from ..recording.read import nanoseconds
+from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..wire.schemas import message_class
@@ -43,9 +43,14 @@ class PanelShot:
 
     Attributes
     ----------
-    t_s : time of the images.
-    depth, infrared : (height, width) uint16; depth in mm, 0 where there is none.
-    marker_names, markers : of the mocap, (n, 3) m.
+    t_s : float, s
+        Time of the images.
+    depth, infrared : ndarray of uint16, shape (height, width)
+        Depth in mm, 0 where there is none.
+    marker_names : sequence of str
+        Of the mocap.
+    markers : ndarray, shape (n, 3), m
+        Their positions.
     """
 
     t_s: float
@@ -118,12 +123,18 @@ def write_panel_folder(
 
     Parameters
     ----------
-    path : the folder; it appears only when it is whole.
-    shots : the poses.
-    imus : on the panel and on the camera; each pose gets the samples within `half_s` of its images.
-    half_s : s.
-    tables : TOML documents by file name.
-    force : replace a folder that exists.
+    path : path-like
+        The folder; it appears only when it is whole.
+    shots : sequence of PanelShot
+        The poses.
+    imus : sequence of ImuStream
+        On the panel and on the camera; each pose gets the samples within `half_s` of its images.
+    half_s : float, s
+        See `imus`.
+    tables : dict of str to dict
+        TOML documents by file name.
+    force : bool
+        Replace a folder that exists.
 
     Raises
     ------
@@ -158,7 +169,8 @@ def write_panel_recording(
 
     Parameters
     ----------
-    lens : width, height, fx, fy, cx, cy, distortion.
+    lens : dict
+        Width, height, fx, fy, cx, cy, distortion.
 
     Raises
     ------

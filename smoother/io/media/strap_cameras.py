@@ -27,14 +27,18 @@ Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
 
 @dataclass
 class StrapFound:
-    """What the images told, for figures and the report.
+    """What the images gave, for figures and the report.
 
     Attributes
     ----------
-    t_s : (n,) times of the colour images looked at, s after the first.
-    position, sigma_m : (n, 3) of the sensor, m in {K}; nan where rejected.
-    along : (n,) part of the way from elbow to wrist.
-    reasons : (n,) "" where it was found.
+    t_s : ndarray, shape (n,), s
+        Times of the colour images looked at, after the first.
+    position, sigma_m : ndarray, shape (n, 3), m
+        Of the sensor in {K}; nan where rejected.
+    along : ndarray, shape (n,)
+        Part of the way from elbow to wrist.
+    reasons : list of str
+        "" where it was found.
     """
 
     t_s: FloatArray
@@ -68,7 +72,7 @@ def check_images(path: str | os.PathLike[str], colour: str | None = None, depth:
 
 
 class Cameras:
-    """The colour and the depth camera of a file, found by what their topics carry."""
+    """The colour and the depth camera of a file, known by what their topics hold."""
 
     def __init__(
         self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray
@@ -166,16 +170,17 @@ def transform_between(
 
     Parameters
     ----------
-    transforms : child -> (parent, R, t) with p_parent = R p_child + t.
+    transforms : Transforms
+        Child -> (parent, R, t) with p_parent = R p_child + t.
     """
 
     def to_root(frame: str) -> dict[str, tuple[FloatArray, FloatArray]]:
-        found, R, t = {frame: (np.eye(3), np.zeros(3))}, np.eye(3), np.zeros(3)
-        while frame in transforms and len(found) < 50:
+        poses, R, t = {frame: (np.eye(3), np.zeros(3))}, np.eye(3), np.zeros(3)
+        while frame in transforms and len(poses) < 50:
             parent, own, shift = transforms[frame]
             R, t, frame = own @ R, own @ t + shift, parent
-            found[frame] = (R, t)
-        return found
+            poses[frame] = (R, t)
+        return poses
 
     here, there = to_root(source), to_root(target)
     for frame, (R, t) in here.items():

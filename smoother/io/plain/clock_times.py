@@ -24,8 +24,15 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
 
     Parameters
     ----------
-    path : CSV with the columns round (any name), node, t_s (s on that node's clock).
-    resolution_s : step of the nodes' stamps, s.
+    path : path-like
+        CSV with the columns round (any name), node, t_s (s on that node's clock).
+    resolution_s : float, s
+        Step of the nodes' stamps.
+
+    Returns
+    -------
+    Receptions
+        A row a reception, with the standard deviation of a rounded stamp.
 
     Raises
     ------
@@ -34,7 +41,7 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
     """
     path = Path(path)
     rounds: dict[str, int] = {}
-    seen: dict[tuple[int, str], int] = {}
+    line_of: dict[tuple[int, str], int] = {}
     event, node, t = [], [], []
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
@@ -58,13 +65,13 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
                         f"{path}, line {line}: round, node and a time in seconds are needed."
                     )
                 number = rounds.setdefault(row["round"].strip(), len(rounds))
-                if (number, name) in seen:
+                if (number, name) in line_of:
                     raise RecordingError(
                         f"{path}, line {line}: {name} has a second time in round {row['round'].strip()}"
-                        f" (the first is in line {seen[number, name]}); keep the first reception of each"
+                        f" (the first is in line {line_of[number, name]}); keep the first reception of each"
                         " round."
                     )
-                seen[number, name] = line
+                line_of[number, name] = line
                 event.append(number)
                 node.append(name)
                 t.append(time)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
-from .folder import STANDARD_GRAVITY
+from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0
 #: Rows of UTD-MHAD's Kinect v1 skeleton, right arm.
@@ -27,16 +27,21 @@ def import_broad(
 
     Parameters
     ----------
-    mat : Matlab file of the trial.
-    rate_hz : frame rate of the camera.
-    noise_m : standard deviation of the noise, an axis.
-    seed : of the noise.
+    mat : path-like
+        Matlab file of the trial.
+    rate_hz : float, Hz
+        Frame rate of the camera.
+    noise_m : float, m
+        Standard deviation of the noise, an axis.
+    seed : int
+        Of the noise.
 
     Returns
     -------
-    A recording with `strap` alone, frame `zup` (east, north, up), and the truth: optical position,
-    orientation sensor to frame (qw, qx, qy, qz), scored while the body moves. Where the optical
-    system lost the body, the frame is not tracked and the truth nan.
+    Recording
+        A recording with `strap` alone, frame `zup` (east, north, up), and the truth: optical position,
+        orientation sensor to frame (qw, qx, qy, qz), scored while the body moves. Where the optical system
+        lost the body, the frame is not tracked and the truth nan.
 
     Raises
     ------
@@ -52,12 +57,12 @@ def import_broad(
     frames = np.arange(0.0, t_s[-1] + 0.5 / rate, 1.0 / rate_hz)
     frames = frames[frames <= t_s[-1]]
     # A nan on either side makes the interpolated position nan: such a frame is not tracked.
-    seen = np.stack([np.interp(frames, t_s, axis) for axis in position.T], axis=1)
-    seen = seen + np.random.default_rng(seed).normal(0.0, noise_m, seen.shape)
+    observed = np.stack([np.interp(frames, t_s, axis) for axis in position.T], axis=1)
+    observed = observed + np.random.default_rng(seed).normal(0.0, noise_m, observed.shape)
     joints, state = _empty_tracks(len(frames))
-    joints[:, JOINTS.index("strap")] = seen
+    joints[:, JOINTS.index("strap")] = observed
     state[:, JOINTS.index("strap")] = np.where(
-        np.isfinite(seen).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
+        np.isfinite(observed).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
     )
     joints[state == JointState.NOT_TRACKED] = np.nan
     truth = Truth(t_s, position, fields["opt_quat"].astype(float), fields["movement"].ravel().astype(bool))
@@ -91,12 +96,15 @@ def import_utd_mhad(inertial_mat: str | os.PathLike[str], skeleton_mat: str | os
 
     Parameters
     ----------
-    inertial_mat : `aA_sS_tT_inertial.mat`.
-    skeleton_mat : `aA_sS_tT_skeleton.mat`.
+    inertial_mat : path-like
+        `aA_sS_tT_inertial.mat`.
+    skeleton_mat : path-like
+        `aA_sS_tT_skeleton.mat`.
 
     Returns
     -------
-    A recording of the right arm (shoulder, elbow, wrist, hand), frame `kinect`, no truth.
+    Recording
+        A recording of the right arm (shoulder, elbow, wrist, hand), frame `kinect`, no truth.
 
     Raises
     ------

@@ -11,14 +11,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...errors import RecordingError
+from ...linalg import unit
 from ...recording import CameraFrame, FloatArray, IntArray, JointState, Recording
+from ...units import STANDARD_GRAVITY
+from ..mcap.stamps import nanoseconds
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .table import read_table
 
-STANDARD_GRAVITY = 9.80665
 _STATES = {
     "tracked": JointState.TRACKED,
     "inferred": JointState.INFERRED,
@@ -74,11 +76,13 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
 
     Parameters
     ----------
-    folder : holds `recording.toml` and the files that it names.
+    folder : path-like
+        Holds `recording.toml` and the files that it names.
 
     Returns
     -------
-    All IMUs, arms and the truth, in SI units, times as the files have them.
+    RecordingFile
+        All IMUs, arms and the truth, in SI units, times as the files have them.
 
     Raises
     ------
@@ -90,12 +94,11 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     camera = description.camera
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
-        gravity = np.array(camera.gravity)
-        if not np.linalg.norm(gravity) > 0:
+        file.gravity_hint = unit(np.array(camera.gravity))
+        if np.isnan(file.gravity_hint).any():
             raise RecordingError(
                 f"{folder / 'recording.toml'}: [camera] gravity is zero; give the direction of down."
             )
-        file.gravity_hint = gravity / np.linalg.norm(gravity)
     if camera is not None and camera.skeleton is not None:  # without one the IMUs can still be calibrated
         _skeleton(file, folder / camera.skeleton, 0.001 if camera.position_unit == "mm" else 1.0)
     for name, section in description.imu.items():
@@ -216,4 +219,4 @@ def _stamps(t_s: FloatArray, path: Path) -> IntArray:
         raise RecordingError(
             f"{path}: t_s is {t_s[row]} in row {row + 1}, which is no time in seconds; mend it."
         )
-    return np.rint(t_s * 1e9).astype(np.int64)
+    return nanoseconds(t_s, 0)

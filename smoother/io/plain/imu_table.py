@@ -18,8 +18,15 @@ def read_imu_table(path: str | os.PathLike[str], name: str) -> ImuStream:
 
     Parameters
     ----------
-    path : the file.
-    name : what to call the IMU.
+    path : path-like
+        The file.
+    name : str
+        What to call the IMU.
+
+    Returns
+    -------
+    ImuStream
+        Its samples; without a field where a cell of it is empty.
 
     Raises
     ------

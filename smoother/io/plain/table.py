@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import csv
 import os
-import warnings
-from collections.abc import Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
 
-_ROWS = 100_000
+Columns = tuple[dict[str, FloatArray], dict[str, list[str]]]
 
 
 def read_table(
@@ -25,20 +22,30 @@ def read_table(
     *,
     words: Sequence[str] = (),
     empty: Sequence[str] = (),
-) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:
+) -> Columns:
     """Read the named columns of a comma-separated file whose first line is a header.
+
+    Arrow reads what is plain; whatever it stumbles over is read cell by cell, some ten times slower,
+    which also finds the line that is wrong.
 
     Parameters
     ----------
-    path : the file; other columns are passed over. Windows line ends, a byte-order mark and spaces
-        around values do no harm.
-    required, optional : columns to read; an optional one may be absent.
-    words : columns that are text.
-    empty : number columns that may have empty cells, read as nan.
+    path : path-like
+        The file; other columns are passed over. Windows line ends, a byte-order mark, blank lines and
+        spaces around values do no harm.
+    required, optional : sequence of str
+        Columns to read; an optional one may be absent.
+    words : sequence of str
+        Columns that are text.
+    empty : sequence of str
+        Number columns that may have empty cells, read as nan.
 
     Returns
     -------
-    Number columns (N,) and text columns, by name.
+    numbers : dict of str to ndarray, shape (n,)
+        By column.
+    texts : dict of str to list of str
+        By column.
 
     Raises
     ------
@@ -47,12 +54,13 @@ def read_table(
     """
     path = Path(path)
     try:
-        if not words:
-            numbers = _read_numbers(path, required, optional)
-            if numbers is not None:
-                return numbers, {}
         with open(path, encoding="utf-8-sig", newline="") as file:
-            return _read(file, path, required, optional, words, empty)
+            header = [cell.strip() for cell in next(csv.reader(file, skipinitialspace=True), [])]
+        _check_header(header, path, required)
+        names = [name for name in (*required, *optional) if name in header]
+        place = {name: header.index(name) for name in names}
+        columns = _read_plain(path, len(header), place, words, empty)
+        return columns or _read_cells(path, len(header), place, words, empty)
     except FileNotFoundError:
         raise RecordingError(
             f"{path} does not exist, but recording.toml names it; add it or mend the name."
@@ -60,62 +68,6 @@ def read_table(
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise RecordingError(f"{path} cannot be read as comma-separated text: {reason}.") from error
-
-
-def _read_numbers(
-    path: Path, required: Sequence[str], optional: Sequence[str]
-) -> dict[str, FloatArray] | None:
-    """The columns of a file that holds numbers and nothing else, some times faster; None for others."""
-    with open(path, encoding="utf-8-sig") as file:
-        header = [cell.strip() for cell in file.readline().split(",")]
-        if not set(required) <= set(header):
-            return None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # a file without rows is only warned of
-                table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2)
-        except (ValueError, UserWarning):
-            return None  # the slow way finds the place
-    if table.shape[1] != len(header):
-        return None
-    names = [name for name in (*required, *optional) if name in header]
-    return {name: np.ascontiguousarray(table[:, header.index(name)]) for name in names}
-
-
-def _read(
-    file: TextIO,
-    path: Path,
-    required: Sequence[str],
-    optional: Sequence[str],
-    words: Sequence[str],
-    empty: Sequence[str],
-) -> tuple[dict[str, FloatArray], dict[str, list[str]]]:
-    reader = csv.reader(file, skipinitialspace=True)
-    header = [cell.strip() for cell in next(reader, [])]
-    _check_header(header, path, required)
-    columns = [name for name in (*required, *optional) if name in header]
-    places = {name: header.index(name) for name in columns}
-    parts: dict[str, list[FloatArray]] = {name: [] for name in columns if name not in words}
-    texts: dict[str, list[str]] = {name: [] for name in columns if name in words}
-    while True:
-        before = reader.line_num
-        rows = list(islice(reader, _ROWS))
-        if not rows:
-            break
-        wrong = [row for row in rows if len(row) != len(header)]
-        if wrong:
-            rows = _without_blank(rows, len(header), path, before)
-        if not rows:
-            continue
-        cells = list(zip(*rows, strict=True))
-        for name in texts:
-            texts[name] += [cell.strip() for cell in cells[places[name]]]
-        for name in parts:
-            parts[name].append(_numbers(cells[places[name]], name, name in empty, path, before))
-    numbers = {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
-    if not any(len(values) for values in numbers.values()):
-        raise RecordingError(f"{path} has a header and no rows; export it again.")
-    return numbers, texts
 
 
 def _check_header(header: list[str], path: Path, required: Sequence[str]) -> None:
@@ -133,49 +85,70 @@ def _check_header(header: list[str], path: Path, required: Sequence[str]) -> Non
         )
 
 
-def _without_blank(rows: list[list[str]], width: int, path: Path, before: int) -> list[list[str]]:
-    """Rows without blank lines; a row of another width is an error."""
-    kept = []
-    for line, row in enumerate(rows, before + 1):
-        if len(row) == width:
-            kept.append(row)
-        elif any(cell.strip() for cell in row):
-            raise RecordingError(
-                f"{path}, line {line}: {len(row)} cells where the header has {width}; mend the line."
-            )
-    return kept
+def _read_plain(
+    path: Path, width: int, place: dict[str, int], words: Sequence[str], empty: Sequence[str]
+) -> Columns | None:
+    """The columns of a file as programs write it; None where there is anything else in it."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
 
-
-def _numbers(cells: Sequence[str], name: str, may_be_empty: bool, path: Path, before: int) -> FloatArray:
-    if may_be_empty:
-        cells = [cell if cell and not cell.isspace() else "nan" for cell in cells]
+    word = pa.dictionary(pa.int32(), pa.string())
+    kinds = {str(at): word if name in words else pa.float64() for name, at in place.items()}
     try:
-        return np.array(cells, dtype=np.float64)
-    except ValueError:
-        pass
-    for row, cell in enumerate(cells):
-        try:
-            float(cell)
-        except ValueError:
-            # Blank lines and quoted line ends shift rows against lines, so the line is looked up.
-            line = _line_of(path, before, row)
-            what = (
-                f"{cell.strip()!r} in column {name} is not a number"
-                if cell.strip()
-                else f"column {name} is empty"
-            )
-            raise RecordingError(f"{path}, line {line}: {what}; mend the cell.") from None
-    return np.array([float(cell) for cell in cells])
+        table = arrow_csv.read_csv(
+            path,
+            arrow_csv.ReadOptions(skip_rows=1, column_names=[str(at) for at in range(width)]),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=kinds, include_columns=list(kinds), null_values=["", " "]
+            ),
+        ).unify_dictionaries()
+    except pa.ArrowException:
+        return None
+    numbers, texts = {}, {}
+    for name, at in place.items():
+        column = table[str(at)].combine_chunks()
+        if name in words:
+            spelled = [cell.strip() for cell in column.dictionary.to_pylist()]
+            if any('"' in cell for cell in spelled):  # a quote behind a space, say, is none to Arrow
+                return None
+            texts[name] = [spelled[code] for code in column.indices.to_numpy().tolist()]
+        elif column.null_count and name not in empty:
+            return None
+        else:
+            numbers[name] = column.to_numpy(zero_copy_only=False, writable=True)
+    return (numbers, texts) if len(table) else None
 
 
-def _line_of(path: Path, before: int, row: int) -> int:
-    """Line of the row-th filled row behind line `before`."""
+def _read_cells(
+    path: Path, width: int, place: dict[str, int], words: Sequence[str], empty: Sequence[str]
+) -> Columns:
+    numbers: dict[str, list[float]] = {name: [] for name in place if name not in words}
+    texts: dict[str, list[str]] = {name: [] for name in place if name in words}
+    for line, cells in _rows(path, width):
+        for name, text in texts.items():
+            text.append(cells[place[name]].strip())
+        for name, values in numbers.items():
+            cell = cells[place[name]].strip()
+            try:
+                values.append(float(cell or "nan") if name in empty else float(cell))
+            except ValueError:
+                what = f"{cell!r} in column {name} is not a number" if cell else f"column {name} is empty"
+                raise RecordingError(f"{path}, line {line}: {what}; mend the cell.") from None
+    if not any([*numbers.values(), *texts.values()]):
+        raise RecordingError(f"{path} has a header and no rows; export it again.")
+    return {name: np.array(values) for name, values in numbers.items()}, texts
+
+
+def _rows(path: Path, width: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows behind the header and the line that each ends in, without blank lines."""
     with open(path, encoding="utf-8-sig", newline="") as file:
-        reader = csv.reader(file)
+        reader = csv.reader(file, skipinitialspace=True)
+        next(reader)
         for cells in reader:
-            if reader.line_num <= before or not any(cell.strip() for cell in cells):
-                continue
-            if row == 0:
-                return reader.line_num
-            row -= 1
-    return before
+            if len(cells) == width:
+                yield reader.line_num, cells
+            elif any(cell.strip() for cell in cells):
+                raise RecordingError(
+                    f"{path}, line {reader.line_num}: {len(cells)} cells where the header has {width}; "
+                    "mend the line."
+                )

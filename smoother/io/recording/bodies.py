@@ -11,7 +11,7 @@ from ...runtime.column import batches
 from ...runtime.store import Store
 from .streams import ArmFrames
 
-#: A body that comes back within this time and distance is taken for the same one.
+#: A body that comes back within this time and distance counts as the same one.
 _AWAY_S = 30.0
 _APART_M = 0.4
 #: The shoulder moves least, so it is asked first.
@@ -23,16 +23,21 @@ def join_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[list
 
     Parameters
     ----------
-    arms : as the file has them; they stay as they are.
-    store : where the positions of joined arms are to lie; None = in memory.
+    arms : list of ArmFrames
+        As the file has them; they stay as they are.
+    store : Store, optional
+        Where the positions of joined arms are to lie; None = in memory.
 
     Returns
     -------
-    The arms, joined ones under the first body's number, and a sentence for each joining.
+    arms : list of ArmFrames
+        Joined ones under the first body's number.
+    notes : list of str
+        A sentence for each joining.
     """
     joined: list[ArmFrames] = []
     notes = []
-    for arm in sorted(arms, key=lambda arm: _span(arm)[0]):
+    for arm in sorted(arms, key=lambda arm: _first_and_last(arm)[0]):
         for i, earlier in enumerate(joined):
             if _follows(earlier, arm):
                 joined[i] = _joined(earlier, arm, store or Store())
@@ -54,7 +59,7 @@ def _joined(earlier: ArmFrames, later: ArmFrames, store: Store) -> ArmFrames:
     return replace(earlier, state=np.maximum(earlier.state, later.state), position=position)
 
 
-def _span(arm: ArmFrames) -> tuple[int, int]:
+def _first_and_last(arm: ArmFrames) -> tuple[int, int]:
     """First and last frame in which anything of the arm is there; past the end for none."""
     there = np.flatnonzero((arm.state != JointState.NOT_TRACKED).any(axis=1))
     return (int(there[0]), int(there[-1])) if len(there) else (len(arm.stamp_ns), len(arm.stamp_ns))
@@ -63,7 +68,7 @@ def _span(arm: ArmFrames) -> tuple[int, int]:
 def _follows(earlier: ArmFrames, later: ArmFrames) -> bool:
     if (earlier.topic, earlier.side) != (later.topic, later.side) or earlier.body == later.body:
         return False
-    lost, back = _span(earlier)[1], _span(later)[0]
+    lost, back = _first_and_last(earlier)[1], _first_and_last(later)[0]
     if not lost < back < len(later.stamp_ns):
         return False
     away = abs(int(later.stamp_ns[back]) - int(earlier.stamp_ns[lost])) / 1e9

@@ -28,7 +28,23 @@ _POINTS = ("wrist", "strap", "hand", "elbow")
 
 @dataclass
 class StreamChoice:
-    """What is to be used of a file."""
+    """What is to be used of a file.
+
+    Attributes
+    ----------
+    imu : ImuSamples
+        On the forearm.
+    arm : ArmFrames
+        The arm that it is on.
+    side : str
+        "left", "right" or "".
+    base : ImuSamples, optional
+        The IMU on the camera.
+    truth : PoseSamples, optional
+        The reference motion.
+    notes : list of str
+        How it was decided, one sentence each.
+    """
 
     imu: ImuSamples
     arm: ArmFrames
@@ -71,6 +87,21 @@ def choose(
     store: Store | None = None,
 ) -> StreamChoice:
     """Settle which IMU and arm are meant: by option, else by name, else by motion.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    imu, skeleton, side, prefer_side : str, optional
+    body : int, optional
+        As in `read_recording`.
+    store : Store, optional
+        Where joined arms are to lie; in memory if None.
+
+    Returns
+    -------
+    StreamChoice
+        With a sentence for each decision.
 
     Raises
     ------
@@ -141,6 +172,18 @@ def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int
 def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
     """The IMU of that name, of whatever limb, or the only one that there is.
 
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    name : str, optional
+        Topic (or a part of it, or its frame_id).
+
+    Returns
+    -------
+    ImuSamples
+        As recorded.
+
     Raises
     ------
     RecordingError
@@ -163,11 +206,11 @@ def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
     listed = ", ".join(stream.topic for stream in file.imus)
     if name is not None:
         exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
-        found = exact or [s for s in file.imus if _is_named(name, s.topic, s.frame_id)]
-        if len(found) != 1:
-            what = "more than one IMU fits" if found else "no IMU fits"
+        matches = exact or [s for s in file.imus if _is_named(name, s.topic, s.frame_id)]
+        if len(matches) != 1:
+            what = "more than one IMU fits" if matches else "no IMU fits"
             raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
-        return found
+        return matches
     candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm")]
     if not candidates:
         raise RecordingError(
@@ -214,11 +257,14 @@ def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
 
     Parameters
     ----------
-    imu, arm : as recorded.
+    imu : ImuSamples
+    arm : ArmFrames
+        As recorded.
 
     Returns
     -------
-    Correlation, -1 to 1; 0 where there is too little to compare.
+    float
+        Correlation, -1 to 1; 0 where there is too little to compare.
     """
     at, moved = _arm_motion(arm)
     if len(at) < 20:
@@ -230,18 +276,18 @@ def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
     t = (stamp - zero) / 1e9
     steps = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None]
     turned = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    begin = (at - zero) / 1e9
+    first = (at - zero) / 1e9
     best = 0.0
     for lag in np.arange(-_LAG_S, _LAG_S + 1e-9, 0.04):
-        start, stop = begin + lag, begin + lag + _MOTION_S
+        start, stop = first + lag, first + lag + _MOTION_S
         inside = (start >= t[0]) & (stop <= t[-1])
         if inside.sum() < 20:
             continue
         turn = np.stack([np.interp(stop, t, c) - np.interp(start, t, c) for c in turned.T], axis=1)
         angle = np.linalg.norm(turn, axis=1)[inside]
-        seen = moved[inside]
-        if angle.std() > 1e-6 and seen.std() > 1e-9:
-            best = max(best, float(np.corrcoef(angle, seen)[0, 1]))
+        shift = moved[inside]
+        if angle.std() > 1e-6 and shift.std() > 1e-9:
+            best = max(best, float(np.corrcoef(angle, shift)[0, 1]))
     return best
 
 
@@ -259,7 +305,7 @@ def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
 
 
 def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
-    """Start times (ns) of spans of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
+    """Start times (ns) of steps of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
     tracked = arm.state == JointState.TRACKED
     for part in batches(len(tracked)):
         tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
@@ -279,9 +325,9 @@ def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
     later = np.searchsorted(stamp, stamp + int(_MOTION_S * 1e9))
     usable = later < len(stamp)
     later = np.minimum(later, len(stamp) - 1)
-    span = (stamp[later] - stamp) / 1e9
-    usable &= span < 1.5 * _MOTION_S
-    moved = np.linalg.norm(along[later] - along, axis=1) * _MOTION_S / np.maximum(span, 1e-6)
+    step = (stamp[later] - stamp) / 1e9
+    usable &= step < 1.5 * _MOTION_S
+    moved = np.linalg.norm(along[later] - along, axis=1) * _MOTION_S / np.maximum(step, 1e-6)
     return stamp[usable].astype(float), moved[usable]
 
 

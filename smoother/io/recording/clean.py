@@ -11,11 +11,11 @@ from ...errors import RecordingError
 from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
+from ...units import STANDARD_GRAVITY
 from .streams import ArmFrames, ImuSamples, PoseSamples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
-_GRAVITY = 9.80665
 #: 2000 deg/s is the widest range of common gyroscopes: 35 rad/s.
 _GYRO_LIMIT = 35.0
 #: Median rest |acc| to the unit that it looks like.
@@ -44,13 +44,19 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
 
     Parameters
     ----------
-    stream : samples as recorded.
-    source : the file, for messages.
-    store : where what is kept is to lie; None = in memory.
+    stream : ImuSamples
+        Samples as recorded.
+    source : str
+        The file, for messages.
+    store : Store, optional
+        Where what is kept is to lie; None = in memory.
 
     Returns
     -------
-    The stream with finite samples and increasing stamps, and what was dropped as sentences.
+    stream : ImuSamples
+        With finite samples and increasing stamps.
+    notes : list of str
+        What was dropped, one sentence each.
 
     Raises
     ------
@@ -60,19 +66,19 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     store = store or Store()
     finite = _finite(stream.acc) & _finite(stream.gyro)
     keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
-    kept = replace(
+    cleaned = replace(
         stream,
         stamp_ns=_kept(stream.stamp_ns, keep, store),
         acc=_kept(stream.acc, keep, store),
         gyro=_kept(stream.gyro, keep, store),
         mag=None if stream.mag is None else _kept(stream.mag, keep, store),
     )
-    if len(kept.stamp_ns) < 2:
+    if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
-            f"{source}: {stream.topic} has {len(kept.stamp_ns)} usable samples; record it again."
+            f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples; record it again."
         )
-    _check_units(kept, source)
-    return kept, notes
+    _check_units(cleaned, source)
+    return cleaned, notes
 
 
 def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[ArmFrames, list[str]]:
@@ -208,7 +214,7 @@ def _check_units(stream: ImuSamples, source: str) -> None:
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
     rest = float(np.median(np.linalg.norm(sampled(stream.acc)[quiet], axis=1)))
-    if 0.5 * _GRAVITY < rest < 2 * _GRAVITY:
+    if 0.5 * STANDARD_GRAVITY < rest < 2 * STANDARD_GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:
         if low < rest < high:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from ...recording import FloatArray, IntArray
 from ...runtime.column import Column, batches, sampled
 from ...runtime.store import Store
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
+from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from ..wire.schemas import message_class
 from .streams import FieldSamples, ImuSamples, PoseSamples
-
-_BILLION = 1_000_000_000
 
 
 @dataclass
@@ -29,8 +28,10 @@ class Decoder:
 
     Attributes
     ----------
-    topic : the topic.
-    grouper : sorts its messages by layout.
+    topic : Topic
+        The topic.
+    grouper : Grouper
+        Sorts its messages by layout.
     """
 
     topic: Topic
@@ -42,12 +43,12 @@ class Decoder:
     #: Columns that may hold nothing.
     optional: ClassVar[Collection[int]] = ()
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
         parts = []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            log_ns = rows.log_ns[index]
+            log_ns = messages.log_ns[index]
             stamp = self.stamps(block, layout, log_ns)
             parts.append((index, stamp, log_ns - stamp, *self.columns(block, layout)))
         for column, values in enumerate(in_order(parts)):
@@ -60,8 +61,7 @@ class Decoder:
         """Stamps (rows,), ns; log times where they are zero."""
         if not self.is_cdr:
             return proto.stamps(block, layout, log_ns)
-        seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-        stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
+        stamp = ros_stamps(block, layout)
         return np.where(stamp == 0, log_ns, stamp)
 
     def columns(self, block: Block, layout: MessageLayout) -> tuple[FloatArray, ...]:
@@ -84,10 +84,10 @@ class ImuDecoder(Decoder):
         if self.is_cdr:
             acc, gyro = layout.get(block, "acc"), layout.get(block, "gyro")
             return acc.astype(float), gyro.astype(float), nothing
-        acc = layout.vector(block, _xyz("linear_acceleration"))
-        gyro = layout.vector(block, _xyz("angular_velocity"))
-        has_mag = any(name in layout.fields for name in _xyz("magnetic_field"))
-        return acc, gyro, layout.vector(block, _xyz("magnetic_field")) if has_mag else nothing
+        acc = layout.vector(block, axes("linear_acceleration"))
+        gyro = layout.vector(block, axes("angular_velocity"))
+        has_mag = any(name in layout.fields for name in axes("magnetic_field"))
+        return acc, gyro, layout.vector(block, axes("magnetic_field")) if has_mag else nothing
 
     def stream(self) -> ImuSamples | None:
         """All samples, or None where there are none."""
@@ -123,8 +123,8 @@ class PoseDecoder(Decoder):
             position = layout.get(block, "position").astype(float)
             quaternion = layout.get(block, "quaternion").astype(float)[:, [3, 0, 1, 2]]
         else:
-            position = layout.vector(block, _xyz("pose.position"))
-            quaternion = layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"])
+            position = layout.vector(block, axes("pose.position"))
+            quaternion = layout.vector(block, axes("pose.orientation", "wxyz"))
         quaternion[~(np.linalg.norm(quaternion, axis=1) > 0.5)] = np.nan
         return position, quaternion
 
@@ -168,7 +168,3 @@ def in_order(parts: Sequence[tuple[NDArray, ...]]) -> list[NDArray]:
 def proto_grouper(schema: str) -> Grouper:
     """Grouper for a protobuf message by its full name."""
     return Grouper(partial(proto.walk, message=message_class(schema)))
-
-
-def _xyz(name: str) -> list[str]:
-    return [f"{name}.{axis}" for axis in "xyz"]

@@ -6,11 +6,10 @@ import os
 
 from ...errors import RecordingError
 from ...recording import ImuStream
+from ..mcap.stamps import SECOND_NS, seconds
 from .choose import choose_imu
 from .clean import clean_imu
-from .read import open_recording, seconds
-
-_SECOND = 1_000_000_000
+from .read import open_recording
 
 
 def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuStream, list[str]]:
@@ -18,12 +17,17 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
 
     Parameters
     ----------
-    path : the file.
-    imu : topic (or a part of it, or its frame_id) to take, where there are several.
+    path : path-like
+        The file.
+    imu : str, optional
+        Topic (or a part of it, or its frame_id) to take, where there are several.
 
     Returns
     -------
-    The stream, and what was dropped or chosen, one sentence each.
+    stream : ImuStream
+        Its samples.
+    notes : list of str
+        What was dropped or chosen, one sentence each.
 
     Raises
     ------
@@ -35,6 +39,6 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
     kept, notes = clean_imu(chosen, str(file.path))
     if kept.stamp_ns[-1] - kept.stamp_ns[0] <= 0:
         raise RecordingError(f"{path}: {kept.topic} lasts no time; record it again.")
-    origin = int(kept.stamp_ns[0]) // _SECOND * _SECOND
+    origin = int(kept.stamp_ns[0]) // SECOND_NS * SECOND_NS
     stream = ImuStream(kept.topic, seconds(kept.stamp_ns, origin), kept.acc, kept.gyro, kept.mag)
     return stream, [*file.notes, *notes]

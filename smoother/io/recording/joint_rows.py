@@ -20,7 +20,8 @@ class JointRows:
 
     Parameters
     ----------
-    store : where the rows lie; None = in memory.
+    store : Store, optional
+        Where the rows lie; None = in memory.
     """
 
     def __init__(self, store: Store | None = None):
@@ -38,10 +39,13 @@ class JointRows:
 
         Parameters
         ----------
-        message : (n,) number of the message that each is of.
-        body, side : (n,) the arm; sides as positions in `SIDES`.
-        state : (n, 5) of the joints; `UNSAID` where the message does not name one.
-        position : (n, 5, 3) m.
+        message : ndarray of int, shape (n,)
+            Number of the message that each is of.
+        body, side : ndarray of int, shape (n,)
+            The arm; sides as positions in `SIDES`.
+        state : ndarray of int8, shape (n, 5)
+            Of the joints; `UNSAID` where the message does not name one.
+        position : ndarray, shape (n, 5, 3), m
         """
         position[(state == JointState.NOT_TRACKED) | (state == UNSAID)] = np.nan
         arm = body * len(SIDES) + side
@@ -78,7 +82,8 @@ class JointRows:
 
         Parameters
         ----------
-        stamp_ns : (messages,) stamps; messages of one stamp are one frame.
+        stamp_ns : ndarray of int, shape (messages,)
+            Stamps; messages of one stamp are one frame.
         """
         if not len(self._message):
             return []
@@ -87,17 +92,17 @@ class JointRows:
         position, state = self._position.done(), self._state.done()
         frame = message if number is None else number[message]
         alone = len(self._arms) == 1 and len(frame) == len(frames) and self._is_count(frame)
-        found = []
+        arms = []
         for which in sorted(self._arms):
             body, side = divmod(which, len(SIDES))
             if alone:
                 positions, states = position, np.maximum(state, np.int8(0), out=state, where=state == UNSAID)
             else:
                 positions, states = self._scattered(frame, arm == which, position, state, len(frames))
-            found.append(
+            arms.append(
                 ArmFrames(topic, frame_id, body, SIDES[side], frames, positions, states, camera_frame)
             )
-        return found
+        return arms
 
     def _scattered(
         self,

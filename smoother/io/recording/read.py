@@ -9,11 +9,12 @@ from collections.abc import Collection
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import CameraFrame, FloatArray, ImuStream, IntArray, JointTracks, Recording, Truth
-from ...runtime.column import batches
+from ...linalg import unit
+from ...recording import CameraFrame, ImuStream, IntArray, JointTracks, Recording, Truth
 from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
+from ..mcap.stamps import SECOND_NS, seconds
 from .choose import choose
 from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
@@ -24,12 +25,8 @@ from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, Recording
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
-_SECOND = 1_000_000_000
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
-_SMALL_NS = 1_000_000 * _SECOND
-
-#: After so many bytes of messages what was gathered may leave the memory.
-_HELD_BYTES = 1 << 22
+_SMALL_NS = 1_000_000 * SECOND_NS
 
 AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
 
@@ -47,14 +44,19 @@ def open_recording(
 
     Parameters
     ----------
-    path : the file.
-    only : topics: read on only until they and an IMU were met, for what holds from the first message on.
-    store : where the samples are to lie; None = in memory.
-    truth : False passes over poses and joints of a reference.
+    path : path-like
+        The file.
+    only : collection of str
+        Topics: read on only until they and an IMU were met, for what holds from the first message on.
+    store : Store, optional
+        Where the samples are to lie; None = in memory.
+    truth : bool
+        False passes over poses and joints of a reference.
 
     Returns
     -------
-    All streams with their samples as recorded, and the list of topics.
+    RecordingFile
+        All streams with their samples as recorded, and the list of topics.
 
     Raises
     ------
@@ -71,17 +73,13 @@ def open_recording(
             by_topic[id(topic)] = _decoder(topic, store, truth)
         return by_topic[id(topic)] is not None
 
-    held = 0
-    for batch in container.rows(wanted):
-        for position, rows in batch.items():
+    for batch in container.by_topic(wanted):
+        for position, messages in batch.items():
             if position not in decoders:
                 decoders[position] = by_topic[id(container.topics[position])]
             decoder = decoders[position]
             if decoder is not None:
-                decoder.feed(rows)
-                held += int((rows.stop - rows.start).sum())
-        if held > _HELD_BYTES:
-            held = 0
+                decoder.feed(messages)
         if only and _met(only, [container.topics[position] for position in decoders], by_topic):
             break
 
@@ -126,18 +124,25 @@ def read_recording(
 
     Parameters
     ----------
-    path : the file.
-    imu, skeleton : topic (or a part of it, or its frame_id) to take.
-    side : "left" or "right".
-    body : the camera's number of the body.
-    prefer_side : side to take where the file leaves it open (a calibration's).
-    store : where samples and frames are to lie: memory stays flat with an `DiskStore`. None = in
-        memory.
-    truth : False passes over the reference motion; the recording has none.
+    path : path-like
+        The file.
+    imu, skeleton : str, optional
+        Topic (or a part of it, or its frame_id) to take.
+    side : str, optional
+        "left" or "right".
+    body : int, optional
+        The camera's number of the body.
+    prefer_side : str, optional
+        Side to take where the file leaves it open (a calibration's).
+    store : Store, optional
+        Where samples and frames are to lie: memory stays flat with a `DiskStore`. None = in memory.
+    truth : bool
+        False passes over the reference motion; the recording has none.
 
     Returns
     -------
-    The recording; `notes` say what was dropped and what was chosen.
+    Recording
+        The recording; `notes` say what was dropped and what was chosen.
 
     Raises
     ------
@@ -179,11 +184,11 @@ def select_recording(
         truth, dropped = clean_poses(choice.truth, store)
         notes += dropped
     first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
-    origin = min(first) // _SECOND * _SECOND
+    origin = min(first) // SECOND_NS * SECOND_NS
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
     recording = Recording(
         imu=_imu_stream(forearm, origin, store),
-        arm=JointTracks(arm.topic, _seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
+        arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
         side=choice.side,
         camera_frame=file.camera_frame or arm.camera_frame,
         gravity_hint=file.gravity_hint,
@@ -194,23 +199,6 @@ def select_recording(
         notes=tuple(notes),
     )
     return recording
-
-
-def seconds(stamp_ns: IntArray, origin_ns: int) -> FloatArray:
-    """Stamps (N,) in ns to seconds after an origin; `nanoseconds` gives the same stamps back."""
-    return (stamp_ns - origin_ns) / 1e9
-
-
-def nanoseconds(t_s: FloatArray, origin_ns: int) -> IntArray:
-    """Seconds (N,) after an origin to stamps in ns."""
-    return np.rint(np.asarray(t_s) * 1e9).astype(np.int64) + origin_ns
-
-
-def _seconds(stamp_ns: IntArray, origin_ns: int, store: Store) -> FloatArray:
-    t_s = store.array((len(stamp_ns),), 0.0)
-    for part in batches(len(stamp_ns)):
-        t_s[part] = seconds(stamp_ns[part], origin_ns)
-    return t_s
 
 
 def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
@@ -244,8 +232,7 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("camera_frame"):
             file.camera_frame = CameraFrame(record["camera_frame"])
         if record.get("gravity"):
-            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
-            file.gravity_hint = gravity / np.linalg.norm(gravity)
+            file.gravity_hint = unit(np.array(json.loads(record["gravity"]), float).reshape(3))
         file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
@@ -277,11 +264,11 @@ def _span(stamp_ns: IntArray) -> str:
 
 
 def _imu_stream(stream: ImuSamples, origin: int, store: Store) -> ImuStream:
-    t_s = _seconds(stream.stamp_ns, origin, store)
+    t_s = seconds(stream.stamp_ns, origin, store)
     return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
 
 
 def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
     score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
-    t_s = _seconds(poses.stamp_ns, origin, store)
+    t_s = seconds(poses.stamp_ns, origin, store)
     return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

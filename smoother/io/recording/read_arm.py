@@ -33,14 +33,23 @@ def read_arm(
 
     Parameters
     ----------
-    path : the recording, MCAP.
-    calibration_file : TOML; None where everything is to be found.
-    imu, skeleton, side, body : what to take where the recording has several, see `read_recording`.
-    store, truth : where samples lie, and whether the reference motion is read: see there as well.
+    path : path-like
+        The recording, MCAP.
+    calibration_file : path-like, optional
+        TOML; None where everything is to be found.
+    imu, skeleton, side : str, optional
+    body : int, optional
+        What to take where the recording has several, see `read_recording`.
+    store : Store, optional
+    truth : bool
+        Where samples lie, and whether the reference motion is read: see there as well.
 
     Returns
     -------
-    The recording, and the calibration of its arm: None without a file, or where it holds sensors alone.
+    recording : Recording
+        Corrected.
+    calibration : ArmCalibration or None
+        Of its arm: None without a file, or where it holds sensors alone.
 
     Raises
     ------

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from ...recording import JOINTS, CameraFrame, IntArray, JointState
 from ...runtime.column import Column
 from ...runtime.store import Store
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
+from ..mcap.stamps import ros_stamps
 from ..wire import cdr
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .decode import in_order, proto_grouper
 from .joint_rows import SIDES, UNSAID, JointRows
 from .streams import ArmFrames
 
-_BILLION = 1_000_000_000
 #: Joint index of the Azure Kinect Body Tracking SDK to side and joint, as positions in SIDES, JOINTS.
 _AZURE = {5: (1, 0), 6: (1, 1), 7: (1, 2), 8: (1, 3), 12: (2, 0), 13: (2, 1), 14: (2, 2), 15: (2, 3)}
 _AZURE_JOINTS = 32
@@ -46,12 +46,12 @@ class SkeletonDecoder:
         self._rows = JointRows(self.store)
         self._stamps = Column(self.store, (), np.int64)
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
         stamps, arms = [], []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            stamps.append((index, index, proto.stamps(block, layout, rows.log_ns[index])))
+            stamps.append((index, index, proto.stamps(block, layout, messages.log_ns[index])))
             arms += self._arms(index, block, layout)
         if not stamps:
             return
@@ -75,7 +75,7 @@ class SkeletonDecoder:
                 sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
             state[:, joint] = layout.integer(block, f"joints.{i}.state")
-            position[:, joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
+            position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
     def found(self) -> tuple[IntArray, list[ArmFrames]]:
@@ -109,24 +109,23 @@ class MarkerDecoder:
         self._stamp: list[IntArray] = []
         self._fed = 0
 
-    def feed(self, rows: Rows) -> None:
+    def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
-        stamps = np.zeros(len(rows.start), np.int64)
+        stamps = np.zeros(len(messages.start), np.int64)
         joints: list[tuple[NDArray, ...]] = []
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             if not layout.counts["markers"]:
                 continue
             self.frame_id = layout.texts.get("frame_id", self.frame_id)
-            seconds = layout.get(block, "sec")[:, 0].astype(np.int64)
-            stamp = seconds * _BILLION + layout.get(block, "nsec")[:, 0].astype(np.int64)
-            stamp = np.where(stamp == 0, rows.log_ns[index], stamp)
+            stamp = ros_stamps(block, layout)
+            stamp = np.where(stamp == 0, messages.log_ns[index], stamp)
             added = layout.many(block, "action")[:, :, 0] == _ADD
             stamps[index] = np.where(added.any(axis=1), stamp, 0)
             joints += self._joints(index, added, block, layout)
         if joints:
             message, *columns = in_order(joints)
             self._rows.add_joints(message + self._fed, *columns)
-        self._log.append(rows.log_ns)
+        self._log.append(messages.log_ns)
         self._stamp.append(stamps)
         self._fed += len(stamps)
 
@@ -138,14 +137,14 @@ class MarkerDecoder:
         self.seen += int(added.sum())
         self.foreign += int((added & (azure >= _AZURE_JOINTS)).sum())
         position = layout.many(block, "position").astype(float)
-        found: list[tuple[NDArray, ...]] = []
+        joints: list[tuple[NDArray, ...]] = []
         for number, (side, joint) in _AZURE.items():
             row, column = np.nonzero(added & (azure == number) & (ids >= 0))
             if len(row):
                 values = (np.full(len(row), value) for value in (side, joint, int(JointState.TRACKED)))
                 message, body = index[row], ids[row, column] // 100
-                found.append((message, message, body, *values, position[row, column]))
-        return found
+                joints.append((message, message, body, *values, position[row, column]))
+        return joints
 
     def arms(self) -> list[ArmFrames]:
         """All arms found, asked for once; none where the markers are of another kind."""

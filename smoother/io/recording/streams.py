@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FOREARM_JOINTS, JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, JointState
-
-_FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+from ...measurements.visibility import enough_joints
+from ...recording import BoolArray, CameraFrame, FloatArray, IntArray, JointState
 
 
 @dataclass
@@ -19,11 +18,15 @@ class ImuSamples:
 
     Attributes
     ----------
-    topic, frame_id : where it came from.
-    stamp_ns : (N,) ns, as recorded.
-    acc, gyro : (N, 3) m/s^2 and rad/s.
-    mag : (N, 3) in the sensor's unit, or None.
-    log_shift_ns : median of log time minus stamp.
+    topic, frame_id : str
+        Where it came from.
+    stamp_ns : ndarray of int, shape (N,), ns
+        As recorded.
+    acc, gyro : ndarray, shape (N, 3), m/s^2 and rad/s
+    mag : ndarray, shape (N, 3), optional
+        In the sensor's unit, or None.
+    log_shift_ns : int, ns
+        Median of log time minus stamp.
     """
 
     topic: str
@@ -37,7 +40,17 @@ class ImuSamples:
 
 @dataclass
 class FieldSamples:
-    """A magnetometer that publishes by itself; (N, 3) in its own unit."""
+    """A magnetometer that publishes by itself.
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Where it came from.
+    stamp_ns : ndarray of int, shape (N,), ns
+        As recorded.
+    mag : ndarray, shape (N, 3)
+        In its own unit.
+    """
 
     topic: str
     frame_id: str
@@ -51,11 +64,17 @@ class ArmFrames:
 
     Attributes
     ----------
-    topic, frame_id, body, side : what it is; side is "left", "right" or "".
-    stamp_ns : (F,) ns, as recorded.
-    position : (F, 5, 3) m, joints in the order of `JOINTS`; nan where there is none.
-    state : (F, 5) `JointState` values.
-    camera_frame : convention of the axes where the message type settles it.
+    topic, frame_id, side : str
+    body : int
+        What it is; side is "left", "right" or "".
+    stamp_ns : ndarray of int, shape (F,), ns
+        As recorded.
+    position : ndarray, shape (F, 5, 3), m
+        Joints in the order of `JOINTS`; nan where there is none.
+    state : ndarray of int8, shape (F, 5)
+        `JointState` values.
+    camera_frame : CameraFrame, optional
+        Convention of the axes where the message type settles it.
     """
 
     topic: str
@@ -75,7 +94,7 @@ class ArmFrames:
     @property
     def tracked(self) -> int:
         """Number of frames with a tracked forearm joint."""
-        return int((self.state[:, _FOREARM] == JointState.TRACKED).any(axis=1).sum())
+        return int(enough_joints(self.state == JointState.TRACKED, 1).sum())
 
 
 @dataclass
@@ -84,12 +103,16 @@ class PoseSamples:
 
     Attributes
     ----------
-    topic, frame_id : where it came from.
-    stamp_ns : (M,) ns.
-    position : (M, 3) m.
-    quaternion : (M, 4) qw, qx, qy, qz.
-    score : (M,) samples to score on, or None for all.
-    joints : further reference positions (M, 3) by joint.
+    topic, frame_id : str
+        Where it came from.
+    stamp_ns : ndarray of int, shape (M,), ns
+    position : ndarray, shape (M, 3), m
+    quaternion : ndarray, shape (M, 4)
+        qw, qx, qy, qz.
+    score : ndarray of bool, shape (M,), optional
+        Samples to score on, or None for all.
+    joints : dict of str to ndarray, shape (M, 3), m
+        Further reference positions by joint.
     """
 
     topic: str
@@ -129,14 +152,24 @@ class RecordingFile:
 
     Attributes
     ----------
-    path : the file or folder.
-    topics : every topic, those that are not used included.
-    imus, arms, poses : streams found, samples as recorded (not cleaned).
-    camera_frame : convention of the camera's axes where the file states it.
-    gravity_hint : (3,) unit vector of down in {K}, or None.
-    notes : what was wrong with the file, and what it says of itself.
-    metadata : its metadata records, by name.
-    frames_without_body : skeleton messages were there, and none had a joint of an arm.
+    path : Path
+        The file or folder.
+    topics : list of TopicInfo
+        Every topic, those that are not used included.
+    imus : list of ImuSamples
+    arms : list of ArmFrames
+    poses : list of PoseSamples
+        Streams found, samples as recorded (not cleaned).
+    camera_frame : CameraFrame, optional
+        Convention of the camera's axes where the file states it.
+    gravity_hint : ndarray, shape (3,), optional
+        Unit vector of down in {K}, or None.
+    notes : list of str
+        What was wrong with the file, and what it says of itself.
+    metadata : dict of str to dict of str to str
+        Its metadata records, by name.
+    frames_without_body : int
+        Skeleton messages were there, and none had a joint of an arm.
     """
 
     path: Path

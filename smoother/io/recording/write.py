@@ -9,11 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, IntArray, JointState, Recording
+from ...linalg import runs
+from ...recording import JOINTS, FloatArray, IntArray, JointState, Recording
 from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
+from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
-from .read import METADATA, nanoseconds
+from .read import METADATA
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 CAMERA = "camera"
@@ -31,9 +33,12 @@ def write_recording(
 
     Parameters
     ----------
-    recording : one arm, several arms (of one camera), or all that a file held.
-    path : the file to write.
-    force : overwrite a file that exists.
+    recording : Recording or sequence of Recording or RecordingFile
+        One arm, several arms (of one camera), or all that a file held.
+    path : path-like
+        The file to write.
+    force : bool
+        Overwrite a file that exists.
 
     Raises
     ------
@@ -46,7 +51,11 @@ def write_recording(
         metadata["camera_frame"] = str(file.camera_frame)
     if file.gravity_hint is not None:
         metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
-    scores = {poses.topic: _runs(poses.score) for poses in file.poses if poses.score is not None}
+    scores = {
+        poses.topic: [[run.start, run.stop] for run in runs(poses.score)]
+        for poses in file.poses
+        if poses.score is not None
+    }
     if scores:
         metadata["truth_score"] = json.dumps(scores)
     with writing(path, force) as temporary, Output(temporary) as output:
@@ -68,11 +77,11 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = recordings[0]
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
-    taken: set[str] = set()
+    topics: set[str] = set()
     sides: set[tuple[int, str]] = set()
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
-        topic = _free(imu_topic(one.imu.name, one.side), taken)
+        topic = _free(imu_topic(one.imu.name, one.side), topics)
         file.imus.append(
             ImuSamples(
                 topic,
@@ -83,8 +92,8 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
                 one.imu.mag,
             )
         )
-        if one.base_imu is not None and "/imu/base" not in taken:
-            taken.add("/imu/base")
+        if one.base_imu is not None and "/imu/base" not in topics:
+            topics.add("/imu/base")
             base = one.base_imu
             stamp = nanoseconds(base.t_s, one.origin_ns)
             file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
@@ -101,7 +110,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             truth = one.truth
             stamp = nanoseconds(truth.t_s, one.origin_ns)
             score = None if truth.score.all() else truth.score
-            topic = _free(f"/truth{suffix}", taken)
+            topic = _free(f"/truth{suffix}", topics)
             file.poses.append(
                 PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
             )
@@ -116,11 +125,11 @@ def imu_topic(name: str, side: str = "") -> str:
     return f"/imu/{clean or 'forearm' + ('_' + side if side else '')}"
 
 
-def _free(topic: str, taken: set[str]) -> str:
+def _free(topic: str, topics: set[str]) -> str:
     number, free = 2, topic
-    while free in taken:
+    while free in topics:
         free, number = f"{topic}_{number}", number + 1
-    taken.add(free)
+    topics.add(free)
     return free
 
 
@@ -146,26 +155,48 @@ def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
     return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
 
-def arm_messages(output: Output, arm: ArmFrames, present: list[int] | None = None) -> Outgoing:
+def arm_messages(
+    output: Output,
+    arm: ArmFrames,
+    present: list[int] | None = None,
+    strap_covariance: FloatArray | None = None,
+) -> Outgoing:
     """Skeleton messages of an arm, on its topic; joints that are never there are left out.
 
-    `present` names the others by number, where `arm` is a part of a longer one.
+    Parameters
+    ----------
+    output : Output
+        The file.
+    arm : ArmFrames
+        What to write.
+    present : list of int, optional
+        Joints to write, by number, where `arm` is only some frames of a longer one.
+    strap_covariance : ndarray, shape (F, 9), m^2, optional
+        Of the strap's position, row by row; nan where there is none.
     """
     suffix = f"_{arm.side}" if arm.side else ""
     if present is None:
         present = joints_there(arm.state)
     parts = [wire.timestamp(1, "stamp"), wire.text(2, arm.frame_id), wire.number(3, arm.body)]
     for i in present:
-        position = wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2))
-        parts.append(wire.message(4, wire.text(1, JOINTS[i] + suffix), position, wire.flag(3, "state", i)))
+        fields = [
+            wire.text(1, JOINTS[i] + suffix),
+            wire.vector(2, "position", (3 * i, 3 * i + 1, 3 * i + 2)),
+            wire.flag(3, "state", i),
+        ]
+        if strap_covariance is not None and JOINTS[i] == "strap":
+            fields.append(wire.packed(5, "covariance", 9))
+        parts.append(wire.message(4, *fields))
     template = wire.join(*parts)
 
     def encode(part: slice) -> Encoded:
         stamp = arm.stamp_ns[part]
         columns: dict[str, NDArray] = {
-            "position": arm.position[part].reshape(-1, 15),
+            "position": arm.position[part].reshape(-1, 3 * len(JOINTS)),
             "state": arm.state[part],
         }
+        if strap_covariance is not None:
+            columns["covariance"] = np.nan_to_num(strap_covariance[part])
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
 
     return Outgoing(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
@@ -200,9 +231,3 @@ def _truth_joints(poses: PoseSamples, stamp: IntArray) -> ArmFrames:
             np.isfinite(values).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED
         )
     return ArmFrames(f"{poses.topic}/joints", poses.frame_id, 0, "", stamp, position, state)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[list[int]]:
-    """Half-open index ranges where flags are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return edges.reshape(-1, 2).tolist()

@@ -30,10 +30,14 @@ def drawings(
 
     Parameters
     ----------
-    position : (F, 5, 3) joints in the order of `JOINTS`, m in the camera frame; nan where there is none.
-    shade : (F, 5) which of the colours a joint has.
-    colors : by shade.
-    frame_id, entity : of the scene entity; a frame without any joint deletes the entity.
+    position : ndarray, shape (F, 5, 3), m
+        Joints in the order of `JOINTS`, in the camera frame; nan where there is none.
+    shade : ndarray of int, shape (F, 5)
+        Which of the colours a joint has.
+    colors : tuple of Color
+        By shade.
+    frame_id, entity : str
+        Of the scene entity; a frame without any joint deletes the entity.
     """
     has = np.isfinite(position).all(axis=2)
     for pattern, rows in wire.alike(np.where(has, shade, -1)):

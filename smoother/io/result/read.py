@@ -14,16 +14,15 @@ from ...errors import RecordingError
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import FrameResiduals, Recovery
 from ..mcap.container import Container
-from ..mcap.messages import Rows, Topic
+from ..mcap.messages import Topic, TopicMessages
+from ..mcap.stamps import seconds
 from ..recording.decode import proto_grouper
-from ..recording.read import RESULT_PREFIX, seconds
+from ..recording.read import RESULT_PREFIX
 from ..recording.skeletons import SkeletonDecoder, joint_code
 from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout
+from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .metadata import calibration_of, gaps_of
 from .write import RESULT
-
-_NEEDED = ("forearm", "skeleton", "camera", "residuals")
 
 
 def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
@@ -31,13 +30,15 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
 
     Parameters
     ----------
-    path : a file of `write_recovery`.
+    path : path-like
+        A file of `write_recovery`.
 
     Returns
     -------
-    One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
-    rounding; covariances that were nan are nan again. A sample without a position has no pose and no
-    velocity. Arrays in `figures` come back as lists.
+    list of Recovery
+        One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
+        rounding; covariances that were nan are nan again. A sample without a position has no pose and no
+        velocity. Arrays in `figures` come back as lists.
 
     Raises
     ------
@@ -47,22 +48,21 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     container = Container(path)
 
     def wanted(topic: Topic) -> bool:
-        kind = topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]
-        return topic.name.startswith(RESULT_PREFIX) and kind in _NEEDED
+        return topic.name.startswith(RESULT_PREFIX) and _kind(topic) in _TABLES
 
     tables: dict[str, _Table] = {}
-    for batch in container.rows(wanted):
-        for position, rows in batch.items():
+    for batch in container.by_topic(wanted):
+        for position, messages in batch.items():
             topic = container.topics[position]
             if topic.name not in tables:
-                tables[topic.name] = _table(topic)
-            tables[topic.name].feed(rows)
-    found = [name for name in container.metadata if name.partition("/")[0] == RESULT]
-    if not found:
+                tables[topic.name] = _TABLES[_kind(topic)](topic)
+            tables[topic.name].feed(messages)
+    names = [name for name in container.metadata if name.partition("/")[0] == RESULT]
+    if not names:
         raise RecordingError(
             f"{path} holds no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`."
         )
-    return [_recovery(Path(path), container, tables, name) for name in found]
+    return [_recovery(Path(path), container, tables, name) for name in names]
 
 
 def _recovery(path: Path, container: Container, tables: dict[str, _Table], name: str) -> Recovery:
@@ -186,18 +186,18 @@ class _Table:
         self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
         self.fed = 0
 
-    def feed(self, rows: Rows) -> None:
-        for index, block, layout in self.grouper.groups_in(rows.block, rows.start, rows.stop):
+    def feed(self, messages: TopicMessages) -> None:
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
             stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
             self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
-        self.fed += len(rows.start)
+        self.fed += len(messages.start)
 
     def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
         raise NotImplementedError
 
     def done(self) -> dict[str, NDArray]:
         names = {name for _, columns in self.parts for name in columns}
-        # Times within a topic increase; messages of different layouts come in pieces.
+        # Times within a topic increase; messages of different layouts come one layout after the other.
         order = np.argsort(np.concatenate([columns["stamp"] for _, columns in self.parts]), kind="stable")
         return {name: np.concatenate([columns[name] for _, columns in self.parts])[order] for name in names}
 
@@ -208,10 +208,10 @@ class _OdometryTable(_Table):
         turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
         velocity = np.full((rows, 3), np.nan)
         if "linear_velocity.x" in layout.fields:
-            velocity = layout.vector(block, [f"linear_velocity.{axis}" for axis in "xyz"])
+            velocity = layout.vector(block, axes("linear_velocity"))
         return {
-            "position": layout.vector(block, [f"pose.position.{axis}" for axis in "xyz"]),
-            "quaternion": layout.vector(block, [f"pose.orientation.{axis}" for axis in "wxyz"]),
+            "position": layout.vector(block, axes("pose.position")),
+            "quaternion": layout.vector(block, axes("pose.orientation", "wxyz")),
             "velocity": velocity,
             "covariance": layout.get(block, "pose_covariance"),
             "velocity_covariance": layout.get(block, "velocity_covariance"),
@@ -227,7 +227,7 @@ class _SkeletonTable(_Table):
             if code is None:
                 continue
             joint = JOINTS[code[1]]
-            columns[joint] = layout.vector(block, [f"joints.{i}.position.{axis}" for axis in "xyz"])
+            columns[joint] = layout.vector(block, axes(f"joints.{i}.position"))
             columns[f"{joint}_covariance"] = layout.get(block, f"joints.{i}.position_covariance")
         return columns
 
@@ -244,7 +244,7 @@ class _ResidualTable(_Table):
         reason = np.zeros(len(JOINTS), np.uint8)
         for i in range(layout.counts.get("joints", 0)):
             joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
-            residual[:, joint] = layout.vector(block, [f"joints.{i}.residual.{axis}" for axis in "xyz"])
+            residual[:, joint] = layout.vector(block, axes(f"joints.{i}.residual"))
             used[:, joint] = layout.integer(block, f"joints.{i}.used")
             reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
         return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
@@ -261,8 +261,8 @@ class _CameraTable(_Table):
         super().__init__(topic)
         self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
 
-    def feed(self, rows: Rows) -> None:
-        self.decoder.feed(rows)
+    def feed(self, messages: TopicMessages) -> None:
+        self.decoder.feed(messages)
 
     def tracks(self, name: str, origin: int) -> JointTracks:
         stamp, arms = self.decoder.found()
@@ -274,11 +274,14 @@ class _CameraTable(_Table):
         return JointTracks(name, seconds(arms[0].stamp_ns, origin), arms[0].position, arms[0].state)
 
 
-def _table(topic: Topic) -> _Table:
-    kinds: dict[str, type[_Table]] = {
-        "forearm": _OdometryTable,
-        "skeleton": _SkeletonTable,
-        "residuals": _ResidualTable,
-        "camera": _CameraTable,
-    }
-    return kinds[topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]](topic)
+_TABLES: dict[str, type[_Table]] = {
+    "forearm": _OdometryTable,
+    "skeleton": _SkeletonTable,
+    "residuals": _ResidualTable,
+    "camera": _CameraTable,
+}
+
+
+def _kind(topic: Topic) -> str:
+    """What follows the prefix of a result's topics, without the arm."""
+    return topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]

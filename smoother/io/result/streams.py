@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...result import FrameResiduals, Recovery
 from ..mcap.merge import Encoded, Outgoing, Output
-from ..mcap.parts import Axis
-from ..recording.read import RESULT_PREFIX, nanoseconds
+from ..mcap.stamps import nanoseconds
+from ..mcap.time_batches import TimeAxis
+from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
@@ -23,15 +24,20 @@ Columns = Callable[[IntArray], dict[str, NDArray]]
 
 
 class RecoveryStreams:
-    """The messages of one recovery, a part of time after the other, encoded when they are written.
+    """The messages of one recovery, batch by batch, encoded when they are written.
 
     Parameters
     ----------
-    output : the file.
-    recovery : what to write.
-    suffix : behind every topic (an arm among several).
-    frame_id : of the camera.
-    shift : log time less stamp, ns.
+    output : Output
+        The file.
+    recovery : Recovery
+        What to write.
+    suffix : str
+        Behind every topic (an arm among several).
+    frame_id : str
+        Of the camera.
+    shift : int, ns
+        Log time less stamp.
     """
 
     def __init__(self, output: Output, recovery: Recovery, suffix: str, frame_id: str, shift: int):
@@ -46,15 +52,15 @@ class RecoveryStreams:
         self._residual_templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
 
-    def axes(self) -> list[Axis]:
+    def axes(self) -> list[TimeAxis]:
         """Times of the samples, the frames, the residuals and the gaps."""
         r = self.recovery
         residual_t = np.empty(0) if r.residuals is None else r.residuals.t_s
         times = (r.t_s, r.arm.t_s, residual_t, self.gap_start_s)
-        return [Axis(t_s, r.origin_ns, self.shift) for t_s in times]
+        return [TimeAxis(t_s, r.origin_ns, self.shift) for t_s in times]
 
-    def part(self, samples: slice, frames: slice, residuals: slice, gaps: slice) -> list[Outgoing]:
-        """Every stream of a part of time, from its rows on the `axes`."""
+    def batch(self, samples: slice, frames: slice, residuals: slice, gaps: slice) -> list[Outgoing]:
+        """Every stream of a batch, from its rows on the `axes`."""
         part = self.recovery.rows(samples)
         part = replace(part, arm=part.arm.select(frames), gaps=part.gaps[gaps])
         part_residuals = None if part.residuals is None else part.residuals.rows(residuals)
@@ -156,14 +162,14 @@ class RecoveryStreams:
 
         def columns(rows: IntArray) -> dict[str, NDArray]:
             occluded = r.occluded[rows]
-            found: dict[str, NDArray] = {"occluded": occluded.astype(np.int64)}
+            arrays: dict[str, NDArray] = {"occluded": occluded.astype(np.int64)}
             for joint in names:
                 position = r.joints[joint][rows]
                 state = np.where(occluded, JointState.INFERRED, JointState.TRACKED)
                 state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-                found |= {joint: position, f"{joint}_state": state}
-                found[f"{joint}_covariance"] = r.joint_covariance[joint][rows]
-            return found
+                arrays |= {joint: position, f"{joint}_state": state}
+                arrays[f"{joint}_covariance"] = r.joint_covariance[joint][rows]
+            return arrays
 
         stamp, rows = self._stamps(r.t_s), np.arange(len(r))
         return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), stamp, rows, columns)
@@ -192,7 +198,7 @@ class RecoveryStreams:
             yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
 
     def _residual_template(self, reasons: list[str]) -> wire.Template:
-        """One message: each joint's residual, and why its sample was set aside."""
+        """One message: each joint's residual, and why its sample was rejected."""
         parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
         for i in self.residual_joints:
             value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
@@ -265,23 +271,23 @@ class RecoveryStreams:
             event = message_class("foxglove.Event")()
             event.start_time.FromNanoseconds(start_ns)
             event.end_time.FromNanoseconds(end_ns)
-            said = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
-            said |= {"side": r.side} if r.side else {}
-            said |= {"open": "start"} if gap.open_start else {}
-            said |= {"open": "end"} if gap.open_end else {}
-            for key, value in said.items():
+            values = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
+            values |= {"side": r.side} if r.side else {}
+            values |= {"open": "start"} if gap.open_start else {}
+            values |= {"open": "end"} if gap.open_end else {}
+            for key, value in values.items():
                 event.metadata.add(key=key, value=value)
             data.append(event.SerializeToString(deterministic=True))
         channel = self.output.channel(f"{RESULT_PREFIX}gaps{self.suffix}", "foxglove.Event")
         yield Outgoing(channel, start + self.shift, lambda part: data[part])
 
-    def _at_frames(self, samples: slice, part: Recovery) -> tuple[IntArray, BoolArray]:
-        """The IMU sample nearest to each frame that the IMU covers, and which of the part's frames those are.
+    def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
+        """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.
 
-        Samples are numbered in the whole recovery: the nearest may lie just outside the part.
+        Samples are numbered in the whole recovery: the nearest may lie just outside the batch.
         """
         first = max(samples.start - 1, 0)
-        stamp, frame = self._stamps(self.recovery.t_s[first : samples.stop + 1]), self._stamps(part.arm.t_s)
+        stamp, frame = self._stamps(self.recovery.t_s[first : samples.stop + 1]), self._stamps(batch.arm.t_s)
         if not len(stamp):
             return np.empty(0, np.int64), np.zeros(len(frame), bool)
         inside: BoolArray = (frame >= stamp[0]) & (frame <= stamp[-1])
@@ -303,8 +309,8 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
 
 def _present(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
-    said = np.zeros(len(JOINTS), bool)
+    present = np.zeros(len(JOINTS), bool)
     for part in residuals.blocks():
-        said |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
-        said |= (part.reason != 0).any(axis=0)
-    return np.flatnonzero(said).tolist()
+        present |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
+        present |= (part.reason != 0).any(axis=0)
+    return np.flatnonzero(present).tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 
@@ -12,8 +12,8 @@ from ...result import Recovery
 from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
-from ..mcap.messages import Run, Topic
-from ..mcap.parts import parts_of_time
+from ..mcap.messages import Topic
+from ..mcap.time_batches import time_batches
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
@@ -46,11 +46,16 @@ def write_recovery(
 
     Parameters
     ----------
-    recoveries : one arm's recovery, or several of one recording.
-    path : the file to write.
-    source : the recording; its topics are carried over as they are.
-    force : overwrite a file that exists.
-    passthrough_images : carry images, depth and point clouds over as well (they show patients).
+    recoveries : Recovery or sequence of Recovery
+        One arm's recovery, or several of one recording.
+    path : path-like
+        The file to write.
+    source : path-like, optional
+        The recording; its topics are copied as they are.
+    force : bool
+        Overwrite a file that exists.
+    passthrough_images : bool
+        Copy images, depth and point clouds as well (they show patients).
 
     Raises
     ------
@@ -76,11 +81,17 @@ def write_recovery(
             streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
         if source is not None:
             container = Container(source)
-            output.carry(_carried(container, passthrough_images))
-        for part in parts_of_time([axis for each in streams for axis in each.axes()]):
-            rows = [part.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
-            outgoing = [each.part(*mine) for each, mine in zip(streams, rows, strict=True)]
-            output.write(list(chain.from_iterable(outgoing)), part.until_ns)
+            output.interleave(
+                container.chunks(
+                    lambda topic: (
+                        not topic.name.startswith(RESULT_PREFIX) and may_copy(topic, passthrough_images)
+                    )
+                )
+            )
+        for batch in time_batches([axis for each in streams for axis in each.axes()]):
+            rows = [batch.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
+            outgoing = [each.batch(*mine) for each, mine in zip(streams, rows, strict=True)]
+            output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
 
@@ -99,10 +110,6 @@ def _version() -> str:
         return "unknown"
 
 
-def _carried(source: Container, passthrough_images: bool) -> Iterator[Run]:
-    def wanted(topic: Topic) -> bool:
-        if topic.name.startswith(RESULT_PREFIX):
-            return False
-        return passthrough_images or not _IMAGES.search(topic.schema)
-
-    return source.runs(wanted)
+def may_copy(topic: Topic, passthrough_images: bool) -> bool:
+    """Whether a topic of a recording goes into files made of it: not its images unless they are asked for."""
+    return passthrough_images or not _IMAGES.search(topic.schema)

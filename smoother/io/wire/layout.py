@@ -27,12 +27,18 @@ class MessageLayout:
 
     Attributes
     ----------
-    mask : (size,) bits of each byte that must agree for the layout to hold.
-    want : (size,) their values.
-    fields : by name, the offsets of its occurrences, its dtype and the count of values in each.
-    varints : by name, offset and width.
-    texts : constant strings, by name.
-    counts : lengths of sequences, by name.
+    mask : ndarray of uint8, shape (size,)
+        Bits of each byte that must agree for the layout to hold.
+    want : ndarray of uint8, shape (size,)
+        Their values.
+    fields : dict of str to (list of int, np.dtype, int)
+        By name, the offsets of its occurrences, its dtype and the count of values in each.
+    varints : dict of str to (int, int)
+        By name, offset and width.
+    texts : dict of str to str
+        Constant strings, by name.
+    counts : dict of str to int
+        Lengths of sequences, by name.
     """
 
     mask: Block
@@ -99,8 +105,10 @@ class Grouper:
 
     Attributes
     ----------
-    walk : finds the layout of one message; raises one of `BROKEN` where it cannot.
-    broken : messages that could not be walked.
+    walk : callable
+        Finds the layout of one message; raises one of `BROKEN` where it cannot.
+    broken : int
+        Messages that could not be walked.
     """
 
     walk: Callable[[bytes], MessageLayout]
@@ -149,8 +157,13 @@ class Grouper:
             index, block = index[~same], block[~same]
 
 
+def axes(name: str, letters: str = "xyz") -> list[str]:
+    """Names of the components of a vector or quaternion."""
+    return [f"{name}.{letter}" for letter in letters]
+
+
 def cut_out(data: bytes, start: IntArray, size: int) -> Block:
-    """Stretches (n, size) of the same length from where they start (n,)."""
+    """Bytes (n, size) from where they start (n,)."""
     if not size or not len(start):
         return np.empty((len(start), size), np.uint8)
     whole = np.frombuffer(data, np.uint8)

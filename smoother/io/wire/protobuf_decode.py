@@ -17,8 +17,10 @@ def walk(data: bytes, message: Any) -> MessageLayout:
 
     Parameters
     ----------
-    data : the message's wire form.
-    message : its class.
+    data : bytes
+        The message's wire form.
+    message : Any
+        Its class.
     """
     layout = MessageLayout.of(data)
     _walk(data, 0, len(data), message.DESCRIPTOR, "", layout)

@@ -1,4 +1,4 @@
-"""Long columns cut into parts of time that belong together."""
+"""Long columns of several streams, cut into batches at the same times."""
 
 from __future__ import annotations
 
@@ -8,12 +8,20 @@ from typing import NamedTuple
 import numpy as np
 
 from ...recording import FloatArray, IntArray
-from ..recording.read import nanoseconds
 from .merge import END, SLICE
+from .stamps import nanoseconds
 
 
-class Axis(NamedTuple):
-    """Times of a stream: seconds (N,) in rising order after an origin, and log time less stamp, ns."""
+class TimeAxis(NamedTuple):
+    """Times of a stream.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (N,), s
+        After the origin, in rising order.
+    origin_ns, shift_ns : int, ns
+        The origin, and log time less stamp.
+    """
 
     t_s: FloatArray
     origin_ns: int
@@ -24,17 +32,37 @@ class Axis(NamedTuple):
         return nanoseconds(self.t_s[rows], self.origin_ns) + self.shift_ns
 
 
-class Part(NamedTuple):
-    """A part of time: the log time that it ends before (ns), and the rows of each axis in it."""
+class TimeBatch(NamedTuple):
+    """Rows of several streams.
+
+    Attributes
+    ----------
+    until_ns : int, ns
+        Log time that they end before.
+    rows : list of slice
+        Of each axis.
+    """
 
     until_ns: int
     rows: list[slice]
 
 
-def parts_of_time(axes: Sequence[Axis], most: int = SLICE) -> Iterator[Part]:
-    """Cut streams where the densest of them has `most` rows; every row is in one part, one part at the least.
+def time_batches(axes: Sequence[TimeAxis], most: int = SLICE) -> Iterator[TimeBatch]:
+    """Cut streams where the densest of them has `most` rows; there is one batch at the least.
 
-    Rows that run back in time are in the part of those around them.
+    Rows that run back in time are in the batch of those around them.
+
+    Parameters
+    ----------
+    axes : sequence of TimeAxis
+        Of the streams.
+    most : int
+        Rows of a stream in one batch.
+
+    Yields
+    ------
+    TimeBatch
+        Every row is in one of them.
     """
     starts = [0] * len(axes)
     while True:
@@ -50,6 +78,6 @@ def parts_of_time(axes: Sequence[Axis], most: int = SLICE) -> Iterator[Part]:
             count = int(np.argmax(late)) if late.any() and until != END else len(times)
             rows.append(slice(starts[i], starts[i] + count))
             starts[i] += count
-        yield Part(until, rows)
+        yield TimeBatch(until, rows)
         if until == END:
             return

@@ -21,7 +21,7 @@ import smoother.io.result.write
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery, write_recording, write_recovery
 from smoother.io.mcap.merge import END
-from smoother.io.mcap.parts import Axis, parts_of_time
+from smoother.io.mcap.time_batches import TimeAxis, time_batches
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.runtime.disk_store import DiskStore
@@ -29,7 +29,7 @@ from smoother.runtime.store import Store
 
 
 def cut(monkeypatch: pytest.MonkeyPatch, most: int) -> None:
-    monkeypatch.setattr(smoother.io.result.write, "parts_of_time", partial(parts_of_time, most=most))
+    monkeypatch.setattr(smoother.io.result.write, "time_batches", partial(time_batches, most=most))
 
 
 def messages(path: Path) -> list[tuple[str, int, int, int, bytes]]:
@@ -50,8 +50,8 @@ def messages(path: Path) -> list[tuple[str, int, int, int, bytes]]:
     most=st.integers(1, 20),
 )
 def test_every_row_is_in_one_part_and_parts_follow_each_other(times: list[list[float]], most: int) -> None:
-    axes = [Axis(np.sort(np.array(each, float)), 10**9, 7) for each in times]
-    parts = list(parts_of_time(axes, most))
+    axes = [TimeAxis(np.sort(np.array(each, float)), 10**9, 7) for each in times]
+    parts = list(time_batches(axes, most))
     before = -END
     for part in parts:
         for axis, rows in zip(axes, part.rows, strict=True):
@@ -69,7 +69,7 @@ def test_every_row_is_in_one_part_and_parts_follow_each_other(times: list[list[f
 
 def test_times_that_run_back_are_in_some_part() -> None:
     t = np.array([0.0, 1.0, 2.0, 0.5, 3.0, 2.5, 4.0, 4.0, 4.0, 4.0, 4.0, 5.0])
-    parts = list(parts_of_time([Axis(t, 0, 0)], 3))
+    parts = list(time_batches([TimeAxis(t, 0, 0)], 3))
     rows = np.concatenate([np.arange(len(t))[part.rows[0]] for part in parts])
     np.testing.assert_array_equal(rows, np.arange(len(t)))
 
