@@ -90,7 +90,7 @@ def _motion(estimates: ArmEstimates | None) -> list[str]:
         and estimates.calibration.R_F_A is None
     ):
         known = np.degrees(frame.roll_sigma_rad)
-        how = f"is known to {known:.0f} degrees only" if known < 180 else "could not be told"
+        how = f"is known to {known:.0f} degrees only" if known < 180 else "is not known"
         sentences.append(
             "Turn the forearm about its own axis, palm up and palm down, three times in view: on which side"
             f" of the forearm the sensor sits {how}."

@@ -23,7 +23,7 @@ FORGOTTEN = 0.05
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of an answer with a reference, in the unit of both; None where there is nothing to tell.
+    """Agreement of an answer with a reference, in the unit of both; None where there are too few samples.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A reference motion read at other times: never beyond its ends, never across its holes."""
+"""A reference motion read at other times: never beyond its ends, never where samples are missing."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..recording import BoolArray, FloatArray, Truth
 
-#: The reference is not bridged over more than this, s.
-HOLE_S = 0.1
+#: Samples of a reference farther apart than this are not bridged, s.
+BRIDGED_S = 0.1
 #: Stamps that went through a text file are equal to this, s.
 STAMP_S = 1e-6
 
@@ -19,8 +19,8 @@ STAMP_S = 1e-6
 def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
     """The truth at the given times (its own clock), nan where it has none.
 
-    Positions between samples are cubic (linear where a stretch has fewer than four samples),
-    orientations slerp. Nothing is extrapolated and no hole longer than 0.1 s is bridged. A time is
+    Positions between samples are cubic (linear between fewer than four samples), orientations slerp.
+    Nothing is extrapolated, and samples more than 0.1 s apart are not bridged. A time is
     scored where the samples on both sides of it are.
     """
     t_s = np.asarray(t_s, dtype=float)
@@ -37,12 +37,12 @@ def truth_at(truth: Truth, t_s: FloatArray) -> Truth:
 
 
 def position_at(t_known: FloatArray, position: FloatArray, t_s: FloatArray) -> FloatArray:
-    """Positions (M, 3) read at other times (N, 3): cubic, nan outside and across holes."""
+    """Positions (M, 3) read at other times (N, 3): cubic, nan where none is near."""
     return _piecewise(t_known, position, t_s, _cubic)
 
 
 def orientation_at(t_known: FloatArray, quaternion: FloatArray, t_s: FloatArray) -> FloatArray:
-    """Orientations (M, 4) read at other times (N, 4): slerp, nan outside and across holes."""
+    """Orientations (M, 4) read at other times (N, 4): slerp, nan where none is near."""
     return _piecewise(t_known, quaternion, t_s, _slerp)
 
 
@@ -57,7 +57,7 @@ def _piecewise(
     t_s: FloatArray,
     reader: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
-    """Apply a reader to each stretch without holes; times outside all of them stay nan."""
+    """Apply a reader between samples that may be bridged; other times stay nan."""
     result = np.full((len(t_s), values.shape[1]), np.nan)
     finite = np.isfinite(values).all(axis=1) & np.isfinite(t_known)
     t, v = t_known[finite], values[finite]
@@ -65,7 +65,7 @@ def _piecewise(
     t, v = t[order], v[order]
     fresh = np.append(True, np.diff(t) > 0) if len(t) else np.zeros(0, bool)
     t, v = t[fresh], v[fresh]
-    for part in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > HOLE_S + STAMP_S) + 1):
+    for part in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > BRIDGED_S + STAMP_S) + 1):
         if not len(part):
             continue
         inside = (t_s >= t[part[0]] - STAMP_S) & (t_s <= t[part[-1]] + STAMP_S)

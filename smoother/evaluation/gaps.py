@@ -233,11 +233,13 @@ def _place_all(
             if gaps:
                 trials.append((length, run, gaps))
         if not any(entry[0] == length for entry in trials):
-            collected.notes.append(f"No visible stretch has room for a gap of {length:g} s.")
+            collected.notes.append(
+                f"The camera never sees the forearm for long enough to hide a gap of {length:g} s."
+            )
     if not trials:
         shortest = min(lengths_s, default=0.0)
         raise RecordingError(
-            f"{recording.name}: no stretch in which the camera sees the forearm has room for a gap of"
+            f"{recording.name}: the camera never sees the forearm for long enough to hide a gap of"
             f" {shortest:g} s with 0.4 s visible on both sides"
         )
     return trials

@@ -201,7 +201,7 @@ def _place_words(away_m: float, solved: bool) -> str:
         )
     why = "within its own error" if away_m < CENTRED_M else "farther than a plate reaches"
     return (
-        "The mean of the plate's markers is taken for the IMU's place: the visible answer has the IMU"
+        "The mean of the plate's markers counts as the IMU's place: the visible answer has the IMU"
         f" {1000 * away_m:.1f} mm from there, {why}. State it in the map, [imu_plate]."
     )
 

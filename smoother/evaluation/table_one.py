@@ -82,8 +82,8 @@ def table_one(
     """The table of a recovery, its figures over all scored samples.
 
     The camera's estimate of the IMU's position is their eq 16, D = L + d_se / (d_sw + d_se) (T - L), between
-    the camera's elbow L and wrist T, inferred samples included, read at the IMU's times across holes of
-    0.1 s at most. A skeleton states no orientation; the direction elbow to wrist stands below instead.
+    the camera's elbow L and wrist T, inferred samples included, read at the IMU's times between samples
+    0.1 s apart at most. A skeleton states no orientation; the direction elbow to wrist stands below instead.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def _sections(
             yield figure(
                 f"What is left: {leftover.source}",
                 "How far each time is from what the solved clocks say; the band is one standard deviation."
-                " Crosses were set aside.",
+                " Crosses were rejected.",
                 residuals(leftover),
             )
     for beep in beeps:
@@ -78,7 +78,7 @@ def _sections(
     if motion is not None:
         yield figure(
             "The clock in the motion",
-            "Clock offset of each stretch of the recording with its sigma, and the line through them."
+            "Clock offset of each part of the recording with its sigma, and the line through them."
             " Crosses do not fit.",
             motion_line(motion),
         )
@@ -129,7 +129,7 @@ def beep_end(beep: Beep) -> go.Figure:
 
 
 def motion_line(motion: MotionClock) -> go.Figure:
-    """Offsets of the stretches and the line through them."""
+    """Offsets of the parts and the line through them."""
     plot, link = go.Figure(), motion.link
     symbols = np.where(motion.used, "circle", "x").tolist()
     plot.add_trace(
@@ -137,7 +137,7 @@ def motion_line(motion: MotionClock) -> go.Figure:
             x=motion.t_s,
             y=1e3 * motion.offset_s,
             mode="markers",
-            name="stretch",
+            name="part",
             error_y={"array": 1e3 * motion.sigma_s},
             marker={"symbol": symbols, "size": 9, "color": VISIBLE},
         )

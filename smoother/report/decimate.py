@@ -59,7 +59,7 @@ def split_line(values: FloatArray, occluded: BoolArray) -> tuple[FloatArray, Flo
 
 
 def band(t_s: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Outline (x, y) of the area between two curves: a closed loop each stretch without nan, nan between."""
+    """Outline (x, y) of the area between two curves: a closed loop each run without nan, nan between."""
     finite = np.isfinite(low) & np.isfinite(high) & np.isfinite(t_s)
     x: list[FloatArray] = []
     y: list[FloatArray] = []

@@ -25,7 +25,7 @@ def write_gap_curves(
     notes: tuple[str, ...] = (),
     force: bool = False,
 ) -> None:
-    """Write the errors in hidden gaps as one HTML page that needs nothing else, the network included.
+    """Write the errors in hidden gaps as one HTML page that needs no network and no other file.
 
     Parameters
     ----------

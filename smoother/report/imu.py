@@ -19,8 +19,7 @@ from .style import JOINT_COLOURS, OCCLUDED, SHADE, VISIBLE, dress
 
 #: Samples of the recording that are drawn.
 MOST_POINTS = 6000
-_AXES = zip("xyz", (VISIBLE, OCCLUDED, JOINT_COLOURS["elbow"]), strict=True)
-AXIS_COLOURS = dict(_AXES)
+LINE_COLOURS = {"x": VISIBLE, "y": OCCLUDED, "z": JOINT_COLOURS["elbow"]}
 
 
 def write_imu_report(
@@ -125,7 +124,7 @@ def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     """Accelerometer over time, rests shaded."""
     plot = go.Figure()
     step = max(len(imu) // MOST_POINTS, 1)
-    for column, (axis, colour) in enumerate(AXIS_COLOURS.items()):
+    for column, (axis, colour) in enumerate(LINE_COLOURS.items()):
         plot.add_trace(
             go.Scatter(
                 x=imu.t_s[::step].astype(np.float32),
@@ -149,7 +148,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     assert acc is not None
     directions = sphere_points(900)
     plot = go.Figure(
-        _dots(
+        dots(
             0.97 * directions,
             "",
             size=6,
@@ -161,7 +160,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     )
     plot.data[0].showlegend = False
     up = acc.apply(calibration.rests.acc)
-    plot.add_trace(_dots(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
+    plot.add_trace(dots(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
     return sphere(plot)
 
 
@@ -180,7 +179,7 @@ def residuals(calibration: ImuCalibration) -> go.Figure:
 def allan(noise: SensorNoise, unit: str) -> go.Figure:
     """Allan deviation over averaging time, both logarithmic."""
     plot = go.Figure()
-    for column, (axis, colour) in enumerate(AXIS_COLOURS.items()):
+    for column, (axis, colour) in enumerate(LINE_COLOURS.items()):
         plot.add_trace(
             go.Scatter(
                 x=noise.tau_s, y=noise.deviation[:, column], name=axis, mode="lines", line={"color": colour}
@@ -204,7 +203,8 @@ def allan(noise: SensorNoise, unit: str) -> go.Figure:
     )
 
 
-def _dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:
+def dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:
+    """Points (n, 3) in space."""
     x, y, z = points.T.astype(np.float32)
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
 

@@ -13,7 +13,7 @@ from calib.imu.magnetometer import MagnetometerCalibration
 from calib.imu.sphere_coverage import sphere_points
 
 from ..recording import FloatArray, ImuStream
-from .imu import sphere
+from .imu import dots, sphere
 from .sheet import figure, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
@@ -81,7 +81,7 @@ def coverage(corrected: FloatArray) -> go.Figure:
     empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
     plot = go.Figure()
     plot.add_trace(
-        _dots(
+        dots(
             corrected,
             "samples",
             size=2.5,
@@ -92,15 +92,15 @@ def coverage(corrected: FloatArray) -> go.Figure:
         )
     )
     if len(empty):
-        plot.add_trace(_dots(empty, "not covered", size=3, color="#9a9a9a"))
+        plot.add_trace(dots(empty, "not covered", size=3, color="#9a9a9a"))
     return sphere(plot)
 
 
 def recorded(raw: FloatArray, calibration: MagnetometerCalibration) -> go.Figure:
     """Raw samples and the ellipsoid's middle."""
-    plot = go.Figure(_dots(raw, "as recorded", size=2, color=VISIBLE))
-    plot.add_trace(_dots(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
-    plot.add_trace(_dots(np.zeros((1, 3)), "zero", size=5, color="#111111"))
+    plot = go.Figure(dots(raw, "as recorded", size=2, color=VISIBLE))
+    plot.add_trace(dots(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
+    plot.add_trace(dots(np.zeros((1, 3)), "zero", size=5, color="#111111"))
     return dress(plot, 520, scene={"aspectmode": "data"})
 
 
@@ -115,8 +115,3 @@ def residuals(t: FloatArray, length: FloatArray) -> go.Figure:
         )
     )
     return dress(plot, 300, xaxis={"title": "s"}, yaxis={"title": "length"})
-
-
-def _dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:
-    x, y, z = points.T.astype(np.float32)
-    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)

@@ -25,7 +25,7 @@ AROUND_S = 0.6
 def write_comparison(
     comparison: Comparison, recording: Recording, path: str | os.PathLike[str], *, force: bool = False
 ) -> None:
-    """Write a comparison as one HTML page that needs nothing else, the network included.
+    """Write a comparison as one HTML page that needs no network and no other file.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def verdict(comparison: Comparison) -> list[str]:
         else:
             sentences.append(
                 f"{nearest} is nearer to the truth than the graph here: it errs {ratio:.2f} times as much."
-                " Every method is told what the graph found of calibration and clock."
+                " Every method is given the calibration and the clock that the graph estimated."
             )
     sentences.append(comparison.camera_words + ".")
     return sentences
@@ -221,9 +221,10 @@ def _ms(value: float | None) -> str | None:
 
 
 _ERRORS = (
-    "All methods are told the same calibration, clock and samples of the camera; only the way through the gap"
-    " is theirs. rms: root mean square. NEES: mean squared error in stated standard deviations; 1 is honest,"
-    " above 1 too bold, below 1 too shy; a dash where a method states none. Inside 95 %: 0.95 is honest."
+    "All methods are given the same calibration, clock and camera samples; only the way through the gap is"
+    " theirs. rms: root mean square. NEES: mean squared error in stated standard deviations; 1 is"
+    " consistent, above 1 over-confident, below 1 under-confident; a dash where a method states none. Inside"
+    " 95 %: 0.95 is consistent."
 )
 _JOINTS = (
     "A method that knows the sensor's way but not the elbow's places the joints by the lever arms; the"
@@ -236,6 +237,6 @@ _LAG = (
     " does not follow the truth at all."
 )
 _CURVES = (
-    "The shaded stretch is hidden from the camera. Dashed black is the truth. Click a name to hide its curve,"
+    "The shaded time is hidden from the camera. Dashed black is the truth. Click a name to hide its curve,"
     " double-click to see it alone. The lowest plot is the distance from the truth."
 )

@@ -12,11 +12,10 @@ from calib.motion.estimates import ArmEstimates
 
 from ..calibration import LeverArm
 from ..recording import FloatArray
-from .style import JOINT_COLOURS, dress
+from .style import AXIS_COLOURS, JOINT_COLOURS, dress
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5
-AXIS_COLOURS = {"x": "#c1272d", "y": "#2a7f3f", "z": "#1f4fa8"}
 #: Ellipses are drawn at so many sigmas.
 SIGMAS = 2.0
 _CHAIN = ("elbow", "wrist", "hand")

@@ -40,7 +40,7 @@ def write_report(
     truth: Truth | None = None,
     force: bool = False,
 ) -> None:
-    """Write a result as one HTML page that needs nothing else, the network included.
+    """Write a result as one HTML page that needs no network and no other file.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from calib.panel.panel_calibration import PanelCalibration, SeenPanel
 from calib.panel.panel_table import pose_rows, transform_values
 
 from .sheet import figure, listing, picture, tabulated, write_sheet
-from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
+from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
 
 #: Depth points drawn of all poses together.
 MOST_POINTS = 12_000
@@ -180,10 +180,10 @@ def in_space(calibration: PanelCalibration) -> go.Figure:
         transform = calibration.solution.camera_from_mocap
         at = calibration.markers_E[number] @ transform.R.T + transform.origin
         plot.add_trace(_dots(at, "mocap's markers", OCCLUDED, "x", first))
-        for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
+        for axis, colour in enumerate(AXIS_COLOURS.values()):
             ends = np.array([panel.frame.origin, panel.frame.origin + AXIS_M * panel.frame.R[:, axis]])
             plot.add_trace(_line(ends, f"panel's {'xyz'[axis]}", colour, first))
-    for axis, colour in enumerate(("#c1272d", "#2a7f3f", "#1f4fa8")):
+    for axis, colour in enumerate(AXIS_COLOURS.values()):
         ends = np.array([np.zeros(3), AXIS_M * np.eye(3)[axis]])
         plot.add_trace(_line(ends, "camera", colour, axis == 0, dash="dot"))
     dress(plot, 660, head=80)
@@ -225,11 +225,11 @@ def _clouds(panel: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]
     regions, inliers = panel.regions, panel.plane.inliers
     points = np.column_stack([regions.rays, np.ones(len(regions.rays))]) * regions.depth_m[:, None]
     step = max(1, int(inliers.sum()) // most)
-    thinned = np.zeros(len(inliers), bool)
-    thinned[np.flatnonzero(inliers)[::step]] = True
+    decimated = np.zeros(len(inliers), bool)
+    decimated[np.flatnonzero(inliers)[::step]] = True
     rest = ~regions.along_x & ~regions.along_y
     for (name, colour), chosen in zip(_GROUPS, (rest, regions.along_x, regions.along_y), strict=True):
-        yield name, colour, points[thinned & chosen].astype(np.float32)
+        yield name, colour, points[decimated & chosen].astype(np.float32)
 
 
 def _plane(calibration: PanelCalibration, panel: SeenPanel, first: bool) -> go.Mesh3d:

@@ -34,7 +34,7 @@ def write_sheet(
     *,
     force: bool = False,
 ) -> None:
-    """Write one HTML page that needs nothing else, the network included; its sections are made one by one.
+    """Write one HTML page that needs no network and no other file; its sections are made one by one.
 
     Parameters
     ----------

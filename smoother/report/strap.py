@@ -19,8 +19,8 @@ from .style import JOINT_COLOURS, OCCLUDED, dress
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
 
-#: Profiles that so many steps lie apart have a hole between them.
-HOLE_STEPS = 2.5
+#: Profiles farther apart than so many steps are drawn apart.
+APART_STEPS = 2.5
 
 
 def write_strap_report(
@@ -83,9 +83,9 @@ def brightness(search: StrapFound) -> go.Figure:
 
 
 def _blank(t: FloatArray, table: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Profiles (k, n) at times (n,) with empty ones at both ends of every hole: else a column fills it."""
+    """Profiles (k, n) at times (n,), empty ones between those that lie apart: else a column fills it."""
     step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
-    before = np.flatnonzero(np.diff(t) > HOLE_STEPS * step) if step > 0 else np.empty(0, dtype=int)
+    before = np.flatnonzero(np.diff(t) > APART_STEPS * step) if step > 0 else np.empty(0, dtype=int)
     times = np.concatenate([t[before] + step, t[before + 1] - step])
     where = np.concatenate([before + 1, before + 1])
     return np.insert(t, where, times), np.insert(table, where, np.nan, axis=1)

@@ -11,7 +11,7 @@ from ..linalg import robust_sigma
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
 
-#: A strap that wanders along the forearm by more than this part of it was taken for something else at times.
+#: A strap that wanders along the forearm by more than this part of it was at times something else.
 WANDER = 0.06
 FEW, MANY = 0.3, 0.7
 

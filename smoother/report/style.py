@@ -20,7 +20,9 @@ JOINT_COLOURS = {
     "hand": "#E69F00",
     "strap": "#56B4E9",
 }
-#: More shaded stretches than this make a page slow.
+#: Of the axes of a sensor, a panel or a camera.
+AXIS_COLOURS = {"x": "#c1272d", "y": "#2a7f3f", "z": "#1f4fa8"}
+#: More shaded gaps than this make a page slow.
 MOST_SHADES = 400
 
 _MEANING = {

@@ -174,7 +174,7 @@ def test_a_method_that_fails_is_a_row():
 
 
 def test_no_room_is_a_sentence():
-    with pytest.raises(RecordingError, match="has room for a gap of 5 s"):
+    with pytest.raises(RecordingError, match="long enough to hide a gap of 5 s"):
         evaluate_gaps(make_recording(4.0), [5.0], {"graph": make_recovery})
     table = evaluate_gaps(make_recording(8.0), [1.0, 20.0], {"graph": make_recovery})
     assert list(table.lengths) == [1.0]

@@ -25,7 +25,7 @@ from smoother.result import Recovery
 
 @pytest.fixture
 def recovery(monkeypatch: pytest.MonkeyPatch) -> Recovery:
-    """Gaps, holes in the answer, samples set aside; looked at in blocks that end anywhere."""
+    """Gaps, missing answers, rejected samples; looked at in batches that end anywhere."""
     monkeypatch.setattr("smoother.result.BLOCK", 37)
     rng = np.random.default_rng(3)
     made = make_recovery(make_recording(40.0), error_m=0.01)

@@ -1,4 +1,4 @@
-"""The drawing of the forearm and its sensor, and the page's parts on what was set aside."""
+"""The drawing of the forearm and its sensor, and the page's parts on rejected samples."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ STEP_S = 0.2
 GRID_HZ = 50.0
 #: The two must share this much motion, s, or a third of the shorter one.
 LEAST_OVERLAP_S = 3.0
-#: Of less than this nothing is told in any case, s.
+#: Less than this is too little in any case, s.
 SHORTEST_S = 1.0
 #: What clocks may disagree by, one standard deviation (parts).
 SKEW_SIGMA = 3e-4
@@ -85,14 +85,14 @@ def align_clock(recovery: Recovery, motion: MocapMotion) -> MocapClock:
     RecordingError
         The two share too little motion, or do not show the same one.
     """
-    span = _overlap_span(recovery.t_s, motion.t_s)
+    least_s = _least_overlap(recovery.t_s, motion.t_s)
     turns = motion.R_E_P is not None and np.isfinite(recovery.quaternion).all(axis=1).any()
     signals: _Turns | _Ways = _Turns(recovery, motion) if turns else _Ways(recovery, motion)
-    lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, span)
+    lag, correlation, rivals = _coarse(signals, recovery.t_s, motion.t_s, least_s)
     if not np.isfinite(correlation):
         raise RecordingError(
             f"{motion.source}: its clock could not be aligned: the {signals.by} is known for less than"
-            f" {span:.1f} s together; check that it is of the same recording, and the marker map"
+            f" {least_s:.1f} s together; check that it is of the same recording, and the marker map"
         )
     if not correlation >= signals.least_correlation:
         raise RecordingError(
@@ -188,7 +188,8 @@ def _way(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray
     return np.asarray(np.linalg.norm(position_at(t_known, position, t + 0.5 * STEP_S) - before, axis=1))
 
 
-def _overlap_span(a: FloatArray, b: FloatArray) -> float:
+def _least_overlap(a: FloatArray, b: FloatArray) -> float:
+    """What answer and truth must share, s."""
     if len(a) < 2 or len(b) < 2:
         raise RecordingError(
             "the answer or the truth holds fewer than two samples, so no clock can be aligned"

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ...errors import RecordingError
 from ...io.markers.trajectories import Markers
 from ...recording import FloatArray, Truth
-from ..align import HOLE_S
+from ..align import BRIDGED_S
 from .fill import LONGEST_S, fill_on_plate
 from .marker_map import MarkerMap, find_markers
 from .rigid import find_shape, fit_poses, follow, plate_axes
@@ -107,7 +107,7 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
                 f"{markers.source}: the markers of the {joint} ({', '.join(marker_map.joints[joint])}) are"
                 " never seen together; mend the map"
             )
-    return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_holes(joints)))
+    return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_incomplete(joints)))
 
 
 def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
@@ -125,7 +125,7 @@ def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
 
 
 def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:
-    """Markers (N, M, 3) of a joint with short holes filled, and the number of samples that were."""
+    """Markers (N, M, 3) of a joint, filled where hidden for a moment, and how many samples were."""
     if plate.R_E_P is None or plate.p_E_P is None:
         return positions, 0
     parts = [
@@ -145,7 +145,7 @@ def motion_of_truth(truth: Truth, source: str) -> MocapMotion:
     return MocapMotion(truth.t_s, truth.joints, {}, R_E_P, position, np.eye(3), np.zeros(3), source=source)
 
 
-def _holes(joints: dict[str, FloatArray]) -> list[str]:
+def _incomplete(joints: dict[str, FloatArray]) -> list[str]:
     shares = {name: np.isfinite(value).all(axis=1).mean() for name, value in joints.items()}
     poor = [f"{name} {100 * share:.0f} %" for name, share in shares.items() if share < 0.8]
     return (
@@ -204,7 +204,7 @@ def _in_stated_axes(
 
 
 def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses low-passed without delay, never across a hole: a cubic about each sample (Savitzky and Golay).
+    """Poses low-passed without delay, not across missing frames: cubics about each sample (Savitzky, Golay).
 
     The window, the same for the whole capture, is the one whose cubics predict the samples best that they
     were not fitted to (leave-one-out): noise alone asks for a long one, quick movement for a short one. A
@@ -217,8 +217,8 @@ def smoothed(t_s: FloatArray, rotation: FloatArray, position: FloatArray) -> tup
     if len(rows) < 2:
         return rotation, position
     period = float(np.median(np.diff(t_s)))
-    # a missing frame would shift the samples against the window, so stretches end there
-    parts = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > min(1.5 * period, HOLE_S)) + 1)
+    # a missing frame would shift the samples against the window, so the parts end there
+    parts = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > min(1.5 * period, BRIDGED_S)) + 1)
     quaternions = [_continuous(Rotation.from_matrix(rotation[part]).as_quat()) for part in parts]
     for part, smooth in zip(parts, _best_smooth(quaternions, period), strict=True):
         rotation[part] = Rotation.from_quat(smooth).as_matrix()
@@ -235,7 +235,7 @@ def _continuous(quaternion: FloatArray) -> FloatArray:
 
 
 def _best_smooth(parts: list[FloatArray], period_s: float) -> list[FloatArray]:
-    """Each stretch (n, d) smoothed with the window that predicts best; shorter stretches as they are."""
+    """Each part (n, d) smoothed with the window that predicts best; shorter ones as they are."""
     from scipy.signal import savgol_coeffs, savgol_filter
 
     best, least = parts, np.inf
@@ -244,7 +244,7 @@ def _best_smooth(parts: list[FloatArray], period_s: float) -> list[FloatArray]:
     scored = [part for part in parts if windows and len(part) >= windows[-1]]
     for window in windows:
         own_share = savgol_coeffs(window, 3)[window // 2]
-        half = windows[-1] // 2  # the ends of a stretch are fitted from one side: not scored
+        half = windows[-1] // 2  # the ends of a part are fitted from one side: not scored
         error = sum(
             float(
                 (((part - savgol_filter(part, window, 3, axis=0)) / (1 - own_share))[half:-half] ** 2).sum()

@@ -138,7 +138,7 @@ def follow(shape: FloatArray, position: FloatArray) -> ClusterMotion:
         fitted = open_rows[fits]
         rotation[fitted], origin[fitted] = R[fits], p[fits]
         residual[fitted] = np.sqrt((off[fits] ** 2).sum(axis=1) / used[fits].sum(axis=1))
-        # with three markers there is nothing to tell which one is wrong
+        # of three markers nothing shows which one is wrong
         open_rows = open_rows[~fits & (used.sum(axis=1) > 3)]
         weight[open_rows, _odd_one(shape, position[open_rows], weight[open_rows])] = False
         mistaken += len(open_rows)
