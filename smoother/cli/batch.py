@@ -88,10 +88,9 @@ def batch(
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then.
     """
-    from ..study.cluster import run_cluster
+    from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
     from ..study.inputs import find_entries
-    from ..study.local import run_local
     from ..study.run import StudySettings, run_study, study_folder
     from .batch_progress import study_progress
     from .config_file import read_config
