@@ -18,7 +18,6 @@ from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
 from .ledger import Ledger
-from .lock import alone
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -109,7 +108,7 @@ def run_study(
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
     }
     word = folder.open(force)
-    with alone(folder):
+    with folder.alone():
         plan = _Plan(folder, word, settings, calibrations)
         return _work_off(entries, plan, work, heard)
 

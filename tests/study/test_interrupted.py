@@ -32,7 +32,6 @@ from smoother.study.columns import DONE, FAILED, Row
 from smoother.study.fingerprint import Fingerprint, config_hash
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger
-from smoother.study.lock import alone
 from smoother.study.run import study_folder
 
 
@@ -216,9 +215,9 @@ def test_a_full_disk_is_tried_again(job, monkeypatch):
 
 def test_one_command_at_a_time(job, made, capsys):
     folder = study_folder(Path(job.folder))
-    with alone(folder):
+    with folder.alone():
         assert batch(made, "-o", folder.path, "--processes", 1) == 1
         assert "another command works on" in capsys.readouterr().err
         assert not query(folder.path)
-    with alone(folder):
+    with folder.alone():
         pass
