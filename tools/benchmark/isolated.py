@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
-from . import memory
+from .memory import PrivatePeak
 
 #: How often a limit is looked at, s.
 LOOK_S = 0.2
@@ -21,7 +21,8 @@ class Stopped(Exception):
 
     Attributes
     ----------
-    seconds, peak_mb : what it had taken until then.
+    seconds, peak_mb : float, s and MB
+        What it had taken until then.
     """
 
     def __init__(self, text: str, seconds: float, peak_mb: float) -> None:
@@ -54,9 +55,9 @@ def isolated(
     assert process.pid is not None
     try:
         mine.recv()  # it has loaded what it needs: the limit counts from here
-        began = time.monotonic()
+        began, peak = time.monotonic(), PrivatePeak(process.pid, LOOK_S)
         while not mine.poll(LOOK_S):
-            taken_s, peak_mb = time.monotonic() - began, memory.peak_mb(process.pid)
+            taken_s, peak_mb = time.monotonic() - began, peak.mb()
             if taken_s > limit_s:
                 raise Stopped(f"stopped after {limit_s:g} s", taken_s, peak_mb)
             if peak_mb > 1000.0 * limit_gb:
