@@ -24,9 +24,14 @@ DEBUG = "UNOCCLUDE_DEBUG"
 def run(arguments: Sequence[str]) -> int:
     """Run `unocclude` with these arguments.
 
+    Parameters
+    ----------
+    arguments : sequence of str
+
     Returns
     -------
-    0 if done, 1 if it could not be done, 2 for wrong use.
+    code : int
+        0 if done, 1 if it could not be done, 2 for wrong use.
     """
     from .app import app
 

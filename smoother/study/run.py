@@ -81,7 +81,7 @@ def run_study(
     folder: StudyFolder,
     settings: StudySettings,
     work: Work,
-    heard: Callable[[Tally, Row | None], None],
+    progress: Callable[[Tally, Row | None], None],
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
     """Recover the recordings that are not done yet.
@@ -91,7 +91,7 @@ def run_study(
     entries : the recordings.
     folder : where results go.
     work : does jobs, `run_local` or `run_cluster` with its settings.
-    heard : called with the tally, and the row of a recording that has just ended or None.
+    progress : called with the tally, and the row of a recording that has just ended or None.
     force : take a folder that holds other files.
 
     Returns
@@ -110,11 +110,11 @@ def run_study(
     word = folder.open(force)
     with folder.alone():
         plan = _Plan(folder, word, settings, calibrations)
-        return _work_off(entries, plan, work, heard)
+        return _work_off(entries, plan, work, progress)
 
 
 def _work_off(
-    entries: Sequence[Entry], plan: _Plan, work: Work, heard: Callable[[Tally, Row | None], None]
+    entries: Sequence[Entry], plan: _Plan, work: Work, progress: Callable[[Tally, Row | None], None]
 ) -> tuple[Tally, pa.Table]:
     tally = Tally(len(entries))
 
@@ -136,7 +136,7 @@ def _work_off(
                 _count(tally, row)
                 if row["status"] != SAME:
                     plan.ledger.add(row)
-            heard(tally, row)
+            progress(tally, row)
     finally:
         plan.ledger.flush()
         rows.close()

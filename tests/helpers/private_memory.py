@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[2]))
 
-from tools.benchmark.memory import PrivatePeak as PrivatePeak
+from tools.benchmark import memory
+
+PrivatePeak = partial(memory.PrivatePeak, look_s=0.002)
 
 
 def program_output(program: str, *arguments: object) -> str:

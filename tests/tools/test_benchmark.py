@@ -103,7 +103,7 @@ def _fill() -> None:
 def test_the_peak_is_this_process(made):
     if not Path("/proc/self/status").exists():
         pytest.skip("no /proc here")
-    peak = PrivatePeak(look_s=0.01)
+    peak = PrivatePeak()
     before = peak.mb()
     np.ones(25_000_000)  # 200 MB
     assert peak.mb() > before + 100.0

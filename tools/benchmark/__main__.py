@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import platform
 import sys
@@ -20,6 +19,8 @@ from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from smoother.cli.output import plain
 
 from . import tables
 from .beside import METHODS, Beside, run_method, run_smooth
@@ -52,7 +53,7 @@ def main() -> None:
     else:
         _print(figures, lengths_s, cores)
     if options.json:
-        options.json.write_text(json.dumps(_finite(figures), indent=1, default=str) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(plain(figures), indent=1) + "\n", encoding="utf-8")
 
 
 def _measure(
@@ -237,15 +238,6 @@ def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, An
         except RuntimeError as error:
             found[name] = f"failed: {error}"
     return found
-
-
-def _finite(value: Any) -> Any:
-    """The same with null where a number is not one: JSON has no nan."""
-    if isinstance(value, dict):
-        return {str(key): _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _say(text: str) -> None:

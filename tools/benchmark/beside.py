@@ -33,8 +33,6 @@ from .plain import WAYS, Timed, solve_plainly
 from .recordings import Made, read_truth
 
 BASELINES_BESIDE = ("rts", "linear-drift")
-#: How often the memory is looked at, s.
-LOOK_S = 0.02
 METHODS = (*(f"plain graph, {way}" for way in WAYS), *BASELINES_BESIDE)
 
 
@@ -70,7 +68,7 @@ class Beside:
 
 def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
     """`smooth` from memory to memory; recording and answer are kept in a file for the others."""
-    peak = PrivatePeak(look_s=LOOK_S)
+    peak = PrivatePeak()
     recording = read_recording(made.path)
     config = Config.model_validate({"windows": {"processes": processes}})
     began, cpu = time.perf_counter(), _processor_s()
@@ -84,7 +82,7 @@ def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
 
 def run_method(made: Made, name: str, kept: Path) -> Beside:
     """One of `METHODS`, on what `smooth` estimated."""
-    peak = PrivatePeak(look_s=LOOK_S)
+    peak = PrivatePeak()
     with kept.open("rb") as file:
         recording, told = pickle.load(file)
     began, cpu = time.perf_counter(), _processor_s()

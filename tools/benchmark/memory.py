@@ -10,6 +10,9 @@ import os
 import threading
 from pathlib import Path
 
+#: How often to look, s.
+LOOK_S = 0.02
+
 
 class PrivatePeak:
     """Looks at the private memory of a process and of its workers again and again.
@@ -27,7 +30,7 @@ class PrivatePeak:
         Most processes that it had started at a time.
     """
 
-    def __init__(self, pid: int | None = None, look_s: float = 0.002) -> None:
+    def __init__(self, pid: int | None = None, look_s: float = LOOK_S) -> None:
         self._pid = os.getpid() if pid is None else pid
         self._most: dict[int, float] = {}
         self.workers = 0

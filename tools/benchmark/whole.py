@@ -13,8 +13,6 @@ from pathlib import Path
 
 from .memory import PrivatePeak
 
-#: How often the memory is looked at, s.
-LOOK_S = 0.02
 COMMAND = "from smoother.cli import main; main()"
 
 
@@ -60,7 +58,7 @@ def end_to_end(source: Path, result: Path, processes: int, python: str = sys.exe
             stdout=subprocess.DEVNULL,
             stderr=said,
         )
-        peak = PrivatePeak(command.pid, LOOK_S)
+        peak = PrivatePeak(command.pid)
         _, status, usage = os.wait4(command.pid, 0)
         seconds = time.perf_counter() - began
         command.returncode = os.waitstatus_to_exitcode(status)
