@@ -15,7 +15,7 @@ from itertools import chain, islice
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UnoccludeError
+from ..errors import UnoccludeError, debugging
 from ..runtime.pool import THREADS, blank_main
 from .columns import Row
 from .job import Job, run_job
@@ -184,7 +184,7 @@ def _be_quiet() -> int | bool:
     level : int or False
         Below which messages are held back; False where they are wanted.
     """
-    if os.environ.get("UNOCCLUDE_DEBUG", "0") not in ("", "0"):
+    if debugging():
         return False
     level = logging.CRITICAL + 1
     for name in list(logging.root.manager.loggerDict):

@@ -59,11 +59,13 @@ class StudyFolder:
 
         Parameters
         ----------
-        force : also use a folder that holds other files.
+        force : bool
+            Also use a folder that holds other files.
 
         Returns
         -------
-        The study's word.
+        word : str
+            By which a worker knows that it sees this folder.
 
         Raises
         ------
