@@ -1,5 +1,15 @@
 """Errors whose text is one sentence for the user: what is wrong, where, and what to do."""
 
+import os
+
+#: Set to 1 to see where an error comes from.
+DEBUG = "UNOCCLUDE_DEBUG"
+
+
+def debugging() -> bool:
+    """Whether tracebacks are wanted."""
+    return os.environ.get(DEBUG, "") not in ("", "0")
+
 
 class UnoccludeError(Exception):
     """Something the user can mend; the command line prints its text and exits with 1."""

@@ -29,13 +29,13 @@ class BatchCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Give a `--report` that no page's name follows an empty one."""
-        told: list[str] = []
+        complete: list[str] = []
         for place, arg in enumerate(args):
-            told.append(arg)
+            complete.append(arg)
             follows = args[place + 1] if place + 1 < len(args) else ""
             if arg == _REPORT and not follows.lower().endswith((".html", ".htm")):
-                told.append("")
-        return list(super().parse_args(ctx, told))
+                complete.append("")
+        return list(super().parse_args(ctx, complete))
 
 
 def batch(
@@ -88,10 +88,9 @@ def batch(
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then.
     """
-    from ..study.cluster import run_cluster
+    from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
     from ..study.inputs import find_entries
-    from ..study.local import run_local
     from ..study.run import StudySettings, run_study, study_folder
     from .batch_progress import study_progress
     from .config_file import read_config
@@ -117,8 +116,8 @@ def batch(
         else partial(run_cluster, scheduler=scheduler)
     )
     try:
-        with study_progress() as heard:
-            tally, rows = run_study(entries, folder, settings, work, heard, force)
+        with study_progress() as progress:
+            tally, rows = run_study(entries, folder, settings, work, progress, force)
     except KeyboardInterrupt:
         typer.echo("unocclude: interrupted; the same command continues where this one stopped", err=True)
         raise typer.Exit(1) from None

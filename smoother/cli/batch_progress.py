@@ -28,12 +28,12 @@ def study_progress() -> Iterator[Callable[[Tally, Row | None], None]]:
     latest: deque[Row] = deque(maxlen=SHOWN)
     with Live(console=Console(stderr=True), refresh_per_second=4, transient=True) as live:
 
-        def heard(tally: Tally, row: Row | None) -> None:
+        def show(tally: Tally, row: Row | None) -> None:
             if row is not None:
                 latest.append(row)
             live.update(progress_table(tally, latest))
 
-        yield heard
+        yield show
 
 
 def progress_table(tally: Tally, latest: deque[Row]) -> Any:
@@ -62,14 +62,14 @@ def progress_table(tally: Tally, latest: deque[Row]) -> Any:
 
 def headline(tally: Tally) -> str:
     """How far a study is, in a line."""
-    said = f"{tally.ended} of {tally.total}"
+    sentence = f"{tally.ended} of {tally.total}"
     if tally.failed:
-        said += f", {tally.failed} failed"
+        sentence += f", {tally.failed} failed"
     worked = tally.computed + tally.failed
     if worked and tally.seconds > 0:
-        left = (tally.total - tally.ended) * tally.seconds / worked
-        said += f"; {tally.recorded_s / tally.seconds:.0f} times real time, {_clock(left)} left"
-    return said
+        left_s = (tally.total - tally.ended) * tally.seconds / worked
+        sentence += f"; {tally.recorded_s / tally.seconds:.0f} times real time, {_clock(left_s)} left"
+    return sentence
 
 
 def _clock(seconds: float) -> str:

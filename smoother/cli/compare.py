@@ -11,7 +11,7 @@ import typer
 from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
 from .load import load_arm
-from .methods import GRAPH, METHODS, choose, make_methods, peer_settings
+from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
 from .options import (
     Body,
     BoundaryS,
@@ -80,14 +80,14 @@ def compare(
 ) -> None:
     """Recover a recording by every method and hold each against the truth: one table, the best first.
 
-    The graph runs once; the other methods are told its calibration, its clock and what it believed of
-    the camera. No method sees the truth.
+    The graph runs once; the other methods get its calibration, its clock and the camera's samples that
+    it did not reject. No method sees the truth.
     """
     from ..evaluation.compare import compare
     from .config_file import read_config, with_processes
 
     names = choose(methods)
-    settings = peer_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation, boundary_s)
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)
     config = with_processes(read_config(config_file), processes)
@@ -95,17 +95,17 @@ def compare(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
     )
     _check_truth(recording_file, recording, truth_file, markers, align)
-    told = with_strap(calibration, recording) if solve_lever_arms else calibration
+    given = with_strap(calibration, recording) if solve_lever_arms else calibration
     blind = replace(recording, truth=None)
     with progress_bar("comparing") as progress:
         running = make_methods(
-            [GRAPH, *names], told, config, settings, lambda part, _: progress(part / 2, GRAPH)
+            [GRAPH, *names], given, config, settings, lambda part, _: progress(part / 2, GRAPH)
         )
         graph = running[GRAPH](blind)
         truth, alignment = truth_for(
             recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
         )
-        found = compare(
+        comparison = compare(
             blind,
             graph,
             truth,
@@ -116,12 +116,12 @@ def compare(
     if report is not None:
         from ..report.method_comparison import write_comparison
 
-        write_comparison(found, recording, report, force=force)
-    write_json(json_file, {"recording": recording.name, "side": recording.side, **found.to_dict()}, force)
-    print_comparison(found)
-    print_notes([*recording.notes, *found.notes])
-    if report is not None or json_file is not None:
-        say_written(report, json_file)
+        write_comparison(comparison, recording, report, force=force)
+    figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+    write_json(json_file, figures, force)
+    print_comparison(comparison)
+    print_notes([*recording.notes, *comparison.notes])
+    say_written(report, json_file)
 
 
 def _check_truth(
@@ -176,9 +176,9 @@ def truth_for(
     )
 
 
-def print_comparison(found: Comparison) -> None:
+def print_comparison(comparison: Comparison) -> None:
     """Print the tables of a comparison."""
-    what = "forearm IMU" if found.point == "sensor" else found.point
+    what = "forearm IMU" if comparison.point == "sensor" else comparison.point
     columns = (
         "method",
         "rms, cm",
@@ -190,15 +190,15 @@ def print_comparison(found: Comparison) -> None:
         "visible rms, cm",
         "deg",
     )
-    title = f"Error of the {what} {found.where}, the best method first"
-    print_table(found.title(title), columns, [_row(found, row) for row in found.rows])
-    _print_joints(found)
-    _print_lag(found)
+    title = f"Error of the {what} {comparison.where}, the best method first"
+    print_table(comparison.title(title), columns, [_row(comparison, row) for row in comparison.rows])
+    _print_joints(comparison)
+    _print_lag(comparison)
 
 
-def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, seen = found.figures(row, found.part), found.figures(row, "visible")
-    if hidden is None or seen is None:
+def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
+    hidden, visible = comparison.figures(row, comparison.part), comparison.figures(row, "visible")
+    if hidden is None or visible is None:
         return (row.method, *["-"] * 8)
     return (
         row.method,
@@ -208,31 +208,31 @@ def _row(found: Comparison, row: MethodResult) -> tuple[object, ...]:
         hidden.orientation_rms_deg,
         hidden.nees,
         hidden.coverage_95,
-        centimetres(seen.position_rms_m),
-        seen.orientation_rms_deg,
+        centimetres(visible.position_rms_m),
+        visible.orientation_rms_deg,
     )
 
 
-def _print_joints(found: Comparison) -> None:
-    answered = [row for row in found.rows if row.validation is not None]
+def _print_joints(comparison: Comparison) -> None:
+    answered = [row for row in comparison.rows if row.validation is not None]
     joints = list(dict.fromkeys(joint for row in answered for joint in row.validation.points))  # type: ignore[union-attr]
     if not joints:
         return
     rows = []
     for row in answered:
         assert row.validation is not None
-        cells = [row.validation.points.get(joint, {}).get(found.part) for joint in joints]
+        cells = [row.validation.points.get(joint, {}).get(comparison.part) for joint in joints]
         rows.append(
             (row.method, *[centimetres(None if each is None else each.position_rms_m) for each in cells])
         )
-    print_table(found.title(f"Joints {found.where}, rms, cm"), ("method", *joints), rows)
+    print_table(comparison.title(f"Joints {comparison.where}, rms, cm"), ("method", *joints), rows)
 
 
-def _print_lag(found: Comparison) -> None:
-    say(found.camera_words)
-    rows = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in found.rows]
+def _print_lag(comparison: Comparison) -> None:
+    say(comparison.camera_words)
+    rows = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in comparison.rows]
     title = "Lag left behind the truth, ms (peak of cross-correlation; - where an answer does not follow it)"
-    print_table(found.title(title), ("method", "all samples", "in gaps"), rows)
+    print_table(comparison.title(title), ("method", "all samples", "in gaps"), rows)
 
 
 def _ms(value: float | None) -> str:

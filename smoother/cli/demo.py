@@ -49,13 +49,18 @@ def demo(
     recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
     write_recovery([recovery], result, source=source, force=True)
-    found = None if recording.truth is None else validate(recovery, recording.truth)
-    write_report(recovery, report, recording=recording, validation=found, truth=recording.truth, force=True)
-    figures = {"recovery": smooth_figures(recording, recovery), "validation": found and found.to_dict()}
-    write_json(json_file, figures | {"report": report}, True)
+    truth = recording.truth
+    validation = None if truth is None else validate(recovery, truth)
+    write_report(recovery, report, recording=recording, validation=validation, truth=truth, force=True)
+    figures = {
+        "recovery": smooth_figures(recording, recovery),
+        "validation": validation and validation.to_dict(),
+        "report": report,
+    }
+    write_json(json_file, figures, True)
     print_recovery(recording, recovery)
-    if found is not None:
-        print_validation(found)
+    if validation is not None:
+        print_validation(validation)
     say(f"result: {result}")
     say(f"report: {report.resolve()}")
 

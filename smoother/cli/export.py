@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
+from .load import camera_frame_of
 from .options import Force, Json, Output, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
     from ..io.export.prepare import Export
-    from ..recording import FloatArray
     from ..result import Recovery
 
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
@@ -63,17 +63,17 @@ def export(
 
     _check(format_name, frame, rate)
     side = one_side(side)
-    found = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
-    if not found:
+    recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
+    if not recoveries:
         raise UnoccludeError(
             f"{result}: there is no recovered arm{f' {side!r}' if side else ''} in this file"
         )
-    files = output_names(output, found)
+    files = output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    exports = _prepared(result, found, format_name, frame, rate)
+    exports = _prepared(result, recoveries, format_name, frame, rate)
     figures = []
-    for recovery, path, ready in zip(found, files, exports, strict=True):
+    for recovery, path, ready in zip(recoveries, files, exports, strict=True):
         ready.write(path, force)
         say(f"written: {path} ({ready.rows} rows)")
         figures.append(
@@ -123,7 +123,7 @@ def _check(format_name: str, frame: str | None, rate: float | None) -> None:
 
 
 def _prepared(
-    result: Path, found: list[Recovery], format_name: str, frame: str | None, rate: float | None
+    result: Path, recoveries: list[Recovery], format_name: str, frame: str | None, rate: float | None
 ) -> list[Export]:
     import numpy as np
 
@@ -131,16 +131,10 @@ def _prepared(
     from ..io.export.prepare import DEFAULT_FRAME, prepare_export
 
     wants_up = (frame or DEFAULT_FRAME.get(format_name)) == "opensim"
-    level_down = None
-    if wants_up and not all(np.isfinite(recovery.gravity_direction).all() for recovery in found):
-        level_down = _level_down(result)
-    return [prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in found]
-
-
-def _level_down(result: Path) -> FloatArray | None:
-    """Down in the axes of a camera that stands level; None where the recording does not say its axes."""
-    from ..io import open_recording
-
-    file = open_recording(result)
-    known = [file.camera_frame, *(arm.camera_frame for arm in file.arms)]
-    return next((frame.down for frame in known if frame is not None), None)
+    axes = None
+    if wants_up and not all(np.isfinite(recovery.gravity_direction).all() for recovery in recoveries):
+        axes = camera_frame_of(result)
+    level_down = None if axes is None else axes.down  # of a camera that stands level
+    return [
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in recoveries
+    ]

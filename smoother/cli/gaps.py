@@ -8,7 +8,7 @@ import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
 from .load import load_arm
-from .methods import METHODS, choose, make_methods, peer_settings
+from .methods import METHODS, baseline_settings, choose, make_methods
 from .options import (
     Body,
     BoundaryS,
@@ -75,18 +75,18 @@ def gaps(
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
-    settings = peer_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation, boundary_s)
     check_outputs(force, [report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     recording, calibration = load_arm(
         recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
     )
-    told = with_strap(calibration, recording) if solve_lever_arms else calibration
+    given = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("hiding and recovering") as progress:
         table = evaluate_gaps(
             recording,
             lengths_s,
-            make_methods(names, told, config, settings),
+            make_methods(names, given, config, settings),
             seed=seed,
             repetitions=repetitions,
             gaps_per_run=gaps_per_run,
@@ -99,8 +99,7 @@ def gaps(
     write_json(json_file, gap_figures(table), force)
     print_gaps(table)
     print_notes([*recording.notes, *table.notes])
-    if report is not None or json_file is not None:
-        say_written(report, json_file)
+    say_written(report, json_file)
 
 
 def gap_figures(table: GapTable) -> dict[str, Any]:

@@ -12,12 +12,15 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
 
     Parameters
     ----------
-    max_sigma_m : largest standard deviation on the worst axis that is of use, m; None marks nothing.
+    recovery : Recovery
+    max_sigma_m : float or None, m
+        Largest standard deviation on the worst axis that is of use; None marks nothing.
 
     Returns
     -------
-    The recovery with the limit among its figures, from which `io.usable` derives the marks, and a note
-    that says how many samples it concerns.
+    recovery : Recovery
+        With the limit among its figures, from which `io.usable` derives the marks, and a note that says how
+        many samples it concerns.
     """
     if max_sigma_m is None:
         return recovery
@@ -25,9 +28,9 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
 
     answered = int(usable(recovery).sum())
     marked = replace(recovery, figures={**recovery.figures, LIMIT: float(max_sigma_m)})
-    kept = int(usable(marked).sum())
+    certain = int(usable(marked).sum())
     note = (
-        f"{answered - kept} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
+        f"{answered - certain} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
         " deviation) and are marked as not to be used: `usable` is 0 in the CSV export."
     )
     return replace(marked, notes=(*recovery.notes, note))

@@ -10,7 +10,7 @@ from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..recording import Recording
+    from ..recording import CameraFrame, Recording
     from ..result import Recovery
     from ..runtime.store import Store
 
@@ -46,11 +46,20 @@ def load_recovery(path: Path, side: str | None = None) -> Recovery:
     """The one recovery of a file, or that of a side."""
     from ..io import read_recovery
 
-    found = read_recovery(path)
-    chosen = [recovery for recovery in found if side in (None, recovery.side)]
-    sides = ", ".join(recovery.side or "no side" for recovery in found) or "none"
+    recoveries = read_recovery(path)
+    chosen = [recovery for recovery in recoveries if side in (None, recovery.side)]
+    sides = ", ".join(recovery.side or "no side" for recovery in recoveries) or "none"
     if not chosen:
         raise UnoccludeError(f"{path}: there is no recovered arm '{side}'; the file has: {sides}")
     if len(chosen) > 1:
         raise UnoccludeError(f"{path}: several arms are in this file ({sides}); choose one with --side")
     return chosen[0]
+
+
+def camera_frame_of(path: Path) -> CameraFrame | None:
+    """The axes of the camera as the recording inside a result says, or None."""
+    from ..io import open_recording
+
+    file = open_recording(path)
+    implied = (arm.camera_frame for arm in file.arms)
+    return file.camera_frame or next((frame for frame in implied if frame is not None), None)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Progress = Callable[[float, str], None]
 
 GRAPH = "graph"
-#: Every method, ours first, then the peers, the strongest first.
+#: Every method, ours first, then the baselines, the strongest first.
 METHODS = (GRAPH, *BASELINES)
 
 
@@ -46,13 +46,15 @@ def choose(names: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class PeerSettings:
-    """What the command line sets for the peers.
+class BaselineSettings:
+    """What the command line sets for the baselines.
 
     Attributes
     ----------
-    orientation : the filter of those that need one.
-    options : by name; each goes to the chosen methods that know it.
+    orientation : str
+        The filter of those that need one.
+    options : mapping of str to object
+        By name; each goes to the chosen methods that know it.
     """
 
     orientation: str = DEFAULT_ORIENTATION
@@ -63,8 +65,8 @@ class PeerSettings:
         return {key: value for key, value in self.options.items() if key in BASELINES[name].options}
 
 
-def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> PeerSettings:
-    """Check what was set for the peers among the chosen methods.
+def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> BaselineSettings:
+    """Check what was set for the baselines among the chosen methods.
 
     Raises
     ------
@@ -74,10 +76,10 @@ def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | No
     if orientation not in ORIENTATIONS:
         raise typer.BadParameter(f"--orientation is one of {', '.join(ORIENTATIONS)}, not '{orientation}'")
     if boundary_s is None:
-        return PeerSettings(orientation)
+        return BaselineSettings(orientation)
     if not 0.05 <= boundary_s <= 10.0:
         raise typer.BadParameter("--boundary-s is a time between 0.05 and 10 s")
-    settings = PeerSettings(orientation, {"boundary_s": boundary_s})
+    settings = BaselineSettings(orientation, {"boundary_s": boundary_s})
     if not any(name in BASELINES and settings.for_method(name) for name in names):
         raise typer.BadParameter("--boundary-s belongs to the method linear-drift")
     return settings
@@ -86,7 +88,7 @@ def peer_settings(names: Sequence[str], orientation: str, boundary_s: float | No
 class SharedGraph:
     """The graph's recovery of a recording, solved once and kept until another recording comes.
 
-    What it cannot solve is kept too: the peers fail with the same sentence.
+    What it cannot solve is kept too: the baselines fail with the same sentence.
     """
 
     def __init__(
@@ -124,25 +126,25 @@ def make_methods(
     names: Sequence[str],
     calibration: ArmCalibration | None,
     config: Config,
-    settings: PeerSettings | None = None,
+    settings: BaselineSettings | None = None,
     progress: Progress | None = None,
     store: Store | None = None,
 ) -> dict[str, Method]:
-    """The chosen methods by name; the peers are told what the graph finds, which they share.
+    """The chosen methods by name; the baselines start from what the graph estimates, which they share.
 
-    Called in turn on the same recording object, the graph is solved once. Without a calibration the peers
-    get the one that the graph found; with one they get it, and the graph's clock. The graph's answer lies in
-    `store`, the peers' in memory.
+    Called in turn on the same recording object, the graph is solved once. Without a calibration the baselines
+    get the one that the graph estimated; with one they get it, and the graph's clock. The graph's answer lies
+    in `store`, the baselines' in memory.
     """
-    graph, settings = SharedGraph(calibration, config, progress, store), settings or PeerSettings()
+    graph, settings = SharedGraph(calibration, config, progress, store), settings or BaselineSettings()
 
-    def peer(name: str) -> Method:
+    def baseline(name: str) -> Method:
         def run(recording: Recording) -> Recovery:
             from ..baselines.registry import recover
 
-            told = graph(recording)
-            return recover(recording, told, name, settings.orientation, settings.for_method(name))
+            options = settings.for_method(name)
+            return recover(recording, graph(recording), name, settings.orientation, options)
 
         return run
 
-    return {name: graph if name == GRAPH else peer(name) for name in names}
+    return {name: graph if name == GRAPH else baseline(name) for name in names}

@@ -21,9 +21,12 @@ class MocapFiles:
 
     Attributes
     ----------
-    c3d, trc : the markers, alike.
-    map : which markers make a joint.
-    calibration : where [camera_from_mocap] goes if no other file is named.
+    c3d, trc : Path
+        The markers, alike.
+    map : Path
+        Which markers make a joint.
+    calibration : Path
+        Where [camera_from_mocap] goes if no other file is named.
     """
 
     c3d: Path

@@ -23,13 +23,13 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     from ..runtime.atomic import check_output
 
     read = {path.resolve() for path in inputs if path is not None}
-    seen: set[Path] = set()
+    written: set[Path] = set()
     for path in (path for path in outputs if path is not None):
         if path.resolve() in read:
             raise UnoccludeError(f"{path} is read by this command; give another name to write to")
-        if path.resolve() in seen:
+        if path.resolve() in written:
             raise UnoccludeError(f"{path} is named for two outputs; give each a name of its own")
-        seen.add(path.resolve())
+        written.add(path.resolve())
         check_output(path, force)
 
 
@@ -95,16 +95,17 @@ def say(text: str) -> None:
 
 
 def say_written(*paths: Path | None) -> None:
-    """Print what was written."""
-    say(f"written: {', '.join(str(path) for path in paths if path is not None)}")
+    """Print what was written, if anything."""
+    if files := [str(path) for path in paths if path is not None]:
+        say(f"written: {', '.join(files)}")
 
 
 def console() -> Any:
     """Rich's console on stdout; wide enough for a table where stdout is no terminal."""
     from rich.console import Console
 
-    found = Console()
-    return found if found.is_terminal else Console(width=120)
+    usual = Console()
+    return usual if usual.is_terminal else Console(width=120)
 
 
 def cell(value: object) -> str:

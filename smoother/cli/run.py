@@ -11,22 +11,25 @@ from collections.abc import Sequence
 
 import typer
 
-from ..errors import UnoccludeError
+from ..errors import DEBUG, UnoccludeError, debugging
 
 OK, FAILED, WRONG_USE = 0, 1, 2
 #: What typer returns after Ctrl-C.
 INTERRUPTED = 130
 STOPPED = "interrupted; no output is left half written"
-#: Set to 1 to see where an error comes from.
-DEBUG = "UNOCCLUDE_DEBUG"
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run `unocclude` with these arguments.
 
+    Parameters
+    ----------
+    arguments : sequence of str
+
     Returns
     -------
-    0 if done, 1 if it could not be done, 2 for wrong use.
+    code : int
+        0 if done, 1 if it could not be done, 2 for wrong use.
     """
     from .app import app
 
@@ -46,11 +49,6 @@ def run(arguments: Sequence[str]) -> int:
         if debugging():
             traceback.print_exc()
         return _fail(*explain(error))
-
-
-def debugging() -> bool:
-    """Whether tracebacks are wanted."""
-    return os.environ.get(DEBUG, "") not in ("", "0")
 
 
 def explain(error: BaseException) -> tuple[str, int]:

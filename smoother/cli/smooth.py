@@ -9,7 +9,7 @@ import typer
 from ..baselines.registry import DEFAULT_ORIENTATION
 from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arm
-from .methods import METHODS, choose, make_methods, peer_settings
+from .methods import METHODS, baseline_settings, choose, make_methods
 from .options import (
     Body,
     BoundaryS,
@@ -77,7 +77,7 @@ def smooth(
     names = choose(method)
     if len(names) != 1:
         raise typer.BadParameter("--method takes one method; `unocclude compare` runs several")
-    settings = peer_settings(names, orientation, boundary_s)
+    settings = baseline_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
@@ -93,9 +93,9 @@ def smooth(
             store=store,
             truth=False,
         )
-        told = with_strap(calibration, recording) if solve_lever_arms else calibration
+        given = with_strap(calibration, recording) if solve_lever_arms else calibration
         with progress_bar("recovering") as progress:
-            recover = make_methods(names, told, config, settings, progress, store)[names[0]]
+            recover = make_methods(names, given, config, settings, progress, store)[names[0]]
             recovery = recover(recording)
         recovery = with_given(recovery, calibration)
         if solve_lever_arms:

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .load import load_recovery
+from .load import camera_frame_of, load_recovery
 from .options import Force, Json, Report, Side, one_side
 from .output import centimetres, check_outputs, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
     from ..evaluation import Validation
     from ..evaluation.agreement import Agreement
-    from ..recording import CameraFrame
 
 _PARTS = ("all", "occluded", "visible")
 #: More gaps than this are not printed; `--json` has them all.
@@ -57,7 +56,7 @@ def validate(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Compare a result with a reference: position, orientation, joint angles, and whether sigma is honest."""
+    """Compare a result with a reference: position, orientation, joint angles, consistency of sigma."""
     from ..evaluation import read_reference, validate
 
     check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
@@ -66,46 +65,37 @@ def validate(
     truth, alignment = read_reference(
         truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
     )
-    found = validate(recovery, truth, alignment)
+    validation = validate(recovery, truth, alignment)
     if report is not None:
         from ..report import write_report
 
-        write_report(recovery, report, validation=found, truth=truth, force=force)
-    write_json(json_file, found.to_dict(), force)
-    print_validation(found)
+        write_report(recovery, report, validation=validation, truth=truth, force=force)
+    write_json(json_file, validation.to_dict(), force)
+    print_validation(validation)
 
 
-def camera_frame_of(path: Path) -> CameraFrame | None:
-    """The axes of the camera as the recording inside a result says, or None."""
-    from ..io import open_recording
-
-    file = open_recording(path)
-    implied = (arm.camera_frame for arm in file.arms)
-    return file.camera_frame or next((frame for frame in implied if frame is not None), None)
-
-
-def print_validation(found: Validation) -> None:
+def print_validation(validation: Validation) -> None:
     """Print the figures of a validation."""
-    _print_errors(found)
-    _print_points(found)
-    _print_gaps(found)
-    _print_angles(found)
-    _print_table_one(found)
-    if found.lag_s is not None:
-        say(f"lag of the answer behind the truth: {1000 * found.lag_s:+.1f} ms (peak of cross-correlation)")
-    if found.angles is not None and found.angles.carrying_truth_deg is not None:
-        say(f"the truth's carrying angle: {found.angles.carrying_truth_deg:.1f} degrees (median; valgus < 0)")
-    print_notes(found.notes)
+    _print_errors(validation)
+    _print_points(validation)
+    _print_gaps(validation)
+    _print_angles(validation)
+    _print_table_one(validation)
+    if (lag_s := validation.lag_s) is not None:
+        say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")
+    if (angles := validation.angles) is not None and (carrying_deg := angles.carrying_truth_deg) is not None:
+        say(f"the truth's carrying angle: {carrying_deg:.1f} degrees (median; valgus < 0)")
+    print_notes(validation.notes)
 
 
-def _print_errors(found: Validation) -> None:
+def _print_errors(validation: Validation) -> None:
     columns = (
         *("part", "rms, cm", "95 %, cm", "max, cm"),
         *("rms, deg", "95 %, deg", "max, deg", "NEES", "inside 95 %", "samples"),
     )
     rows = []
     for name in _PARTS:
-        figures = getattr(found, name)
+        figures = getattr(validation, name)
         rows.append(
             (
                 name,
@@ -120,13 +110,14 @@ def _print_errors(found: Validation) -> None:
                 figures.samples,
             )
         )
-    print_table(found.title("Error against the truth; NEES: 1 = the stated sigma is honest"), columns, rows)
-    bias = found.all.position_bias_m
+    title = validation.title("Error against the truth; NEES: 1 = the stated sigma is consistent")
+    print_table(title, columns, rows)
+    bias = validation.all.position_bias_m
     if bias is not None:
         say(f"bias of the position, x y z of the camera, cm: {' '.join(f'{100 * x:+.2f}' for x in bias)}")
 
 
-def _print_points(found: Validation) -> None:
+def _print_points(validation: Validation) -> None:
     rows = [
         (
             name,
@@ -135,14 +126,14 @@ def _print_points(found: Validation) -> None:
             centimetres(parts["all"].position_max_m),
             parts["all"].nees,
         )
-        for name, parts in found.points.items()
+        for name, parts in validation.points.items()
     ]
     if rows:
         columns = ("joint", *_PARTS, "95 %", "max", "NEES")
-        print_table(found.title("Joints, position rms, cm"), columns, rows)
+        print_table(validation.title("Joints, position rms, cm"), columns, rows)
 
 
-def _print_gaps(found: Validation) -> None:
+def _print_gaps(validation: Validation) -> None:
     rows = [
         (
             f"{gap.start_s:.2f}",
@@ -153,25 +144,25 @@ def _print_gaps(found: Validation) -> None:
             figures.orientation_max_deg,
             figures.nees,
         )
-        for gap, figures in found.gaps[:_MOST_GAPS]
+        for gap, figures in validation.gaps[:_MOST_GAPS]
     ]
     if rows:
         columns = ("gap at, s", "length, s", "rms, cm", "max, cm", "rms, deg", "max, deg", "NEES")
-        print_table(found.title("Error gap by gap"), columns, rows)
+        print_table(validation.title("Error gap by gap"), columns, rows)
 
 
-def _print_angles(found: Validation) -> None:
+def _print_angles(validation: Validation) -> None:
     from ..evaluation.angle_figures import WORDS
 
     rows = [
         (WORDS[name], part, *_agreement_cells(each))
-        for name in (found.angles.compared if found.angles else ())
-        for part, each in ((part, found.angle_figures[part][name]) for part in _PARTS)
+        for name in (validation.angles.compared if validation.angles else ())
+        for part, each in ((part, validation.angle_figures[part][name]) for part in _PARTS)
         if each.samples
     ]
     if rows:
         columns = ("angle", "part", "RMSE", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
-        print_table(found.title("Joint angles, degrees (answer minus truth)"), columns, rows)
+        print_table(validation.title("Joint angles, degrees (answer minus truth)"), columns, rows)
 
 
 def _agreement_cells(each: Agreement) -> tuple[str, ...]:
@@ -187,8 +178,8 @@ def _agreement_cells(each: Agreement) -> tuple[str, ...]:
     )
 
 
-def _print_table_one(found: Validation) -> None:
-    if found.table is None or all(row.answer is None for row in found.table.rows):
+def _print_table_one(validation: Validation) -> None:
+    if validation.table is None or all(row.answer is None for row in validation.table.rows):
         return
     rows = [
         (
@@ -198,13 +189,13 @@ def _print_table_one(found: Validation) -> None:
             "-" if row.answer is None else _figure(row.errors, row.answer),
             "-" if row.reduction is None else f"{100 * row.reduction:.2f}%",
         )
-        for row in found.table.rows
+        for row in validation.table.rows
     ]
     columns = ("", "", "Camera's skeleton", "Recovered", "Error reduction")
     print_table(
-        found.title("Position and orientation errors, as table I of Jatesiktat and Ang"), columns, rows
+        validation.title("Position and orientation errors, as table I of Jatesiktat and Ang"), columns, rows
     )
-    say(found.table.note)
+    say(validation.table.note)
 
 
 def _figure(errors: str, value: float) -> str:

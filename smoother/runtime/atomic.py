@@ -18,12 +18,15 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
 
     Parameters
     ----------
-    path : where the output is to lie; its folder must exist.
-    force : overwrite an output that exists.
+    path : str or path
+        Where the output is to lie; its folder must exist.
+    force : bool
+        Overwrite an output that exists.
 
     Yields
     ------
-    The path to write to. On any failure it is removed, and an older output stays as it was.
+    temporary : Path
+        What to write to. On any failure it is removed, and an older output stays as it was.
 
     Raises
     ------

@@ -16,14 +16,18 @@ _ENOUGH = 50_000
 
 
 class Column:
-    """Rows of one shape, gathered part after part in a room.
+    """Rows of one shape, gathered batch after batch in a store.
 
     Parameters
     ----------
-    store : where the rows lie.
-    tail : shape of a row.
-    dtype : of its values.
-    optional : rows cost nothing until the first that is not nan.
+    store : Store
+        Where the rows lie.
+    tail : tuple of int
+        Shape of a row.
+    dtype : dtype
+        Of its values.
+    optional : bool
+        Rows cost nothing until the first that is not nan.
     """
 
     def __init__(

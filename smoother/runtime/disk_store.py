@@ -38,7 +38,8 @@ class DiskStore(Store):
 
     Parameters
     ----------
-    folder : where the files lie; None = where the system has its temporary files (`TMPDIR`).
+    folder : str or path, optional
+        Where the files lie; None = where the system has its temporary files (`TMPDIR`).
 
     Raises
     ------

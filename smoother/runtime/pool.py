@@ -59,8 +59,10 @@ class Pool:
 
     Parameters
     ----------
-    processes : worker processes, 0 = one a core.
-    frames : camera frames of the whole job; a small one is done here.
+    processes : int
+        Worker processes, 0 = one a core.
+    frames : int
+        Camera frames of the whole job; a small one is done here.
     """
 
     def __init__(self, processes: int, frames: int) -> None:

@@ -1,15 +1,22 @@
-"""A study on a cluster of Dask workers."""
+"""A study on Dask workers: processes of this machine, or a cluster."""
 
 from __future__ import annotations
 
 import logging
 import os
 import queue
+import signal
 import time
+import warnings
+from collections import deque
 from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain, islice
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UnoccludeError
+from ..errors import UnoccludeError, debugging
+from ..runtime.pool import THREADS, blank_main
 from .columns import Row
 from .job import Job, run_job
 
@@ -18,10 +25,79 @@ if TYPE_CHECKING:
 
 #: How long a scheduler may take to answer, and how long to wait for its first worker, s.
 CONNECT_S, FIRST_WORKER_S = 10.0, 120.0
-#: Recordings handed over beyond those that are worked on, a thread of the workers; keeps the scheduler light.
+#: Recordings handed to a cluster beyond those that are worked on, a thread of the workers; keeps its
+#: scheduler light. On one machine handing over takes no time.
 _AHEAD = 2
 _TICK_S = 0.5
 _LOOK_S = 5.0
+#: Ends the key of a second try.
+_AGAIN = "again"
+_SAME_COMMAND = "the same command continues"
+#: How Dask works on one machine.
+_LOCAL = {
+    # the client tries again, without others beside
+    "distributed.scheduler.allowed-failures": 0,
+    # GTSAM may keep a worker from answering for minutes, and a worker may take its time to start again
+    "distributed.scheduler.worker-ttl": None,
+    "distributed.deploy.lost-worker-timeout": "1 day",
+    "distributed.worker.profile.enabled": False,
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(THREADS, "1"),
+}
+
+
+def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, None, None]:
+    """Do the jobs on this machine, in processes that each work on one recording at a time.
+
+    A process that dies (out of memory, killed) is replaced. They end by themselves when this one is gone,
+    however it went. All listen on 127.0.0.1 only.
+
+    Parameters
+    ----------
+    jobs : iterator of Job
+        Taken as processes become free.
+    processes : int
+        How many; 0 = one a core.
+
+    Yields
+    ------
+    row : dict or None
+        A row as soon as a recording is done, None now and then while nothing is.
+    """
+    first = list(islice(jobs, processes or os.cpu_count() or 1))
+    if not first:
+        return
+    import dask.config
+    from distributed import Client, LocalCluster
+
+    with ExitStack() as stack:
+        silent = _be_quiet()
+        stack.enter_context(dask.config.set(_LOCAL))
+        stack.enter_context(blank_main())
+        with _interrupts_wait():
+            try:
+                cluster = LocalCluster(
+                    n_workers=len(first),
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=None,
+                    silence_logs=silent,
+                    preload=[__name__],
+                )
+            except (OSError, RuntimeError) as error:
+                raise UnoccludeError(f"the processes could not be started: {error}") from error
+            stack.enter_context(cluster)
+        client = stack.enter_context(Client(cluster, set_as_default=False))
+        try:
+            yield from _run(client, chain(first, jobs), 0, f"its processes went away; {_SAME_COMMAND}")
+        except BaseException:
+            for nanny in cluster.workers.values():  # closing would wait for what they are doing
+                nanny.close_gracefully()  # else it starts another process
+                if (process := nanny.pid) is not None:
+                    with suppress(ProcessLookupError):
+                        os.kill(process, signal.SIGTERM)
+            raise
 
 
 def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:
@@ -31,11 +107,15 @@ def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, No
 
     Parameters
     ----------
-    scheduler : its address, such as tcp://10.0.0.1:8786.
+    jobs : iterator of Job
+        Taken as workers become free.
+    scheduler : str
+        Its address, such as tcp://10.0.0.1:8786.
 
     Yields
     ------
-    A row as soon as a recording is done, None now and then while nothing is.
+    row : dict or None
+        A row as soon as a recording is done, None now and then while nothing is.
 
     Raises
     ------
@@ -44,9 +124,35 @@ def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, No
     """
     client = _connect(scheduler)
     try:
-        yield from _run(client, jobs, scheduler)
+        yield from _run(
+            client,
+            jobs,
+            _AHEAD,
+            f"the scheduler at {scheduler} went away; {_SAME_COMMAND} when it is back",
+        )
     finally:
         client.close(timeout=CONNECT_S)
+
+
+def dask_setup(worker: object) -> None:
+    """Prepare a process of `run_local`; Dask calls this."""
+    if _be_quiet():
+        warnings.simplefilter("ignore")  # a library's warning says nothing to a user
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the client ends its processes
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Hold Ctrl-C back for a moment, and for good in the threads and processes that start meanwhile."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # it would let signals through again as it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _connect(scheduler: str) -> Client:
@@ -70,63 +176,83 @@ def _connect(scheduler: str) -> Client:
     return client
 
 
-def _be_quiet() -> None:
-    """Keep Dask's messages and tracebacks from the user: what matters is said in our words."""
-    if os.environ.get("UNOCCLUDE_DEBUG", "0") not in ("", "0"):
-        return
+def _be_quiet() -> int | bool:
+    """Keep Dask's messages and tracebacks from the user: what matters is said in our words.
+
+    Returns
+    -------
+    level : int or False
+        Below which messages are held back; False where they are wanted.
+    """
+    if debugging():
+        return False
+    level = logging.CRITICAL + 1
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+            logging.getLogger(name).setLevel(level)
+    return level
 
 
-def _run(client: Client, jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:
-    done: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    open_jobs: dict[str, Job] = {}
-    futures: dict[str, Any] = {}
+def _run(client: Client, jobs: Iterator[Job], ahead: int, gone: str) -> Generator[Row | None, None, None]:
+    """Keep the workers busy; a recording whose worker died is tried once more, alone, after the others.
+
+    What dies then is at fault itself: a worker's death also strikes what waits there for its turn.
+    """
+    ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    running: dict[str, tuple[Job, Any]] = {}
+    again: deque[Job] = deque()
     slots, looked = 0, -_LOOK_S
+
+    def submit(job: Job, key: str) -> None:
+        future = client.submit(run_job, job, key=key, pure=False)
+        running[key] = job, future
+        future.add_done_callback(ended.put)
+
     while True:
         if time.monotonic() - looked >= _LOOK_S:  # workers come and go
             threads = sum(client.nthreads().values())
-            slots, looked = max(1, threads) * (1 + _AHEAD), time.monotonic()
-        while len(futures) < slots and (job := next(jobs, None)) is not None:
+            slots, looked = max(1, threads) * (1 + ahead), time.monotonic()
+        while len(running) < slots and (job := next(jobs, None)) is not None:
             # the same key for the same work: what runs already is not started again
-            key = f"unocclude-{job.key}"
-            future = client.submit(run_job, job, key=key, pure=False)
-            open_jobs[key], futures[key] = job, future
-            future.add_done_callback(done.put)
-        if not futures:
-            return
+            submit(job, f"unocclude-{job.key}")
+        if not running:
+            if not again:
+                return
+            submit(again[0], f"unocclude-{again.popleft().key}-{_AGAIN}")
         try:
-            future = done.get(timeout=_TICK_S)
+            future = ended.get(timeout=_TICK_S)
         except queue.Empty:
             if client.status != "running":
-                raise UnoccludeError(_gone(scheduler)) from None
+                raise UnoccludeError(gone) from None
             yield None
             continue
-        if future.key not in futures:
+        if future.key not in running:
             continue
-        job = open_jobs.pop(future.key)
-        yield _row(future, job, scheduler)
-        del futures[future.key]
+        job, _ = running.pop(future.key)
+        if future.status not in ("finished", "error"):
+            raise UnoccludeError(gone)
+        if _worker_died(future) and not future.key.endswith(_AGAIN):
+            again.append(job)
+        else:
+            yield _row(future, job)
         future.release()
 
 
-def _row(future: Any, job: Job, scheduler: str) -> Row:
+def _worker_died(future: Any) -> bool:
+    return future.status == "error" and type(future.exception()).__name__ == "KilledWorker"
+
+
+def _row(future: Any, job: Job) -> Row:
     """The row of a job that has ended, whichever way."""
     if future.status == "finished":
         row: Row = future.result()
         return row
-    if future.status != "error":
-        raise UnoccludeError(_gone(scheduler))
-    error = future.exception()
-    if type(error).__name__ == "KilledWorker":
+    if _worker_died(future):
         return job.lost(
-            "the workers that worked on it died one after the other; perhaps their memory is short"
+            "the processes that worked on it died one after the other; perhaps the memory does not suffice:"
+            " use fewer of them a machine (--processes)"
         )
+    error = future.exception()
     if isinstance(error, ImportError):
         return job.lost(f"a worker lacks a package ({error}); install the same unocclude on all machines")
     return job.lost(f"a worker could not do it: {type(error).__name__}: {' '.join(str(error).split())}")
-
-
-def _gone(scheduler: str) -> str:
-    return f"the scheduler at {scheduler} went away; the same command continues when it is back"

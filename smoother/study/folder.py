@@ -15,6 +15,8 @@ import os
 import secrets
 import shutil
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,11 +59,13 @@ class StudyFolder:
 
         Parameters
         ----------
-        force : also use a folder that holds other files.
+        force : bool
+            Also use a folder that holds other files.
 
         Returns
         -------
-        The study's word.
+        word : str
+            By which a worker knows that it sees this folder.
 
         Raises
         ------
@@ -94,6 +98,30 @@ class StudyFolder:
         mine = self.stage / f"{socket.gethostname()}~{os.getpid()}"
         mine.mkdir(parents=True, exist_ok=True)
         return mine / f"{row}-{secrets.token_hex(4)}.mcap"
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep a second command from doing the same work; the system lets go when this process ends, however.
+
+        Raises
+        ------
+        UnoccludeError
+            Another process works on this study.
+        """
+        from filelock import FileLock, Timeout
+
+        try:
+            lock = FileLock(self.path / ".unocclude" / "lock").acquire(blocking=False)
+        except Timeout as error:
+            raise UnoccludeError(
+                f"another command works on {self.path}; wait for it, or give another folder"
+            ) from error
+        except (NotImplementedError, OSError):
+            # a file system without locks: two commands would do work twice, but spoil nothing
+            yield
+            return
+        with lock:
+            yield
 
     def _sweep(self) -> None:
         """Remove what processes of this machine that are gone left half written."""

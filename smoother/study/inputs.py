@@ -19,9 +19,12 @@ class Entry:
 
     Attributes
     ----------
-    name : what it is called in the results: its path below the study's common folder, with slashes.
-    path : the recording, absolute.
-    calibration : a calibration of its own, absolute; "" where the study's is taken.
+    name : str
+        What it is called in the results: its path below the study's common folder, with slashes.
+    path : str
+        The recording, absolute.
+    calibration : str
+        A calibration of its own, absolute; "" where the study's is taken.
     """
 
     name: str
@@ -34,10 +37,16 @@ def find_entries(source: str, output: Path) -> list[Entry]:
 
     Parameters
     ----------
-    source : a folder (all `.mcap` below it), a pattern such as `day*/*.mcap` (`**` for any depth), an
+    source : str
+        A folder (all `.mcap` below it), a pattern such as `day*/*.mcap` (`**` for any depth), an
         `.mcap` file, or a text file with one recording a line, relative to the list's folder, which a tab
         and a calibration may follow; empty lines and lines that begin with # are passed over.
-    output : the study's folder; what lies in it is not a recording of the study.
+    output : Path
+        The study's folder; what lies in it is not a recording of the study.
+
+    Returns
+    -------
+    entries : list of Entry
 
     Raises
     ------
@@ -46,23 +55,23 @@ def find_entries(source: str, output: Path) -> list[Entry]:
     """
     path = Path(source)
     if path.is_dir():
-        base, found = path, [(file, "") for file in _below(path)]
+        base, files = path, [(file, "") for file in _below(path)]
     elif glob.has_magic(source) and not path.exists():
         base = _fixed_part(source)
-        found = [(Path(file), "") for file in glob.iglob(source, recursive=True) if file.endswith(ENDING)]
+        files = [(Path(file), "") for file in glob.iglob(source, recursive=True) if file.endswith(ENDING)]
     elif path.suffix == ENDING:
-        base, found = path.parent, [(path, "")]
+        base, files = path.parent, [(path, "")]
     else:
-        base, found = _listed(path)
-    kept = [(file, calibration) for file, calibration in found if not _inside(file, output)]
-    if found and not kept:
+        base, files = _listed(path)
+    recordings = [(file, calibration) for file, calibration in files if not _inside(file, output)]
+    if files and not recordings:
         raise UnoccludeError(f"{source} lies in {output}, where results go; give -o another folder")
-    if not kept:
+    if not recordings:
         raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here; name a folder that has some")
     entries = {
         entry.path: entry
         for entry in (
-            Entry(_name(file, base), os.path.abspath(file), calibration) for file, calibration in kept
+            Entry(_name(file, base), os.path.abspath(file), calibration) for file, calibration in recordings
         )
     }
     return sorted(entries.values(), key=lambda entry: entry.name)
@@ -70,7 +79,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
 
 def _below(folder: Path) -> list[Path]:
     """Recordings below a folder; not those of hidden folders, nor the outputs of other studies."""
-    found: list[Path] = []
+    files: list[Path] = []
     for place, folders, names in os.walk(folder):
         here = Path(place)
         folders[:] = [
@@ -78,8 +87,8 @@ def _below(folder: Path) -> list[Path]:
             for each in folders
             if not each.startswith(".") and not StudyFolder(here / each).mark.exists()
         ]
-        found += [here / each for each in names if each.endswith(ENDING) and not each.startswith(".")]
-    return found
+        files += [here / each for each in names if each.endswith(ENDING) and not each.startswith(".")]
+    return files
 
 
 def _fixed_part(pattern: str) -> Path:
@@ -102,7 +111,7 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
         ) from error
     except UnicodeDecodeError as error:
         raise UnoccludeError(f"{path} is no list: it is not text with one recording a line") from error
-    found: list[tuple[Path, str]] = []
+    files: list[tuple[Path, str]] = []
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -112,12 +121,12 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
                 f"{path}, line {number}: expected a recording ({ENDING}), perhaps a tab and a calibration"
             )
         calibration = os.path.abspath(path.parent / more[0]) if more and more[0] else ""
-        found.append((path.parent / recording, calibration))
-    inside = all(_inside(file, path.parent) for file, _ in found)
-    if inside or not found:
-        return path.parent, found
+        files.append((path.parent / recording, calibration))
+    inside = all(_inside(file, path.parent) for file, _ in files)
+    if inside or not files:
+        return path.parent, files
     try:
-        return Path(os.path.commonpath([os.path.abspath(file.parent) for file, _ in found])), found
+        return Path(os.path.commonpath([os.path.abspath(file.parent) for file, _ in files])), files
     except ValueError as error:  # Windows: several drives
         raise UnoccludeError(
             f"{path}: the recordings lie on several drives; make a list for each of them"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..config import Config
-from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError
+from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging
 from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
@@ -29,8 +29,10 @@ class Known:
 
     Attributes
     ----------
-    row_id : its row.
-    output_hash : SHA-256 of the output; "" for a failure that would come again.
+    row_id : str
+        Its row.
+    output_hash : str
+        SHA-256 of the output; "" for a failure that would come again.
     """
 
     row_id: str
@@ -43,16 +45,26 @@ class Job:
 
     Attributes
     ----------
-    name : of the recording in the study, with its ending; the output has the same.
-    source : path of the recording, absolute.
-    folder : the study's folder, absolute.
-    word : the study's word, by which the worker knows that it sees the same folder.
-    config, choice : settings.
-    config_hash : of both.
-    calibration : path of the calibration file, absolute, or "".
-    calibration_hash : SHA-256 of that file, or "".
-    version : of the program that started the study.
-    known : earlier results of this recording.
+    name : str
+        Of the recording in the study, with its ending; the output has the same.
+    source : str
+        Path of the recording, absolute.
+    folder : str
+        The study's folder, absolute.
+    word : str
+        The study's word, by which the worker knows that it sees the same folder.
+    config, choice : Config, Fingerprint
+        Settings.
+    config_hash : str
+        Of both.
+    calibration : str
+        Path of the calibration file, absolute, or "".
+    calibration_hash : str
+        SHA-256 of that file, or "".
+    version : str
+        Of the program that started the study.
+    known : tuple of Known
+        Earlier results of this recording.
     """
 
     name: str
@@ -105,7 +117,8 @@ def run_job(job: Job) -> Row:
 
     Returns
     -------
-    The row; its status is `SAME` where the content turned out to be done before.
+    row : dict
+        Its status is `SAME` where the content turned out to be done before.
     """
     began = time.perf_counter()
     input_hash, before, folder = "", Row(), StudyFolder(Path(job.folder))
@@ -118,7 +131,7 @@ def run_job(job: Job) -> Row:
             return job.row(SAME, input_hash, id=same)
         return _recover(job, folder, input_hash, before, began)
     except Exception as error:
-        if os.environ.get("UNOCCLUDE_DEBUG", "0") not in ("", "0"):
+        if debugging():
             raise
         sentence, retry = explain(error)
         row = job.row(FAILED, input_hash, error=sentence, retry=retry, seconds=time.perf_counter() - began)

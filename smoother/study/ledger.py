@@ -56,7 +56,8 @@ class Ledger:
 
     Parameters
     ----------
-    folder : the study's folder, open.
+    folder : StudyFolder
+        The study's folder, open.
     """
 
     def __init__(self, folder: StudyFolder) -> None:
@@ -81,14 +82,19 @@ class Ledger:
 
         Parameters
         ----------
-        name, source : its name in the study, and its path.
-        settings : hashes of configuration and calibration, and the version.
-        retry_failed : pass over failures that would come again.
+        name, source : str
+            Its name in the study, and its path.
+        settings : tuple of str
+            Hashes of configuration and calibration, and the version.
+        retry_failed : bool
+            Pass over failures that would come again.
 
         Returns
         -------
-        The id of its row if it is done and neither recording nor output were touched since, otherwise "";
-        and its earlier results, by which a worker finds out whether the content is the same all the same.
+        row_id : str
+            Of its row if it is done and neither recording nor output were touched since, otherwise "".
+        known : tuple of Known
+            Its earlier results, by which a worker finds out whether the content is the same all the same.
         """
         past = [
             each
@@ -160,8 +166,8 @@ class Ledger:
         if not files:
             return schema().empty_table()
         try:
-            found = dataset.dataset(files, schema=schema(), format="parquet")
-            return found.to_table(columns=None if columns is None else list(columns))
+            results = dataset.dataset(files, schema=schema(), format="parquet")
+            return results.to_table(columns=None if columns is None else list(columns))
         except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
             raise UnoccludeError(
                 f"{self._folder.results}: a file of results cannot be read ({str(error).splitlines()[0]});"

@@ -18,7 +18,6 @@ from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
 from .ledger import Ledger
-from .lock import alone
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,11 +31,16 @@ class StudySettings:
 
     Attributes
     ----------
-    config : settings; its number of processes does not matter.
-    choice : what to take of recordings that have several of it.
-    calibration : file for all recordings that have none of their own; "" without one.
-    again : compute everything anew.
-    retry_failed : try again what failed before by the recording itself.
+    config : Config
+        Settings; its number of processes does not matter.
+    choice : Fingerprint
+        What to take of recordings that have several of it.
+    calibration : str
+        File for all recordings that have none of their own; "" without one.
+    again : bool
+        Compute everything anew.
+    retry_failed : bool
+        Try again what failed before by the recording itself.
     """
 
     config: Config = field(default_factory=Config)
@@ -52,11 +56,16 @@ class Tally:
 
     Attributes
     ----------
-    total : recordings of the study.
-    before : those that an earlier run has done, or tried.
-    computed, failed : those that this run has done, and those that failed in it.
-    recorded_s : length of the recordings that this run has done, s.
-    began : `time.monotonic` at the start of the run.
+    total : int
+        Recordings of the study.
+    before : int
+        Those that an earlier run has done, or tried.
+    computed, failed : int
+        Those that this run has done, and those that failed in it.
+    recorded_s : float, s
+        Length of the recordings that this run has done, s.
+    began : float, s
+        `time.monotonic` at the start of the run.
     """
 
     total: int
@@ -82,22 +91,29 @@ def run_study(
     folder: StudyFolder,
     settings: StudySettings,
     work: Work,
-    heard: Callable[[Tally, Row | None], None],
+    progress: Callable[[Tally, Row | None], None],
     force: bool = False,
 ) -> tuple[Tally, pa.Table]:
     """Recover the recordings that are not done yet.
 
     Parameters
     ----------
-    entries : the recordings.
-    folder : where results go.
-    work : does jobs, `run_local` or `run_cluster` with its settings.
-    heard : called with the tally, and the row of a recording that has just ended or None.
-    force : take a folder that holds other files.
+    entries : sequence of Entry
+        The recordings.
+    folder : StudyFolder
+        Where results go.
+    work : callable
+        Does jobs, `run_local` or `run_cluster` with its settings.
+    progress : callable
+        Called with the tally, and the row of a recording that has just ended or None.
+    force : bool
+        Take a folder that holds other files.
 
     Returns
     -------
-    The tally, and the rows of all recordings of the study, in order of their names.
+    tally : Tally
+    rows : pyarrow.Table
+        Those of all recordings of the study, in order of their names.
 
     Raises
     ------
@@ -109,13 +125,13 @@ def run_study(
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
     }
     word = folder.open(force)
-    with alone(folder):
+    with folder.alone():
         plan = _Plan(folder, word, settings, calibrations)
-        return _work_off(entries, plan, work, heard)
+        return _work_off(entries, plan, work, progress)
 
 
 def _work_off(
-    entries: Sequence[Entry], plan: _Plan, work: Work, heard: Callable[[Tally, Row | None], None]
+    entries: Sequence[Entry], plan: _Plan, work: Work, progress: Callable[[Tally, Row | None], None]
 ) -> tuple[Tally, pa.Table]:
     tally = Tally(len(entries))
 
@@ -137,7 +153,7 @@ def _work_off(
                 _count(tally, row)
                 if row["status"] != SAME:
                     plan.ledger.add(row)
-            heard(tally, row)
+            progress(tally, row)
     finally:
         plan.ledger.flush()
         rows.close()
@@ -159,8 +175,10 @@ class _Plan:
 
     Attributes
     ----------
-    ledger : the rows so far.
-    ids : row of each recording that is done, by its name.
+    ledger : Ledger
+        The rows so far.
+    ids : dict
+        Row of each recording that is done, by its name.
     """
 
     def __init__(
@@ -176,8 +194,8 @@ class _Plan:
         """The job for a recording, None if it is done."""
         settings = self._settings
         calibration = entry.calibration or settings.calibration
-        told = self._calibrations.get(calibration, "")
-        hashes = (self._config_hash, told, __version__)
+        calibration_hash = self._calibrations.get(calibration, "")
+        hashes = (self._config_hash, calibration_hash, __version__)
         done, known = self.ledger.find(entry.name, entry.path, hashes, settings.retry_failed)
         if done and not settings.again:
             self.ids[entry.name] = done
@@ -191,7 +209,7 @@ class _Plan:
             choice=settings.choice,
             config_hash=self._config_hash,
             calibration=calibration,
-            calibration_hash=told,
+            calibration_hash=calibration_hash,
             known=() if settings.again else known,
         )
 

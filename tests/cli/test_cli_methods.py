@@ -11,7 +11,14 @@ import pytest
 
 from smoother import Config, smoothing
 from smoother.baselines.registry import BASELINES
-from smoother.cli.methods import METHODS, PeerSettings, SharedGraph, choose, make_methods, peer_settings
+from smoother.cli.methods import (
+    METHODS,
+    BaselineSettings,
+    SharedGraph,
+    baseline_settings,
+    choose,
+    make_methods,
+)
 from smoother.cli.run import run
 from smoother.errors import SolveError
 from smoother.evaluation import evaluate_gaps
@@ -189,8 +196,8 @@ def test_a_new_recording_is_solved_anew(solved: list[Recording]):
 
 
 def test_settings_go_where_they_are_known():
-    settings = peer_settings(["graph", "linear-drift", "hold"], "madgwick", 0.4)
-    assert settings == PeerSettings("madgwick", {"boundary_s": 0.4})
+    settings = baseline_settings(["graph", "linear-drift", "hold"], "madgwick", 0.4)
+    assert settings == BaselineSettings("madgwick", {"boundary_s": 0.4})
     assert settings.for_method("linear-drift") == {"boundary_s": 0.4}
     assert settings.for_method("hold") == {}
 

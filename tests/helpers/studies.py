@@ -24,14 +24,52 @@ def batch(*arguments: object) -> int:
     return run(["batch", *map(str, arguments)])
 
 
-def start_batch(*arguments: object) -> subprocess.Popen:
-    """The command in a process of its own."""
-    command = [sys.executable, "-c", "from smoother.cli import main; main()", "batch", *map(str, arguments)]
+def start_batch(*arguments: object, stop_after: int = 0) -> subprocess.Popen:
+    """The command in a process of its own, in a group of its own as a terminal has for each command.
+
+    With `stop_after`, it stops itself (as by Ctrl-Z) as soon as so many rows are among the results.
+    """
+    program = STOP if stop_after else "from smoother.cli import main; main()"
+    command = [sys.executable, "-c", program.format(stop_after), "batch", *map(str, arguments)]
     # started in the background, a shell's children ignore Ctrl-C: the tests are about those that do not
     heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL) if os.name == "posix" else None
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, preexec_fn=heed
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=heed,
+        start_new_session=True,
     )
+
+
+STOP = """
+import os, signal
+from smoother.study import ledger
+ledger._SHARE = ledger._SOONEST_S = 0.0  # each row is written as it comes
+flush, written = ledger.Ledger.flush, 0
+def flush_and_stop(self):
+    global written
+    written += len(self._waiting)
+    flush(self)
+    if written >= {}:
+        os.kill(os.getpid(), signal.SIGSTOP)
+ledger.Ledger.flush = flush_and_stop
+from smoother.cli import main
+main()
+"""
+
+
+def until_stopped(client: subprocess.Popen) -> None:
+    """Wait until a client of `start_batch` has stopped itself."""
+    _, status = os.waitpid(client.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status), "it ended before"
+
+
+def children(process: int) -> list[int]:
+    """The processes that a process has started, in whichever of its threads."""
+    found = [path.read_text().split() for path in Path(f"/proc/{process}/task").glob("*/children")]
+    return [int(child) for children in found for child in children]
 
 
 def query(folder: Path, what: str = "recording, status, id, finished") -> list[tuple]:

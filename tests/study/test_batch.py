@@ -79,7 +79,7 @@ def check_page(page):
 
 
 def test_other_settings_are_other_results(made, tmp_path, monkeypatch):
-    monkeypatch.setattr("smoother.study.local.run_local", lambda jobs, processes: map_here(jobs))
+    monkeypatch.setattr("smoother.study.cluster.run_local", lambda jobs, processes: map_here(jobs))
     (tmp_path / "list.txt").write_text(f"{made / NAMES[0]}\n")
     (tmp_path / "c.toml").write_text("[windows]\nmargin_s = 1.0\n")
     (tmp_path / "processes.toml").write_text("[windows]\nprocesses = 7\n")

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-from studies import BROKEN, NAMES, batch, query, start_batch, state, until
+from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopped
 
 from smoother.config import Config
 from smoother.errors import UnoccludeError
@@ -58,13 +58,14 @@ def test_the_same_bytes_as_here_with_a_worker_killed(scheduler, recordings, tmp_
 def test_a_killed_client(scheduler, recordings, tmp_path):
     out = tmp_path / "out"
     again = [recordings, "-o", out, "--scheduler", scheduler.scheduler_address]
-    client = start_batch(*again)
+    client = start_batch(*again, stop_after=2)
     try:
-        until(lambda: query(out) or list((out / ".unocclude" / "rows").glob("*.json")))
+        until_stopped(client)
     finally:
-        client.send_signal(signal.SIGKILL)
+        client.kill()
         client.communicate()
     before = state(out)
+    assert len(query(out)) == 2
     assert batch(*again) == 1
     after = query(out)
     assert sorted(row[0] for row in after) == sorted([*NAMES, BROKEN]), "no recording twice"

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
+import socket
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studies import BROKEN, NAMES, batch, is_alive, query, start_batch, state, until
+from studies import (
+    BROKEN,
+    NAMES,
+    batch,
+    children,
+    is_alive,
+    query,
+    start_batch,
+    state,
+    until,
+    until_stopped,
+)
 
 from smoother.config import Config
-from smoother.study.columns import DONE, FAILED
+from smoother.study.cluster import run_local
+from smoother.study.columns import DONE, FAILED, Row
 from smoother.study.fingerprint import Fingerprint, config_hash
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger
-from smoother.study.local import run_local
-from smoother.study.lock import alone
 from smoother.study.run import study_folder
 
 
@@ -34,64 +47,110 @@ def job(made: Path, tmp_path: Path) -> Job:
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_client(recordings, tmp_path):
     out = tmp_path / "out"
-    client = start_batch(recordings, "-o", out, "--processes", 1)
+    client = start_batch(recordings, "-o", out, "--processes", 2, stop_after=2)
     try:
-        until(lambda: len(query(out)) >= 2)  # asked while it runs
+        until_stopped(client)
+        before, rows, workers = state(out), query(out), children(client.pid)  # asked while it runs
     finally:
-        workers = [
-            int(each) for each in Path(f"/proc/{client.pid}/task/{client.pid}/children").read_text().split()
-        ]
-        client.send_signal(signal.SIGKILL)
+        client.kill()
         client.communicate()
     until(lambda: not any(is_alive(each) for each in workers), 10.0)  # nobody would hear of their work
-    before, rows = state(out), query(out)
-    assert 2 <= len(rows) < 5
+    assert len(workers) >= 2 and len(rows) == 2
+    half = out / ".unocclude" / "stage" / f"{socket.gethostname()}~{client.pid}" / "half.mcap"
+    half.parent.mkdir()
+    half.touch()
     assert batch(recordings, "-o", out, "--processes", 1) == 1
     after = query(out)
     assert set(rows) <= set(after) and sorted(row[0] for row in after) == sorted([*NAMES, BROKEN])
     outputs = state(out)
     assert before.items() <= outputs.items() and set(outputs) == set(NAMES)
-    assert not list((out / ".unocclude" / "stage").glob(f"*~{workers[0]}")), "what it left is swept up"
+    assert not half.parent.exists(), "what is left half written is swept up"
+
+
+def kill_workers() -> list[int]:
+    """Kill the processes of `run_local` that have a recording, and say which they were."""
+    import multiprocessing
+
+    workers = [worker.pid for worker in multiprocessing.active_children()]
+    for worker in workers:
+        os.kill(worker, signal.SIGKILL)
+    return workers
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
 def test_a_killed_worker(job):
     """Its recording is done by another process."""
-    import multiprocessing
-
-    rows, killed = [], 0
+    rows, killed = [], []
     for row in run_local(iter([job]), 1):
         if row is not None:
             rows.append(row)
         elif not killed:
-            (worker,) = multiprocessing.active_children()
-            os.kill(worker.pid, signal.SIGKILL)
-            killed += 1
-    assert killed == 1 and [row["status"] for row in rows] == [DONE]
+            killed = kill_workers()
+    assert len(killed) == 1 and [row["status"] for row in rows] == [DONE]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_a_recording_that_kills_its_workers(job):
+def test_a_recording_that_kills_its_workers(job, made, monkeypatch):
+    """It fails alone: what waits for the same process, or runs beside it, is done."""
+    monkeypatch.setattr("smoother.study.cluster.run_job", die_of_broken)
+    killer = replace(job, name=BROKEN)
+    others = [replace(job, name=name, source=str(made / name)) for name in NAMES]
+    rows = [row for row in run_local(iter([*others[:2], killer, *others[2:]]), 2) if row is not None]
+    assert sorted(row["recording"] for row in rows if row["status"] == DONE) == sorted(NAMES)
+    (row,) = (row for row in rows if row["status"] == FAILED)
+    assert row["recording"] == BROKEN and row["retry"] and "died one after the other" in row["error"]
+    assert row["error"].count(".") == 0, "one sentence"
+
+
+def die_of_broken(job: Job) -> Row:
+    """A worker's work, with a recording that is the end of it."""
+    if job.name == BROKEN:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_job(job)
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc")
+def test_nobody_listens_to_the_network(job):
+    """Client and processes listen on 127.0.0.1, and only there."""
     import multiprocessing
 
-    rows = []
+    opened = []
     for row in run_local(iter([job]), 1):
-        rows += [row] if row is not None else []
-        for worker in multiprocessing.active_children():
-            os.kill(worker.pid, signal.SIGKILL)
-    (row,) = rows
-    assert row["status"] == FAILED and row["retry"] and "died 2 times (signal 9)" in row["error"]
+        if not opened and row is None:
+            here = [os.getpid(), *(worker.pid for worker in multiprocessing.active_children())]
+            opened = [address for process in here for address in listening(process)]
+    assert len(opened) >= 3 and set(opened) == {"0100007F"}
+
+
+def listening(process: int) -> list[str]:
+    """The addresses at which a process listens, as Linux writes them: 0100007F is 127.0.0.1."""
+    sockets = set()
+    for link in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(OSError):
+            sockets.add(os.readlink(link))
+    lines = [
+        line.split()
+        for table in ("tcp", "tcp6")
+        for line in Path(f"/proc/{process}/net/{table}").read_text().splitlines()[1:]
+    ]
+    return [
+        line[1].partition(":")[0] for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in sockets
+    ]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
-def test_ctrl_c(recordings, tmp_path):
+@pytest.mark.parametrize("after_s", [0.0, 0.3, 0.9, 2.0])
+def test_ctrl_c(recordings, tmp_path, after_s):
+    """As a terminal sends it: to the command and to all of its processes, early and late."""
+    for copy in range(20):  # more than is done by then
+        shutil.copytree(recordings / "day1", recordings / f"copy{copy}")
     out = tmp_path / "out"
-    client = start_batch(recordings, "-o", out, "--processes", 1)
+    client = start_batch(recordings, "-o", out, "--processes", 2)
     until(lambda: (out / ".unocclude" / "study").exists())
-    time.sleep(0.3)
-    client.send_signal(signal.SIGINT)
+    time.sleep(after_s)
+    os.killpg(client.pid, signal.SIGINT)
     said, _ = client.communicate(timeout=20)
-    assert client.returncode == 1 and "the same command continues" in said and said.count("\n") == 1
+    assert client.returncode == 1 and "the same command continues" in said and said.count("\n") == 1, said
 
 
 def test_cut_off_between_output_and_results(job):
@@ -156,9 +215,9 @@ def test_a_full_disk_is_tried_again(job, monkeypatch):
 
 def test_one_command_at_a_time(job, made, capsys):
     folder = study_folder(Path(job.folder))
-    with alone(folder):
+    with folder.alone():
         assert batch(made, "-o", folder.path, "--processes", 1) == 1
         assert "another command works on" in capsys.readouterr().err
         assert not query(folder.path)
-    with alone(folder):
+    with folder.alone():
         pass

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import platform
 import sys
@@ -21,13 +20,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from smoother.cli.output import plain
+
 from . import tables
 from .beside import METHODS, Beside, run_method, run_smooth
 from .exactness import exactness_of_file
 from .isolated import Stopped, isolated
 from .profile import READ, WRITE, profile
 from .recordings import Made, make
-from .whole import end_to_end, help_seconds
+from .whole import against, end_to_end, help_seconds
 
 MEASURES = ("whole", "parts", "rest", "beside")
 #: Numerical libraries on one thread, so that idle ones do not spin processor time away.
@@ -39,6 +40,7 @@ def main() -> None:
     options = _options()
     cores = options.processes or len(os.sched_getaffinity(0))
     figures: dict[str, Any] = {"machine": _machine(cores), "whole": [], "parts": {}, "rest": [], "beside": {}}
+    figures["against"] = {}
     print("\n".join(_heading(figures["machine"], options)), flush=True)
     lengths_s: dict[float, float] = {}
     figures["help_s"] = help_seconds()
@@ -46,9 +48,12 @@ def main() -> None:
         for made in _recordings(Path(name), options):
             lengths_s[made.minutes] = made.length_s
             _measure(made, Path(name), options, cores, figures)
-    _print(figures, lengths_s, cores)
+    if options.against:
+        print("\n".join(tables.against(figures["against"], options.against)))
+    else:
+        _print(figures, lengths_s, cores)
     if options.json:
-        options.json.write_text(json.dumps(_finite(figures), indent=1, default=str) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(plain(figures), indent=1) + "\n", encoding="utf-8")
 
 
 def _measure(
@@ -56,6 +61,11 @@ def _measure(
 ) -> None:
     """Everything that is asked for of one recording, into the figures."""
     result = folder / "out.mcap"
+    if options.against:
+        _say(f"{made.minutes:g} min: {options.against} and this one in turn")
+        ratios = against(options.against, made.path, result, options.processes, options.runs)
+        figures["against"][made.minutes] = ratios
+        return
     if "whole" in options.only:
         _say(f"{made.minutes:g} min: the command")
         figures["whole"] += _whole(made, result, options)
@@ -90,7 +100,13 @@ def _options() -> argparse.Namespace:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--minutes", type=float, nargs="+", default=[1, 6, 30, 60], help="lengths")
+    parser.add_argument("--minutes", type=float, nargs="+", help="lengths; 1 6 30 60 if not given")
+    parser.add_argument(
+        "--against",
+        metavar="PYTHON",
+        help="interpreter of another installation: only compare with that",
+    )
+    parser.add_argument("--runs", type=int, default=5, help="of each, with --against")
     parser.add_argument("--long", action="store_true", help="10 minutes and 6 hours as well")
     parser.add_argument(
         "--images", action="store_true", help="the same recordings once more with an image a frame"
@@ -110,6 +126,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--folder", type=Path, help="where to put the recordings meanwhile")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
     options = parser.parse_args()
+    options.minutes = options.minutes or [1.0, 6.0, 30.0] + ([] if options.against else [60.0])
     if options.long:
         options.minutes = [*options.minutes, 10.0, 360.0]
     options.minutes = sorted({float(minutes) for minutes in options.minutes})
@@ -221,15 +238,6 @@ def _beside(made: Made, kept: Path, options: argparse.Namespace) -> dict[str, An
         except RuntimeError as error:
             found[name] = f"failed: {error}"
     return found
-
-
-def _finite(value: Any) -> Any:
-    """The same with null where a number is not one: JSON has no nan."""
-    if isinstance(value, dict):
-        return {str(key): _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _say(text: str) -> None:

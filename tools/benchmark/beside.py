@@ -27,8 +27,8 @@ from smoother.config import Config
 from smoother.io import read_recording
 from smoother.smoothing import smooth
 
-from . import memory
 from .exactness import Exactness, apart_cm, exactness
+from .memory import PrivatePeak
 from .plain import WAYS, Timed, solve_plainly
 from .recordings import Made, read_truth
 
@@ -42,13 +42,19 @@ class Beside:
 
     Attributes
     ----------
-    own_s, all_s : its own seconds, and with what it needs; of `smooth` both are the whole call, from a
-        recording in memory to a recovery in memory, self-calibration included.
-    cpu_s : processor seconds of `all_s`, workers' included where they have ended.
-    peak_mb : of the process that ran it, which holds recording and `smooth`'s answer too.
-    steps : seconds by step, and iterations, of a plain graph.
-    exact : errors in the gaps.
-    from_smooth_cm : rms distance from `smooth`'s answer in the gaps.
+    own_s, all_s : float, s
+        Its own time, and with what it needs; of `smooth` both are the whole call, from a recording in memory
+        to a recovery in memory, self-calibration included.
+    cpu_s : float, s
+        Processor time of `all_s`, workers' included where they have ended.
+    peak_mb : float, MB
+        Private memory of the process that ran it, which holds recording and `smooth`'s answer too.
+    exact : Exactness
+        Errors in the gaps.
+    from_smooth_cm : float, cm
+        Rms distance from `smooth`'s answer in the gaps.
+    steps : dict
+        Seconds by step, and iterations, of a plain graph.
     """
 
     own_s: float
@@ -62,6 +68,7 @@ class Beside:
 
 def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
     """`smooth` from memory to memory; recording and answer are kept in a file for the others."""
+    peak = PrivatePeak()
     recording = read_recording(made.path)
     config = Config.model_validate({"windows": {"processes": processes}})
     began, cpu = time.perf_counter(), _processor_s()
@@ -70,11 +77,12 @@ def run_smooth(made: Made, processes: int, kept: Path) -> Beside:
     with kept.open("wb") as file:
         pickle.dump((recording, recovery), file, protocol=5)
     exact = exactness(recovery, read_truth(made.truth, recovery.origin_ns))
-    return Beside(seconds, seconds, cpu, memory.peak_mb(os.getpid()), exact, 0.0)
+    return Beside(seconds, seconds, cpu, peak.mb(), exact, 0.0)
 
 
 def run_method(made: Made, name: str, kept: Path) -> Beside:
-    """One of `METHODS`, told what `smooth` found."""
+    """One of `METHODS`, on what `smooth` estimated."""
+    peak = PrivatePeak()
     with kept.open("rb") as file:
         recording, told = pickle.load(file)
     began, cpu = time.perf_counter(), _processor_s()
@@ -95,7 +103,7 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
         own_s,
         seconds,
         cpu,
-        memory.peak_mb(os.getpid()),
+        peak.mb(),
         exactness(recovery, truth, inside),
         apart_cm(recovery.position[inside], told.position[inside]),
         steps,

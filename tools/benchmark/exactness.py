@@ -21,11 +21,16 @@ class Exactness:
 
     Attributes
     ----------
-    rms_cm, max_cm : of the IMU's position, cm.
-    rms_deg : of its orientation, degrees; nan where the method has none.
-    inside_95 : part of the samples inside the region that should hold 95 %; nan without a covariance.
-    samples, unanswered : how many have an answer, and how many have not.
-    gaps : of the recording.
+    rms_cm, max_cm : float, cm
+        Of the IMU's position, cm.
+    rms_deg : float, deg
+        Of its orientation, degrees; nan where the method has none.
+    inside_95 : float
+        Part of the samples inside the region that should hold 95 %; nan without a covariance.
+    samples, unanswered : int
+        How many have an answer, and how many have not.
+    gaps : int
+        Of the recording.
     """
 
     rms_cm: float

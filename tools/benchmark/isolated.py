@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
+from unittest import mock
 
-from . import memory
+from .memory import PrivatePeak
 
 #: How often a limit is looked at, s.
 LOOK_S = 0.2
@@ -21,7 +21,8 @@ class Stopped(Exception):
 
     Attributes
     ----------
-    seconds, peak_mb : what it had taken until then.
+    seconds, peak_mb : float, s and MB
+        What it had taken until then.
     """
 
     def __init__(self, text: str, seconds: float, peak_mb: float) -> None:
@@ -48,15 +49,15 @@ def isolated(
     context = multiprocessing.get_context("spawn")
     mine, its = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(its, function, arguments))
-    with _environment(environment or {}):
+    with mock.patch.dict(os.environ, environment or {}):
         process.start()
     its.close()
     assert process.pid is not None
     try:
         mine.recv()  # it has loaded what it needs: the limit counts from here
-        began = time.monotonic()
+        began, peak = time.monotonic(), PrivatePeak(process.pid)
         while not mine.poll(LOOK_S):
-            taken_s, peak_mb = time.monotonic() - began, memory.peak_mb(process.pid)
+            taken_s, peak_mb = time.monotonic() - began, peak.mb()
             if taken_s > limit_s:
                 raise Stopped(f"stopped after {limit_s:g} s", taken_s, peak_mb)
             if peak_mb > 1000.0 * limit_gb:
@@ -84,17 +85,3 @@ def _run(pipe: Connection, function: Callable[..., Any], arguments: tuple[object
         answer = (False, f"{type(error).__name__}: {error}")
     pipe.send(answer)
     pipe.close()
-
-
-@contextlib.contextmanager
-def _environment(changes: dict[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in changes}
-    os.environ.update(changes)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

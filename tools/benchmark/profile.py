@@ -61,12 +61,18 @@ class Spent:
 
     Attributes
     ----------
-    parts : wall time.
-    parts_cpu : processor time of the main process.
-    gtsam : processor seconds by kind; empty where workers solved.
-    functions : processor seconds outside GTSAM, by `module:function`, the innermost of our own.
-    cpu_s : processor seconds of the main process in all.
-    missing : names that there are none of any more.
+    parts : dict, s
+        Wall time.
+    parts_cpu : dict, s
+        Processor time of the main process.
+    gtsam : dict, s
+        Processor seconds by kind; empty where workers solved.
+    functions : dict, s
+        Processor seconds outside GTSAM, by `module:function`, the innermost of our own.
+    cpu_s : float, s
+        Processor seconds of the main process in all.
+    missing : list of str
+        Names that there are none of any more.
     """
 
     parts: dict[str, float] = field(default_factory=dict)
@@ -82,7 +88,8 @@ def profile(source: Path, result: Path, processes: int, inside_gtsam: bool) -> S
 
     Parameters
     ----------
-    inside_gtsam : also what GTSAM takes, and which functions; with `processes` 1 only, since workers are
+    inside_gtsam : bool
+        Also what GTSAM takes, and which functions; with `processes` 1 only, since workers are
         not listened to.
     """
     arguments = ["smooth", str(source), "-o", str(result), "--force"]

@@ -23,9 +23,12 @@ class Made:
 
     Attributes
     ----------
-    path : without images; `with_images` the same recording with a stream of them, or None.
-    truth : the simulated motion (.npz), which the measured file holds too unless it was left out.
-    length_s, samples, frames : of the recording.
+    path : Path
+        Without images; `with_images` the same recording with a stream of them, or None.
+    truth : Path
+        The simulated motion (.npz), which the measured file holds too unless it was left out.
+    length_s, samples, frames : float, s, and int
+        Of the recording.
     """
 
     path: Path
@@ -46,8 +49,10 @@ def make(
 
     Parameters
     ----------
-    truth_inside : the file holds the true motion too, as `unocclude simulate` writes it.
-    image_kb : size of an image, kB, one a frame; None = no file with images.
+    truth_inside : bool
+        The file holds the true motion too, as `unocclude simulate` writes it.
+    image_kb : float, kB, or None
+        Size of an image, kB, one a frame; None = no file with images.
     """
     config = ArmSimulation.preset(
         preset,

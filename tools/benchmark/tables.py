@@ -77,9 +77,20 @@ def whole(runs: list[dict[str, Any]]) -> list[str]:
     title = (
         f"End to end, file to file, program start included (aim: {AIM_TIMES_REAL:.0f} x at 60 min,"
         f" {AIM_PEAK_MB:.0f} MB a process at any length); errors in the gaps against the simulated motion.\n"
-        "Peak: VmHWM of the main process and of the largest worker, libraries and mapped pages included."
+        "Peak: private memory (RssAnon, looked at every 20 ms) of the main process and of the largest worker;"
+        " mapped files and libraries are left out."
     )
     return table(title, columns, rows)
+
+
+def against(ratios: dict[float, dict[str, float]], python: str) -> list[str]:
+    """Another installation beside ours by length."""
+    rows = [
+        (f"{minutes:g} min", *(number(value, 2) for value in each.values()))
+        for minutes, each in ratios.items()
+    ]
+    title = f"`unocclude smooth` of {python} over ours, ratio of medians (above 1: ours needs less)"
+    return table(title, ("length", "time", "CPU time", "peak", "worker's peak"), rows)
 
 
 def growth(spent: dict[float, dict[str, float]], lengths_s: dict[float, float], title: str) -> list[str]:

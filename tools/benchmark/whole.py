@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -10,10 +11,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import memory
+from .memory import PrivatePeak
 
-#: How often the memory is looked at, s.
-LOOK_S = 0.05
 COMMAND = "from smoother.cli import main; main()"
 
 
@@ -23,10 +22,14 @@ class Run:
 
     Attributes
     ----------
-    seconds : from start to end of the program.
-    cpu_s : of all its processes.
-    main_mb, worker_mb : peak (VmHWM) of the main process and of the largest worker, MB; 0 where unknown.
-    workers : processes that it started, at most so many at a time.
+    seconds : float, s
+        From start to end of the program.
+    cpu_s : float, s
+        Of all its processes.
+    main_mb, worker_mb : float, MB
+        Peak of the private memory (RssAnon) of the main process and of the largest worker; 0 where unknown.
+    workers : int
+        Processes that it started, at most so many at a time.
     """
 
     seconds: float
@@ -36,8 +39,8 @@ class Run:
     workers: int
 
 
-def end_to_end(source: Path, result: Path, processes: int) -> Run:
-    """Run `unocclude smooth SOURCE -o RESULT`.
+def end_to_end(source: Path, result: Path, processes: int, python: str = sys.executable) -> Run:
+    """Run `unocclude smooth SOURCE -o RESULT`, that of another installation where its `python` is given.
 
     Raises
     ------
@@ -47,29 +50,49 @@ def end_to_end(source: Path, result: Path, processes: int) -> Run:
     arguments = ["smooth", str(source), "-o", str(result), "--force"]
     if processes:
         arguments += ["--processes", str(processes)]
-    main_mb, most = 0.0, 0
-    workers: dict[int, float] = {}
     with tempfile.TemporaryFile() as said:
         began = time.perf_counter()
         command = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *arguments], stdout=subprocess.DEVNULL, stderr=said
+            # -P: not what lies in the folder where this runs
+            [python, "-P", "-c", COMMAND, *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=said,
         )
-        while True:
-            pid, status, usage = os.wait4(command.pid, os.WNOHANG)
-            if pid:
-                break
-            main_mb = max(main_mb, memory.peak_mb(command.pid))
-            running = memory.workers_of(command.pid)
-            most = max(most, len(running))
-            for worker in running:
-                workers[worker] = max(workers.get(worker, 0.0), memory.peak_mb(worker))
-            time.sleep(LOOK_S)
+        peak = PrivatePeak(command.pid)
+        _, status, usage = os.wait4(command.pid, 0)
         seconds = time.perf_counter() - began
         command.returncode = os.waitstatus_to_exitcode(status)
         if command.returncode:
             said.seek(0)
             raise RuntimeError(f"unocclude smooth {source}: {said.read().decode(errors='replace').strip()}")
-    return Run(seconds, usage.ru_utime + usage.ru_stime, main_mb, max(workers.values(), default=0.0), most)
+    return Run(seconds, usage.ru_utime + usage.ru_stime, peak.mb(), peak.worker_mb(), peak.workers)
+
+
+def against(python: str, source: Path, result: Path, processes: int, runs: int) -> dict[str, float]:
+    """Run the command of another installation and ours in turn on one recording.
+
+    Parameters
+    ----------
+    python : str
+        The other installation's interpreter.
+    runs : int
+        Of each.
+
+    Returns
+    -------
+    ratios : dict
+        Median of the others over median of ours, by the name in `Run`; above 1 we need less.
+    """
+    theirs, ours = [], []
+    for _ in range(runs):
+        theirs.append(end_to_end(source, result, processes, python))
+        ours.append(end_to_end(source, result, processes))
+
+    def middle(measured: list[Run], name: str) -> float:
+        return statistics.median(getattr(run, name) for run in measured)
+
+    names = ("seconds", "cpu_s", "main_mb", "worker_mb")
+    return {name: middle(theirs, name) / (middle(ours, name) or float("nan")) for name in names}
 
 
 def help_seconds(runs: int = 3) -> float:

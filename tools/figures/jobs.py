@@ -47,10 +47,14 @@ class Job:
 
     Attributes
     ----------
-    data : a name of `TITLES`.
-    recording : which of its recordings: a seed, a file, or "subject/trial".
-    length_s : the gaps' length, s.
-    methods : names to run.
+    data : str
+        A name of `TITLES`.
+    recording : str or int
+        Which of its recordings: a seed, a file, or "subject/trial".
+    length_s : float, s
+        The gaps' length, s.
+    methods : sequence of str
+        Names to run.
     """
 
     data: str

@@ -22,8 +22,10 @@ def measure(todo: Iterable[Job], kept: Path, processes: int, until_s: float = fl
 
     Parameters
     ----------
-    kept : JSON lines, {"job", "data", "rows"} each; an interrupted run goes on from it.
-    until_s : no job is begun after so many seconds.
+    kept : Path
+        JSON lines, {"job", "data", "rows"} each; an interrupted run goes on from it.
+    until_s : float, s
+        No job is begun after so many seconds.
     """
     done = {entry["job"] for entry in read_rows(kept)}
     left = [job for job in todo if job.name not in done]
