@@ -74,7 +74,7 @@ def calibrate_clocks(
 
     Returns
     -------
-    found : ClockCalibration
+    calibration : ClockCalibration
         See `clock_answer` for what belongs into a file.
 
     Raises
@@ -87,12 +87,12 @@ def calibrate_clocks(
     return ClockCalibration(session, network, tuple(receptions), tuple(beeps), motion)
 
 
-def clock_answer(found: ClockCalibration) -> Answer:
+def clock_answer(calibration: ClockCalibration) -> Answer:
     """The clocks in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : ClockCalibration
+    calibration : ClockCalibration
         See `calibrate_clocks`.
 
     Returns
@@ -100,15 +100,15 @@ def clock_answer(found: ClockCalibration) -> Answer:
     answer : Answer
         Its table `clock` is a note of this session, which recovering does not read.
     """
-    network, beeps = found.network, found.beeps
+    network, beeps = calibration.network, calibration.beeps
     links = network.links()
     apart = disagreements(network)
-    left_open = [*apart, *open_questions(network, found.receptions, beeps, found.motion)]
+    left_open = [*apart, *open_questions(network, calibration.receptions, beeps, calibration.motion)]
     sentence, *findings = [text for text in verdict(network) if text not in apart]
     grade = "good" if all(link.sigma_s <= WEAK_S for link in links) else "usable"
     if apart or len(set(network.group.tolist())) > 1:
         grade = "not good enough"
-    advice = next_time(network, found.receptions, beeps, found.motion)
+    advice = next_time(network, calibration.receptions, beeps, calibration.motion)
     rows = [
         {
             "from": link.from_clock,
@@ -121,9 +121,9 @@ def clock_answer(found: ClockCalibration) -> Answer:
         }
         for link in links
     ]
-    table = {"session": found.session, "valid_for": "this session alone", "links": rows}
+    table = {"session": calibration.session, "valid_for": "this session alone", "links": rows}
     figures: dict[str, Any] = {
-        "session": found.session,
+        "session": calibration.session,
         "links": rows,
         "sources": [
             {
@@ -159,20 +159,20 @@ def clock_answer(found: ClockCalibration) -> Answer:
 
 def link_words(link: ClockLink) -> str:
     """One link in one sentence."""
-    said = (
+    sentences = (
         f"t_{link.to_clock} = t_{link.from_clock} {link.offset_s:+.6f} s, to {1e3 * link.sigma_s:.2f} ms"
         f" (at {link.at_s:.1f} s of {link.from_clock})"
     )
     if link.skew_sigma_ppm < SKEW_KNOWN_PPM:
-        said += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} parts in a million"
-    return said
+        sentences += f", growing by {link.skew_ppm:+.1f} +- {link.skew_sigma_ppm:.1f} parts in a million"
+    return sentences
 
 
 def verdict(network: ClockNetwork) -> list[str]:
     """How good the clocks are now."""
     links = network.links()
     worst = max(links, key=lambda link: link.sigma_s)
-    said = [
+    sentences = [
         f"{len(network.nodes)} clocks hang together in {len(links)} pairs; the worst pair"
         f" ({worst.from_clock}, {worst.to_clock}) is known to {1e3 * worst.sigma_s:.2f} ms"
     ]
@@ -181,12 +181,12 @@ def verdict(network: ClockNetwork) -> list[str]:
             ", ".join(name for name, own in zip(network.nodes, network.group, strict=True) if own == g)
             for g in sorted(set(network.group.tolist()))
         ]
-        said.append(f"nothing links these groups of clocks with each other: {'; '.join(groups)}")
-    said += disagreements(network)
-    said.append(
+        sentences.append(f"nothing links these groups of clocks with each other: {'; '.join(groups)}")
+    sentences += disagreements(network)
+    sentences.append(
         "a clock offset belongs to its recording: measure it anew for every session, it is never carried over"
     )
-    return said
+    return sentences
 
 
 def disagreements(network: ClockNetwork) -> list[str]:
@@ -207,52 +207,56 @@ def open_questions(
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What the data left open, one sentence each."""
-    said = []
+    sentences = []
     for each in receptions:
         lost = sorted(set(each.node) - set(network.nodes))
-        said += [f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost]
+        sentences += [
+            f"{name} never heard what another clock heard too: it is linked to nothing" for name in lost
+        ]
     parts = [
         [name for name, own in zip(network.nodes, network.group, strict=True) if own == number]
         for number in dict.fromkeys(network.group.tolist())
     ]
     if len(parts) > 1:
         apart = "; ".join(", ".join(part) for part in parts)
-        said.append(
+        sentences.append(
             f"the clocks fall into {len(parts)} groups that nothing links ({apart}): a clock that two sources"
             " share must have one name in both, see --sound-clocks and --motion-clocks"
         )
     for left in network.leftovers:
         dropped = int((~left.used).sum())
         if dropped:
-            said.append(f"{left.source}: {dropped} of {len(left.used)} times did not fit and were rejected")
+            sentences.append(
+                f"{left.source}: {dropped} of {len(left.used)} times did not fit and were rejected"
+            )
     for link in network.links():
         pair = f"{link.from_clock} and {link.to_clock}"
         if link.sigma_s > WEAK_S:
-            said.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
+            sentences.append(f"{pair} are known to {1e3 * link.sigma_s:.0f} ms only")
         common = _common(receptions, link)
         if 0 < common < FEW_ROUNDS and not any(beep.sigma_s < WEAK_S for beep in beeps):
-            said.append(f"{pair} heard {common} rounds together: a late reception would not show")
+            sentences.append(f"{pair} heard {common} rounds together: a late reception would not show")
     weak = [link for link in network.links() if link.skew_sigma_ppm > SKEW_KNOWN_PPM]
     if weak:
         pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
-        said.append(
+        sentences.append(
             f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
             " drift"
             f" by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
             " time that"
             " it is stated for"
         )
-    said += [
+    sentences += [
         f"the beep that ends at {beep.end_s:.2f} s is followed by a loud echo: its end is known to"
         f" {1e3 * beep.sigma_s:.0f} ms only"
         for beep in beeps
         if beep.loud_room
     ]
     if motion is not None and not motion.used.all():
-        said.append(
+        sentences.append(
             f"{int((~motion.used).sum())} of {len(motion.used)} excerpts of the motion did not fit the line"
         )
-    return said
+    return sentences
 
 
 def next_time(
@@ -262,17 +266,21 @@ def next_time(
     motion: MotionClock | None = None,
 ) -> list[str]:
     """What to record next, one sentence each."""
-    said = []
+    sentences = []
     links = network.links()
     if receptions and not beeps and any(0 < _common(receptions, link) < 2 * FEW_ROUNDS for link in links):
-        said.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
+        sentences.append("broadcast twenty rounds; every pair of nodes needs several that both heard")
     if any(link.skew_sigma_ppm > SKEW_KNOWN_PPM for link in links):
-        said.append("measure once at the start and once at the end of the session: the two give the skew")
+        sentences.append(
+            "measure once at the start and once at the end of the session: the two give the skew"
+        )
     if any(beep.loud_room for beep in beeps):
-        said.append("hold the buzzer right in front of the microphone, so that it is louder than its echo")
+        sentences.append(
+            "hold the buzzer right in front of the microphone, so that it is louder than its echo"
+        )
     if motion is not None and motion.link.sigma_s > 0.003:
-        said.append("move the forearm briskly in view for 20 s; the clock shows in fast motion alone")
-    return said or ["the same again: nothing is missing"]
+        sentences.append("move the forearm briskly in view for 20 s; the clock shows in fast motion alone")
+    return sentences or ["the same again: nothing is missing"]
 
 
 def _common(receptions: Sequence[Receptions], link: ClockLink) -> int:

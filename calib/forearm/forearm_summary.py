@@ -72,11 +72,11 @@ class Compared:
         return self.apart < AGREE
 
 
-def compare(found: ForearmCalibration) -> list[Compared]:
+def compare(calibration: ForearmCalibration) -> list[Compared]:
     """Every measure that both the pose and the motion told; empty where the motion told nothing."""
-    if found.motion is None:
+    if calibration.motion is None:
         return []
-    m, motion, rows = found.measured, found.motion, []
+    m, motion, rows = calibration.measured, calibration.motion, []
     if motion.upper_arm is not None:
         rows.append(_lengths("upper arm", m.upper_arm, motion.upper_arm))
     frame = forearm_frame(motion)
@@ -94,28 +94,30 @@ def compare(found: ForearmCalibration) -> list[Compared]:
         _lengths("strap to elbow", m.strap_to_elbow, along("elbow", -1.0)),
         _lengths("radius", m.radius, Length(frame.distance_m, frame.distance_sigma_m)),
     ]
-    R_F_A = found.calibration.R_F_A
+    R_F_A = calibration.calibration.R_F_A
     if R_F_A is None:
         return rows
     y = R_F_A.T @ [0.0, 1.0, 0.0]
     tilt = float(np.degrees(np.arccos(np.clip(y @ frame.direction, -1, 1))))
     # an angle between two directions that are each uncertain about two axes
-    both = np.degrees(np.hypot(found.direction_sigma_rad, frame.direction_sigma_rad))
+    both = np.degrees(np.hypot(calibration.direction_sigma_rad, frame.direction_sigma_rad))
     rows.append(Compared("direction", "degrees", tilt, float(both), 0.0, 0.0))
     if frame.R_F_A is not None:
         x = R_F_A @ frame.R_F_A.T @ [1.0, 0.0, 0.0]  # the motion's x in the pose's {F}
         roll = float(np.degrees(np.arctan2(-x[2], x[0])))
         own = float(np.degrees(np.hypot(frame.roll_sigma_rad, PLACED_SIGMA_RAD)))
-        rows.append(Compared("roll", "degrees", 0.0, float(np.degrees(found.roll_sigma_rad)), roll, own))
+        rows.append(
+            Compared("roll", "degrees", 0.0, float(np.degrees(calibration.roll_sigma_rad)), roll, own)
+        )
     return rows
 
 
-def forearm_answer(found: ForearmCalibration) -> Answer:
+def forearm_answer(calibration: ForearmCalibration) -> Answer:
     """Lever arms, measures and mounting in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : ForearmCalibration
+    calibration : ForearmCalibration
         See `calibrate_forearm`.
 
     Returns
@@ -123,13 +125,13 @@ def forearm_answer(found: ForearmCalibration) -> Answer:
     answer : Answer
         Its table holds the arm, and under `forearm` what an arm has no key for.
     """
-    arm, measures, rows = found.calibration, found.measured.lengths, compare(found)
-    sentences, left_open = verdict(found, rows), open_questions(found)
+    arm, measures, rows = calibration.calibration, calibration.measured.lengths, compare(calibration)
+    sentences, left_open = verdict(calibration, rows), open_questions(calibration)
     sigma_deg = {
-        "direction": float(np.degrees(found.direction_sigma_rad)),
-        "roll": float(np.degrees(found.roll_sigma_rad)),
+        "direction": float(np.degrees(calibration.direction_sigma_rad)),
+        "roll": float(np.degrees(calibration.roll_sigma_rad)),
     }
-    table: dict[str, Any] = {"strap_from": found.measured.strap_from}
+    table: dict[str, Any] = {"strap_from": calibration.measured.strap_from}
     for name, length in measures.items():
         table |= {f"{name}_m": float(length.value_m), f"{name}_sigma_m": float(length.sigma_m)}
     if arm.R_F_A is not None:
@@ -145,14 +147,20 @@ def forearm_answer(found: ForearmCalibration) -> Answer:
         | ({"R_F_A": arm.R_F_A} if arm.R_F_A is not None else {}),
         sigma={name: length.sigma_m for name, length in measures.items()}
         | {name: lever.sigma_m for name, lever in levers.items()},
-        verdict=Verdict(grade, sentences[1], (sentences[0], *sentences[2:]), tuple(next_time(found, rows))),
+        verdict=Verdict(
+            grade, sentences[1], (sentences[0], *sentences[2:]), tuple(next_time(calibration, rows))
+        ),
         open_questions=tuple(left_open),
         table=CalibrationFile().with_arm(arm).with_table("forearm", {arm.side or "any": table}),
         figures={
             "side": arm.side,
-            "pose": {"from_s": found.pose.start_s, "to_s": found.pose.end_s, "chosen": found.pose.chosen},
+            "pose": {
+                "from_s": calibration.pose.start_s,
+                "to_s": calibration.pose.end_s,
+                "chosen": calibration.pose.chosen,
+            },
             "measures": {name: asdict(length) for name, length in measures.items()},
-            "strap_from": found.measured.strap_from,
+            "strap_from": calibration.measured.strap_from,
             "lever_arms": {joint: asdict(lever) for joint, lever in arm.lever_arms.items()},
             "R_F_A": arm.R_F_A,
             "R_F_A_sigma_deg": sigma_deg,
@@ -171,12 +179,12 @@ def forearm_answer(found: ForearmCalibration) -> Answer:
     )
 
 
-def verdict(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
+def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     """Whether pose and motion agree, and which assumption broke."""
-    pose = found.pose
+    pose = calibration.pose
     said = [f"the pose was held from {pose.start_s:.1f} to {pose.end_s:.1f} s"]
     if not rows:
-        why = found.why_not or "the motion told nothing of the forearm"
+        why = calibration.why_not or "the motion told nothing of the forearm"
         return [*said, f"there is no motion to hold it against: {why}"]
     broken = [row for row in rows if not row.agrees]
     if not broken:
@@ -190,23 +198,25 @@ def verdict(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
     ]
 
 
-def open_questions(found: ForearmCalibration) -> list[str]:
+def open_questions(calibration: ForearmCalibration) -> list[str]:
     """What the pose left open, one sentence each."""
     said = []
-    if found.calibration.R_F_A is None:
+    if calibration.calibration.R_F_A is None:
         said.append(
             "lever arms and R_F_A are left open: the sensor's orientation in the pose is not known"
-            f" ({found.why_not})"
+            f" ({calibration.why_not})"
         )
-    if found.measured.strap_from == "usual":
+    if calibration.measured.strap_from == "usual":
         said.append(
             "the strap's place was neither seen nor measured: usual values stand for it (5 +- 2 cm to"
             " the wrist,"
             " 3.5 +- 0.8 cm to the forearm's core)"
         )
-    if found.pose.turning_rad_s > RESTLESS_RAD_S:
-        said.append(f"the sensor turned by {np.degrees(found.pose.turning_rad_s):.0f} degrees/s in the pose")
-    y, middle = found.R_K_F[:, 1], found.pose.position[1]
+    if calibration.pose.turning_rad_s > RESTLESS_RAD_S:
+        said.append(
+            f"the sensor turned by {np.degrees(calibration.pose.turning_rad_s):.0f} degrees/s in the pose"
+        )
+    y, middle = calibration.R_K_F[:, 1], calibration.pose.position[1]
     towards = float(np.abs(y @ middle) / np.linalg.norm(middle))
     if towards > np.sin(CORONAL_RAD):
         said.append(
@@ -217,14 +227,14 @@ def open_questions(found: ForearmCalibration) -> list[str]:
     return said
 
 
-def next_time(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
+def next_time(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     """What to record next, one sentence each."""
     said = []
-    if found.calibration.R_F_A is None:
+    if calibration.calibration.R_F_A is None:
         said.append(
             "after the pose, move for 20 s in view: bend and stretch the elbow, turn the palm up and down"
         )
-    if found.measured.strap_from == "usual":
+    if calibration.measured.strap_from == "usual":
         said.append(
             "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's"
             " thickness"
@@ -233,7 +243,7 @@ def next_time(found: ForearmCalibration, rows: list[Compared]) -> list[str]:
         )
     if any(row.name == "roll" and not row.agrees for row in rows):
         said.append("hold the palm square to the camera, and put the sensor on the back of the wrist")
-    if found.pose.end_s - found.pose.start_s < 2.0:
+    if calibration.pose.end_s - calibration.pose.start_s < 2.0:
         said.append("hold the pose for three seconds")
     return said or ["the same again: nothing is missing"]
 

@@ -22,12 +22,12 @@ from .sensor_calibration import ImuCalibration
 GOOD_SIGMA = 0.005
 
 
-def imu_answer(found: ImuCalibration) -> Answer:
+def imu_answer(calibration: ImuCalibration) -> Answer:
     """Accelerometer and gyroscope in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : ImuCalibration
+    calibration : ImuCalibration
         See `calibrate_imu`.
 
     Returns
@@ -35,14 +35,14 @@ def imu_answer(found: ImuCalibration) -> Answer:
     answer : Answer
         Its table is `imu.NAME`.
     """
-    acc, gyro, tables = found.accelerometer, found.gyroscope, found.tables()
-    sentences, remarks = imu_verdict(found), acc.remarks if acc is not None else ()
+    acc, gyro, tables = calibration.accelerometer, calibration.gyroscope, calibration.tables()
+    sentences, remarks = imu_verdict(calibration), acc.remarks if acc is not None else ()
     estimate, sigma = {"gyroscope_offset": gyro.offset}, {"gyroscope_offset": gyro.sigma}
     figures: dict[str, Any] = {
-        "imu": found.name,
-        "rests": len(found.rests),
-        "poses": found.rests.poses,
-        "gravity": found.gravity,
+        "imu": calibration.name,
+        "rests": len(calibration.rests),
+        "poses": calibration.rests.poses,
+        "gravity": calibration.gravity,
         "accelerometer": {**tables.get("accelerometer", {})},
         "gyroscope": {**tables["gyroscope"], "rule": gyro.rule, "samples": gyro.samples},
     }
@@ -59,7 +59,10 @@ def imu_answer(found: ImuCalibration) -> Answer:
             "residual": acc.residual,
             "remarks": acc.remarks,
         }
-    for name, noise in (("accelerometer", found.accelerometer_noise), ("gyroscope", found.gyroscope_noise)):
+    for name, noise in (
+        ("accelerometer", calibration.accelerometer_noise),
+        ("gyroscope", calibration.gyroscope_noise),
+    ):
         if noise is not None:
             figures[name]["allan"] = {
                 "tau_s": noise.tau_s,
@@ -68,24 +71,24 @@ def imu_answer(found: ImuCalibration) -> Answer:
                 "bias_instability": noise.instability,
                 "random_walk": noise.walk,
             }
-    advice = [sentence for sentence in imu_next(found) if sentence not in remarks]
+    advice = [sentence for sentence in imu_next(calibration) if sentence not in remarks]
     good = acc is not None and acc.worst_sigma < DOUBTED_SIGMA
     return Answer(
         estimate,
         sigma,
         Verdict("good" if good else "usable", sentences[0], tuple(sentences[1:]), tuple(advice)),
         tuple(remarks),
-        CalibrationFile().with_table("imu", {sensor_name(found.name): tables}),
+        CalibrationFile().with_table("imu", {sensor_name(calibration.name): tables}),
         figures,
     )
 
 
-def magnetometer_answer(found: MagnetometerCalibration, imu_name: str) -> Answer:
+def magnetometer_answer(calibration: MagnetometerCalibration, imu_name: str) -> Answer:
     """Hard and soft iron in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : MagnetometerCalibration
+    calibration : MagnetometerCalibration
         See `calibrate_magnetometer`.
     imu_name : str
         Of the stream.
@@ -95,36 +98,36 @@ def magnetometer_answer(found: MagnetometerCalibration, imu_name: str) -> Answer
     answer : Answer
         Its table is `imu.NAME.magnetometer`.
     """
-    sentences = magnetometer_verdict(found)
+    sentences = magnetometer_verdict(calibration)
     table = {
-        "offset": found.offset.tolist(),
-        "matrix": found.matrix.tolist(),
-        "residual_rms": found.residual,
-        "samples": found.samples,
+        "offset": calibration.offset.tolist(),
+        "matrix": calibration.matrix.tolist(),
+        "residual_rms": calibration.residual,
+        "samples": calibration.samples,
     }
     figures = {
         **table,
-        "radii": found.radii,
-        "largest_hole_rad": found.coverage.hole_rad,
-        "covered_share": found.coverage.share,
-        "remarks": found.remarks,
+        "radii": calibration.radii,
+        "largest_hole_rad": calibration.coverage.hole_rad,
+        "covered_share": calibration.coverage.share,
+        "remarks": calibration.remarks,
     }
-    advice = [sentence for sentence in magnetometer_next(found) if sentence not in found.remarks]
-    grade = "usable" if found.remarks else "good"
+    advice = [sentence for sentence in magnetometer_next(calibration) if sentence not in calibration.remarks]
+    grade = "usable" if calibration.remarks else "good"
     return Answer(
-        {"magnetometer_offset": found.offset, "magnetometer_matrix": found.matrix},
+        {"magnetometer_offset": calibration.offset, "magnetometer_matrix": calibration.matrix},
         {},
         Verdict(grade, sentences[0], tuple(sentences[1:]), tuple(advice)),
-        found.remarks,
+        calibration.remarks,
         CalibrationFile().with_table("imu", {sensor_name(imu_name): {"magnetometer": table}}),
         {"imu": imu_name, "magnetometer": figures},
     )
 
 
-def imu_verdict(found: ImuCalibration) -> list[str]:
+def imu_verdict(calibration: ImuCalibration) -> list[str]:
     """What was found and whether it serves."""
     said = []
-    acc = found.accelerometer
+    acc = calibration.accelerometer
     if acc is not None:
         word = (
             "very well"
@@ -138,7 +141,9 @@ def imu_verdict(found: ImuCalibration) -> list[str]:
             " known to"
             f" {acc.sigma:.4f} m/s^2 on average and {acc.worst_sigma:.4f} in the worst direction"
         )
-        before = float(np.sqrt(np.mean((np.linalg.norm(found.rests.acc, axis=1) - found.gravity) ** 2)))
+        before = float(
+            np.sqrt(np.mean((np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity) ** 2))
+        )
         said.append(
             f"the rests missed gravity by {before:.3f} m/s^2 (root mean square) and miss it by"
             f" {acc.rms:.4f} now"
@@ -147,12 +152,12 @@ def imu_verdict(found: ImuCalibration) -> list[str]:
         said.append(
             "this is one long rest: it tells the noise and the gyroscope's bias, not the accelerometer"
         )
-    degrees = np.degrees(found.gyroscope.offset)
+    degrees = np.degrees(calibration.gyroscope.offset)
     source = (
-        f"the mean of {found.gyroscope.samples} still samples"
-        if found.gyroscope.rule == "rest"
-        else f"the running mean of {found.gyroscope.samples} stable samples, as the sensor never lay still"
-        " for long"
+        f"the mean of {calibration.gyroscope.samples} still samples"
+        if calibration.gyroscope.rule == "rest"
+        else f"the running mean of {calibration.gyroscope.samples} stable samples, as the sensor never"
+        " lay still for long"
     )
     said.append(
         f"the gyroscope's bias is {degrees[0]:+.3f}, {degrees[1]:+.3f}, {degrees[2]:+.3f} degrees/s, {source}"
@@ -160,18 +165,18 @@ def imu_verdict(found: ImuCalibration) -> list[str]:
     return said
 
 
-def noise_rows(found: ImuCalibration) -> list[tuple[str, str, str, str]]:
+def noise_rows(calibration: ImuCalibration) -> list[tuple[str, str, str, str]]:
     """Noise figures in a datasheet's units, a row a figure: name, x, y, z."""
     rows = []
-    if found.accelerometer_noise is not None:
-        noise, g = found.accelerometer_noise, STANDARD_GRAVITY
+    if calibration.accelerometer_noise is not None:
+        noise, g = calibration.accelerometer_noise, STANDARD_GRAVITY
         rows += [
             ("accelerometer, noise density, µg/√Hz", *_three(1e6 / g * noise.density)),
             ("accelerometer, bias instability, µg", *_three(1e6 / g * noise.instability)),
             ("accelerometer, random walk, µg/√s", *_three(1e6 / g * noise.walk)),
         ]
-    if found.gyroscope_noise is not None:
-        noise = found.gyroscope_noise
+    if calibration.gyroscope_noise is not None:
+        noise = calibration.gyroscope_noise
         rows += [
             ("gyroscope, noise density, degrees/s/√Hz", *_three(np.degrees(noise.density))),
             ("gyroscope, angle random walk, degrees/√h", *_three(60.0 * np.degrees(noise.density))),
@@ -181,18 +186,18 @@ def noise_rows(found: ImuCalibration) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def imu_next(found: ImuCalibration) -> list[str]:
+def imu_next(calibration: ImuCalibration) -> list[str]:
     """What to record next time."""
-    said = list(found.accelerometer.remarks) if found.accelerometer is not None else []
-    if found.accelerometer is None:
+    said = list(calibration.accelerometer.remarks) if calibration.accelerometer is not None else []
+    if calibration.accelerometer is None:
         said.append(
             "for offset, scale and cross-axis: twelve rest poses of three seconds each, the sensor on its"
             " six sides"
             " and on six edges between them"
         )
-    if found.gyroscope.rule == "running":
+    if calibration.gyroscope.rule == "running":
         said.append("for the gyroscope's bias: leave the sensor lying for five seconds while it records")
-    noise = found.gyroscope_noise
+    noise = calibration.gyroscope_noise
     if noise is None:
         said.append(
             f"for the noise: one rest of {WHITE_S:.0f} s at least; bias instability takes an hour or more"
@@ -216,27 +221,26 @@ def not_seen(noise: SensorNoise) -> bool:
     return bool(np.isnan(noise.instability).all() or np.isnan(noise.walk).all())
 
 
-def magnetometer_verdict(found: MagnetometerCalibration) -> list[str]:
+def magnetometer_verdict(calibration: MagnetometerCalibration) -> list[str]:
     """What was found and whether it serves."""
-    mean = float(np.mean(found.radii))
-    shift = float(np.linalg.norm(found.offset)) / mean
-    longer = float(found.radii[2] / found.radii[0]) - 1.0
-    word = "well" if not found.remarks else "roughly"
+    mean = float(np.mean(calibration.radii))
+    shift = float(np.linalg.norm(calibration.offset)) / mean
+    longer = float(calibration.radii[2] / calibration.radii[0]) - 1.0
+    word = "well" if not calibration.remarks else "roughly"
     return [
-        f"{found.samples} samples determine the magnetometer {word}: they lie {100 * found.residual:.1f} %"
-        " off"
-        " the ellipsoid (root mean square)",
+        f"{calibration.samples} samples determine the magnetometer {word}: they lie"
+        f" {100 * calibration.residual:.1f} % off the ellipsoid (root mean square)",
         f"hard iron shifts the field by {100 * shift:.0f} % of its strength, soft iron makes it"
         f" {100 * longer:.0f} % longer in one direction than in another",
-        f"{100 * found.coverage.share:.0f} % of the sphere's cells were covered, the largest hole reaches"
-        f" {np.degrees(found.coverage.hole_rad):.0f} degrees",
+        f"{100 * calibration.coverage.share:.0f} % of the sphere's cells were covered, the largest hole"
+        f" reaches {np.degrees(calibration.coverage.hole_rad):.0f} degrees",
     ]
 
 
-def magnetometer_next(found: MagnetometerCalibration) -> list[str]:
+def magnetometer_next(calibration: MagnetometerCalibration) -> list[str]:
     """What to record next time."""
-    said = list(found.remarks)
-    if found.residual > 0.5 * LARGE_RESIDUAL:
+    said = list(calibration.remarks)
+    if calibration.residual > 0.5 * LARGE_RESIDUAL:
         said.append(
             "turn the sensor on one spot rather than carrying it about, half a metre from iron,"
             " loudspeakers and"

@@ -117,12 +117,12 @@ class ArmEstimates:
         return not levers and (self.calibration.upper_arm is None or "upper_arm" in self.given)
 
 
-def motion_answer(found: ArmEstimates) -> Answer:
+def motion_answer(estimates: ArmEstimates) -> Answer:
     """Lever arms, lengths and mounting in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : ArmEstimates
+    estimates : ArmEstimates
         See `calibrate_motion`.
 
     Returns
@@ -130,21 +130,21 @@ def motion_answer(found: ArmEstimates) -> Answer:
     answer : Answer
         Its table holds the arm alone: clock offsets belong to their recordings.
     """
-    arm = found.calibration
+    arm = estimates.calibration
     levers = {f"lever_arm_{joint}": lever for joint, lever in arm.lever_arms.items()}
     estimate: dict[str, Any] = {name: lever.position_m for name, lever in levers.items()}
     sigma: dict[str, Any] = {name: lever.sigma_m for name, lever in levers.items()}
-    for name, (value_m, sigma_m) in found.lengths.items():
+    for name, (value_m, sigma_m) in estimates.lengths.items():
         estimate[name], sigma[name] = value_m, sigma_m
     if arm.R_F_A is not None:
         estimate["R_F_A"] = arm.R_F_A
     return Answer(
         estimate,
         sigma,
-        motion_verdict(arm, found.not_determined),
-        found.not_determined,
+        motion_verdict(arm, estimates.not_determined),
+        estimates.not_determined,
         CalibrationFile().with_arm(arm),
-        found.figures,
+        estimates.figures,
     )
 
 
@@ -174,7 +174,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
 
     Returns
     -------
-    found : ArmEstimates or None
+    estimates : ArmEstimates or None
     """
     arm = recovery.calibration
     if arm is None or not any(np.isfinite(block.quaternion).any() for block in recovery.blocks()):

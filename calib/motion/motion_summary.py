@@ -95,23 +95,23 @@ def is_point(evidence: Evidence) -> bool:
 
 
 def _causes(evidence: Evidence, what: str) -> list[str]:
-    said = []
+    sentences = []
     if evidence.visible_s < LITTLE_VISIBLE_S:
-        said.append(f"the {what} was visible for {evidence.visible_s:.0f} s only")
+        sentences.append(f"the {what} was visible for {evidence.visible_s:.0f} s only")
     if evidence.turning_rad_s < LITTLE_TURNING_RAD_S:
         rate = np.degrees(evidence.turning_rad_s)
-        said.append(f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)")
-    return said
+        sentences.append(f"the {what} hardly moved while it was visible ({rate:.0f} degrees/s on average)")
+    return sentences
 
 
 def _missing(calibration: ArmCalibration, evidence: Evidence) -> list[str]:
-    said = []
+    sentences = []
     for joint in ("elbow", "wrist", "hand"):
         if joint not in calibration.lever_arms:
             seen = evidence.frames.get(joint, 0)
             how = "was never tracked" if seen == 0 else f"was tracked in {seen} frames only"
-            said.append(f"the {joint} {how}: its lever arm is open")
-    return said
+            sentences.append(f"the {joint} {how}: its lever arm is open")
+    return sentences
 
 
 def beyond(sigma_m: FloatArray, joint_bias_m: float) -> FloatArray:
@@ -130,7 +130,7 @@ def _bias(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: floa
 
 
 def _levers(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: float) -> list[str]:
-    said = []
+    sentences = []
     for joint, lever in calibration.lever_arms.items():
         if joint in known.lever_arms:
             continue
@@ -142,8 +142,8 @@ def _levers(calibration: ArmCalibration, known: ArmCalibration, joint_bias_m: fl
             if own > LEVER_SIGMA_M
         ]
         if open_axes:
-            said.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
-    return said
+            sentences.append(f"the {joint} is known only roughly in the IMU's axes: {', '.join(open_axes)}")
+    return sentences
 
 
 def _worst_variance(calibration: ArmCalibration) -> float:
@@ -162,13 +162,13 @@ def _roll(
         return []
     if frame is None:
         return ["the forearm's axes in the IMU (R_F_A) need both elbow and wrist"]
-    said = []
+    sentences = []
     if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
         degrees = np.degrees(frame.direction_sigma_rad)
-        said.append(f"the forearm's direction in the IMU is known to {degrees:.0f} degrees only")
+        sentences.append(f"the forearm's direction in the IMU is known to {degrees:.0f} degrees only")
     if not np.isfinite(frame.roll_sigma_rad):
         millimetres = 1e3 * frame.distance_m
-        said.append(
+        sentences.append(
             f"the IMU was found {millimetres:.0f} mm from the line between elbow and wrist, too near to tell "
             "on which side of the forearm it sits: roll is not known"
         )
@@ -180,10 +180,10 @@ def _roll(
             cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
         elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * _worst_variance(calibration):
             cause = "with the camera's constant errors "
-        said.append(f"{cause}roll is known to {degrees:.0f} degrees only")
+        sentences.append(f"{cause}roll is known to {degrees:.0f} degrees only")
     if frame.R_F_A is None:
-        said.append("R_F_A is left open; recovering does not need it")
-    return said
+        sentences.append("R_F_A is left open; recovering does not need it")
+    return sentences
 
 
 def _upper_arm(
@@ -215,13 +215,15 @@ def roll_known(frame: ForearmFrame | None) -> str:
 
 def clocks_not_determined(offsets: Sequence[ClockOffset]) -> list[str]:
     """Recordings whose clock offset stayed open, one sentence each."""
-    said = []
+    sentences = []
     for each in offsets:
         if not np.isfinite(each.offset_s):
-            said.append(f"{each.recording}: IMU and visible forearm never came together; it told nothing")
+            sentences.append(
+                f"{each.recording}: IMU and visible forearm never came together; it told nothing"
+            )
         elif each.sigma_s > CLOCK_SIGMA_S:
-            said.append(
+            sentences.append(
                 f"{each.recording}: the clock offset is known to {1e3 * each.sigma_s:.0f} ms only; "
                 "the arm moved too little or too slowly"
             )
-    return said
+    return sentences

@@ -97,16 +97,16 @@ def verdict(calibration: PanelCalibration) -> Verdict:
 
 def _findings(calibration: PanelCalibration) -> list[str]:
     solution, poses = calibration.solution, len(calibration.seen)
-    said = []
+    sentences = []
     if np.isfinite(solution.depth_offset_sigma_m):
         offset, sigma = 1e3 * solution.depth_offset_m, 1e3 * solution.depth_offset_sigma_m
         length = "long" if offset > 0 else "short"
-        said.append(
+        sentences.append(
             f"The camera's depth is {abs(offset):.1f} +- {sigma:.1f} mm too {length}, by the markers'"
             " spacing; the answer is free of it."
         )
     else:
-        said.append(
+        sentences.append(
             "A constant error of the camera's depth is taken for none: one pose tells it from the markers'"
             f" spacing only as {1e3 * solution.offset_apart_m:+.1f} +-"
             f" {1e3 * solution.offset_apart_sigma_m:.1f} mm, and it would pass into the distance; several"
@@ -117,14 +117,14 @@ def _findings(calibration: PanelCalibration) -> list[str]:
             np.argmax(solution.marker_residuals_m), solution.marker_residuals_m.shape
         )
         worst = 1e3 * solution.marker_residuals_m[pose, marker]
-        said.append(
+        sentences.append(
             f"The residuals are {np.sqrt(solution.misfit):.1f} times what the stated noise makes expected,"
             f" and sigma is widened for it; the worst is marker {calibration.labels[pose][marker]} of"
             f" {calibration.names[pose]}, {worst:.1f} mm off: leave that pose out and see."
         )
     shape = max(_definition_misfit(calibration))
     if shape > DEFINITION_M:
-        said.append(
+        sentences.append(
             f"The mocap markers' distances differ from the panel's definition by {1e3 * shape:.1f} mm rms;"
             " the definition only tells which marker is which, so that the answer does not suffer."
         )
@@ -132,22 +132,24 @@ def _findings(calibration: PanelCalibration) -> list[str]:
         name for name, each in zip(calibration.names, calibration.seen, strict=True) if each.tilt_deg > 45
     ]
     if tilted:
-        said.append(f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor.")
+        sentences.append(
+            f"{', '.join(tilted)}: turned more than 45 degrees from the camera, where depth is poor."
+        )
     apart, mean = _published_apart(calibration), ", mean of the poses" if poses > 1 else ""
-    said.append(
+    sentences.append(
         "The published method (principal components of regions) has too few depth points along the arms."
         if apart is None
         else f"The published method (principal components of regions{mean})"
         f" differs from the answer by {apart[0]:.2f} degrees and {1e3 * apart[1]:.1f} mm at the panel."
     )
-    return said
+    return sentences
 
 
 def _next(calibration: PanelCalibration, grade: str) -> list[str]:
     seen = calibration.seen
-    said = []
+    sentences = []
     if len(seen) < ENOUGH_POSES:
-        said.append(
+        sentences.append(
             f"Record {ENOUGH_POSES} to 8 poses instead of {len(seen)}: error falls with their number, and the"
             " depth's constant error is found."
         )
@@ -157,23 +159,25 @@ def _next(calibration: PanelCalibration, grade: str) -> list[str]:
         default=0.0,
     )
     if len(seen) > 1 and spread < ENOUGH_SPREAD_DEG:
-        said.append(
+        sentences.append(
             f"Tilt the panel about 20 degrees to different sides: its normals differ by {spread:.0f} degrees."
         )
     far = [each.distance_m for each in seen]
     if max(far) > 2.5:
-        said.append(f"Hold the panel nearer than 2.5 m (farthest {max(far):.1f} m): depth is better there.")
+        sentences.append(
+            f"Hold the panel nearer than 2.5 m (farthest {max(far):.1f} m): depth is better there."
+        )
     if len(seen) > 1:
         middles = np.array([each.points_K.mean(axis=0) for each in seen])
         if float(np.ptp(middles, axis=0).max()) < 0.3:
-            said.append("Spread the poses over the volume in which the arm will move.")
-    if not said:
-        said.append(
+            sentences.append("Spread the poses over the volume in which the arm will move.")
+    if not sentences:
+        sentences.append(
             "Nothing more is needed; record again when camera or mocap has been moved."
             if grade == "good"
             else "Record more poses with the panel still, facing the camera within 30 degrees, 1 to 2 m away."
         )
-    return said
+    return sentences
 
 
 def _definition_misfit(calibration: PanelCalibration) -> list[float]:

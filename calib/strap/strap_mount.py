@@ -12,6 +12,7 @@ from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 from smoother.result import Recovery
 
+from ..file import CalibrationFile
 from ..forearm.forearm_frame import forearm_frame
 
 #: Core of the forearm to the sensor where nobody measured it, m.
@@ -47,6 +48,15 @@ class Mounted:
     sigma_m: float
     along: FloatArray | None
     radius_m: float
+
+
+def held_radius(file: CalibrationFile, side: str) -> Length | None:
+    """Core of the forearm to the sensor, r, of the held pose of an arm; None where the file has none."""
+    table = file.tables.get("forearm", {})
+    own = table.get(side or "any") if isinstance(table, dict) else None
+    if not isinstance(own, dict) or not {"r_m", "r_sigma_m"} <= set(own):
+        return None
+    return Length(float(own["r_m"]), float(own["r_sigma_m"]))
 
 
 def mounted_on(recovery: Recovery, radius: Length | None = None) -> Mounted:

@@ -47,26 +47,26 @@ class WorldAccuracy:
         return self.heading_deg > FREE_DEG
 
 
-def accuracy(found: WorldCalibration) -> WorldAccuracy:
+def accuracy(calibration: WorldCalibration) -> WorldAccuracy:
     """Sigmas of rotation, tilt, heading and mounting."""
-    covariance = found.solution.covariance
-    bias = found.solution.at.rest[:3]
-    forces = [pose.base.acc - bias for pose in found.poses]
-    tilts = [np.trace(tilt_covariance(found.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
-    up = found.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
+    covariance = calibration.solution.covariance
+    bias = calibration.solution.at.rest[:3]
+    forces = [pose.base.acc - bias for pose in calibration.poses]
+    tilts = [np.trace(tilt_covariance(calibration.R_K_B, covariance[:6, :6], acc)) / 2 for acc in forces]
+    up = calibration.R_K_B @ np.mean([acc / np.linalg.norm(acc) for acc in forces], axis=0)
     up /= np.linalg.norm(up)
     return WorldAccuracy(
         rotation_deg=np.degrees(np.sqrt(np.diag(covariance)[:3])),
         tilt_deg=float(np.degrees(np.sqrt(max(tilts)))),
         heading_deg=float(np.degrees(np.sqrt(up @ covariance[:3, :3] @ up))),
         mounting_deg=np.degrees(np.sqrt(np.diag(covariance)[6:])),
-        off_deg=rotation_degrees(found.R_P_I),
+        off_deg=rotation_degrees(calibration.R_P_I),
     )
 
 
-def verdict(found: WorldCalibration) -> Verdict:
+def verdict(calibration: WorldCalibration) -> Verdict:
     """Good or not, for what, and what to record next."""
-    sigma = accuracy(found)
+    sigma = accuracy(calibration)
     grade = "not good enough"
     if sigma.tilt_deg <= USABLE_DEG:
         grade = "good" if sigma.tilt_deg <= GOOD_DEG else "usable"
@@ -76,34 +76,38 @@ def verdict(found: WorldCalibration) -> Verdict:
         "usable": "of use for `smooth`, which weighs gravity from the base IMU by this sigma",
         "not good enough": "not better than a camera that is taken to stand level",
     }[grade]
-    return Verdict(grade, f"{grade}: {tilt}: {use}.", _findings(found, sigma), _next(found, sigma))
+    return Verdict(
+        grade, f"{grade}: {tilt}: {use}.", _findings(calibration, sigma), _next(calibration, sigma)
+    )
 
 
-def _findings(found: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
-    said = []
+def _findings(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
+    sentences = []
     if sigma.heading_free:
-        said.append(
+        sentences.append(
             "The heading between camera and base IMU is free: neither a magnetometer nor a turn of the "
             "camera tells it. Gravity holds as long as the camera stands about as it stood in these poses."
         )
     else:
-        said.append(f"The heading between camera and base IMU is known to {sigma.heading_deg:.1f} degrees.")
-    if found.by_eye:
-        said.append(
+        sentences.append(
+            f"The heading between camera and base IMU is known to {sigma.heading_deg:.1f} degrees."
+        )
+    if calibration.by_eye:
+        sentences.append(
             "The poses do not tell how the IMU sits on the panel: it was taken as lined up with the panel's "
             "axes to 3 degrees, as in the published method."
         )
     else:
-        said.append(
+        sentences.append(
             f"The IMU on the panel is {sigma.off_deg:.1f} degrees off the panel's axes "
             f"(+- {float(np.linalg.norm(sigma.mounting_deg)):.1f})."
         )
-    return (*said, *found.notes)
+    return (*sentences, *calibration.notes)
 
 
-def _next(found: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
+def _next(calibration: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
     advice = []
-    if found.by_eye:
+    if calibration.by_eye:
         advice.append(
             "Hold the panel in at least four different poses: rolled by 90 degrees in the image, and tilted."
         )
@@ -112,7 +116,7 @@ def _next(found: WorldCalibration, sigma: WorldAccuracy) -> tuple[str, ...]:
             "To have the heading, turn and tilt the camera with its base IMU by 30 degrees or more between "
             "some poses, the panel in view."
         )
-    if not found.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
+    if not calibration.by_eye and sigma.mounting_deg.max() > GOOD_DEG:
         advice.append(
             "Tilt the panel by 30 to 40 degrees, in each pose another way; rolls alone leave a turn open."
         )

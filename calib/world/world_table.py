@@ -41,12 +41,12 @@ class CameraFromBase:
     accelerometer_corrected: bool = False
 
 
-def world_answer(found: WorldCalibration) -> Answer:
+def world_answer(calibration: WorldCalibration) -> Answer:
     """Camera from base IMU in the form that every calibration answers in.
 
     Parameters
     ----------
-    found : WorldCalibration
+    calibration : WorldCalibration
         See `calibrate_world`.
 
     Returns
@@ -54,19 +54,19 @@ def world_answer(found: WorldCalibration) -> Answer:
     answer : Answer
         Its tables are `camera_from_base`, `panel_from_imu` and `world`.
     """
-    sigma, words, tables = accuracy(found), verdict(found), calibration_tables(found)
+    sigma, words, tables = accuracy(calibration), verdict(calibration), calibration_tables(calibration)
     heading = ("the heading between camera and base IMU",) if sigma.heading_free else ()
-    mounting = ("how the IMU sits on the panel",) if found.by_eye else ()
+    mounting = ("how the IMU sits on the panel",) if calibration.by_eye else ()
     return Answer(
         estimate={
-            "R_K_B": found.R_K_B,
-            "R_P_I": found.R_P_I,
-            "accelerometer_bias": found.solution.at.rest[:3],
+            "R_K_B": calibration.R_K_B,
+            "R_P_I": calibration.R_P_I,
+            "accelerometer_bias": calibration.solution.at.rest[:3],
         },
         sigma={
             "R_K_B": np.radians(sigma.rotation_deg),
             "R_P_I": np.radians(sigma.mounting_deg),
-            "accelerometer_bias": np.sqrt(np.diag(found.solution.covariance)[3:6]),
+            "accelerometer_bias": np.sqrt(np.diag(calibration.solution.covariance)[3:6]),
         },
         verdict=words,
         open_questions=(*heading, *mounting),
@@ -75,37 +75,37 @@ def world_answer(found: WorldCalibration) -> Answer:
     )
 
 
-def calibration_tables(found: WorldCalibration) -> dict[str, dict[str, Any]]:
+def calibration_tables(calibration: WorldCalibration) -> dict[str, dict[str, Any]]:
     """Plain values of the answer, by table; quaternions are qw, qx, qy, qz, sigmas one standard deviation."""
-    sigma, said, at = accuracy(found), verdict(found), found.solution.at
+    sigma, sentences, at = accuracy(calibration), verdict(calibration), calibration.solution.at
     return {
         NAME: {
             "rotation": _quaternion(at.R_K_B),
             "rotation_sigma_deg": sigma.rotation_deg.tolist(),
             "accelerometer_bias": at.rest[:3].tolist(),
-            "covariance": found.solution.covariance[:6, :6].tolist(),
-            "accelerometer_corrected": found.accelerometer_corrected,
+            "covariance": calibration.solution.covariance[:6, :6].tolist(),
+            "accelerometer_corrected": calibration.accelerometer_corrected,
         },
         "panel_from_imu": {
             "rotation": _quaternion(at.R_P_I),
             "rotation_sigma_deg": sigma.mounting_deg.tolist(),
-            "lined_up_by_eye": found.by_eye,
+            "lined_up_by_eye": calibration.by_eye,
         },
         "world": {
             "tilt_sigma_deg": sigma.tilt_deg,
             "heading": "free" if sigma.heading_free else "known",
             "heading_sigma_deg": sigma.heading_deg,
-            "poses": len(found.poses),
-            "grade": said.grade,
-            "verdict": said.sentence,
-            "residuals": pose_rows(found),
+            "poses": len(calibration.poses),
+            "grade": sentences.grade,
+            "verdict": sentences.sentence,
+            "residuals": pose_rows(calibration),
         },
     }
 
 
-def pose_rows(found: WorldCalibration) -> list[dict[str, Any]]:
+def pose_rows(calibration: WorldCalibration) -> list[dict[str, Any]]:
     """Down in the camera and what is left of each pose."""
-    solution = found.solution
+    solution = calibration.solution
     up_W = np.array([0.0, 0.0, 1.0])
     down = -(solution.at.R_K_B * solution.at.R_W_B.inv()).apply(up_W)
     return [
@@ -116,7 +116,7 @@ def pose_rows(found: WorldCalibration) -> list[dict[str, Any]]:
             "worst_sigma": round(float(solution.worst_sigma[i]), 2),
             "rest_s": round(min(pose.panel.length_s, pose.base.length_s), 2),
         }
-        for i, pose in enumerate(found.poses)
+        for i, pose in enumerate(calibration.poses)
     ]
 
 

@@ -128,18 +128,18 @@ def motion(
         load_arm(path, known_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
         for path in recording_files
     ]
-    found = calibrate_motion([recording for recording, _ in loaded], loaded[0][1], config)
-    if not found.calibration.lever_arms:
+    estimates = calibrate_motion([recording for recording, _ in loaded], loaded[0][1], config)
+    if not estimates.calibration.lever_arms:
         raise CalibrationError(
             "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
         )
-    answer = motion_answer(found)
+    answer = motion_answer(estimates)
     write_answer(answer, output, json_file, force)
-    print_arm(found)
-    print_clocks(found.offsets)
+    print_arm(estimates)
+    print_clocks(estimates.offsets)
     say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
-    print_camera(found)
-    if sentence := roll_known(found.frame):
+    print_camera(estimates)
+    if sentence := roll_known(estimates.frame):
         say(sentence)
     print_words(answer)
     print_notes(note for recording, _ in loaded for note in recording.notes)

@@ -157,14 +157,14 @@ def clock(
         clock_in_motion = clock_from_motion(recording, known, config, names)
         origin_ns, notes = recording.origin_ns, recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
-    found = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
-    answer = clock_answer(found)
+    calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
+    answer = clock_answer(calibration)
     if report is not None:
         from ..report.clock import write_clock_report
 
-        write_clock_report(report, name, found.network, receptions, beeps, clock_in_motion, force=force)
+        write_clock_report(report, name, calibration.network, receptions, beeps, clock_in_motion, force=force)
     write_answer(answer, output, json_file, force)
-    print_clocks(found)
+    print_clocks(calibration)
     print_words(answer)
     print_notes(notes)
     if output is not None or json_file is not None or report is not None:
@@ -178,13 +178,13 @@ def _two(option: str, text: str) -> tuple[str, str]:
     return names[0], names[1]
 
 
-def print_clocks(found: ClockCalibration) -> None:
+def print_clocks(calibration: ClockCalibration) -> None:
     """Print the beeps, and every two clocks that hang together."""
     from calib.clock.clock_summary import link_words
 
-    for beep in found.beeps:
+    for beep in calibration.beeps:
         say(f"beep of {beep.frequency_hz:.0f} Hz: ends at {beep.end_s:.5f} s +- {1e3 * beep.sigma_s:.2f} ms")
-    links = found.network.links()
+    links = calibration.network.links()
     rows = [
         (
             link.from_clock,

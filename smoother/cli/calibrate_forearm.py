@@ -76,7 +76,7 @@ def forearm(
     held_calibration(output, [json_file, report], [recording_file, config_file], force=force)
     config = with_processes(read_config(config_file), processes)
     recording, _ = load_arm(recording_file, None, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
-    found = calibrate_forearm(
+    calibration = calibrate_forearm(
         recording,
         from_s=from_s,
         to_s=to_s,
@@ -84,13 +84,13 @@ def forearm(
         strap_to_wrist_m=strap_to_wrist_m,
         config=config,
     )
-    answer = forearm_answer(found)
+    answer = forearm_answer(calibration)
     if report is not None:
         from ..report.forearm import write_forearm_report
 
-        write_forearm_report(report, recording, found, force=force)
+        write_forearm_report(report, recording, calibration, force=force)
     write_answer(answer, output, json_file, force)
-    lengths = found.measured.lengths.items()
+    lengths = calibration.measured.lengths.items()
     cells = [
         (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")
         for name, length in lengths
@@ -103,7 +103,7 @@ def forearm(
             f"{row.motion:.1f} +- {row.motion_sigma:.1f} {row.unit}",
             f"{row.apart:.1f}",
         )
-        for row in compare(found)
+        for row in compare(calibration)
     ]
     if rows:
         print_table("Pose against motion", ("measure", "pose", "motion", "sigmas apart"), rows)

@@ -42,14 +42,14 @@ def imu(
         raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
     stream, notes = _load(recording_file, output, name, [report, json_file], force)
     with naming(f"{recording_file}, {stream.name}"):
-        found = calibrate_imu(stream, gravity)
-    answer = imu_answer(found)
+        calibration = calibrate_imu(stream, gravity)
+    answer = imu_answer(calibration)
     if report is not None:
         from ..report.imu import write_imu_report
 
-        write_imu_report(report, str(recording_file), stream, found, force=force)
+        write_imu_report(report, str(recording_file), stream, calibration, force=force)
     write_answer(answer, output, json_file, force)
-    if rows := noise_rows(found):
+    if rows := noise_rows(calibration):
         print_table("Noise", ("figure", "x", "y", "z"), rows)
     print_words(answer)
     print_notes(notes)
@@ -78,12 +78,12 @@ def magnetometer(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
         )
     with naming(f"{recording_file}, {stream.name}"):
-        found = calibrate_magnetometer(stream.mag)
-    answer = magnetometer_answer(found, stream.name)
+        calibration = calibrate_magnetometer(stream.mag)
+    answer = magnetometer_answer(calibration, stream.name)
     if report is not None:
         from ..report.magnetometer import write_magnetometer_report
 
-        write_magnetometer_report(report, str(recording_file), stream, found, force=force)
+        write_magnetometer_report(report, str(recording_file), stream, calibration, force=force)
     write_answer(answer, output, json_file, force)
     print_words(answer)
     print_notes(notes)

@@ -74,14 +74,14 @@ def panel(
     known = read_panel(panel_file)
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file)
-        found = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
-    answer = panel_answer(found)
+        calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
+    answer = panel_answer(calibration)
     if report is not None:
         from ..report.panel import write_panel_report
 
-        write_panel_report(report, found, views, force=force)
+        write_panel_report(report, calibration, views, force=force)
     write_answer(answer, output, json_file, force)
-    print_panel(found)
+    print_panel(calibration)
     print_words(answer)
     say_written(output, report, json_file)
 
@@ -144,15 +144,15 @@ def pictured(path: Path) -> Iterator[None]:
         raise NotIdentified(f"{text}; what was seen is drawn in {path}.") from error
 
 
-def print_panel(found: PanelCalibration) -> None:
+def print_panel(calibration: PanelCalibration) -> None:
     """Print the transform with its sigma, and the residuals by pose."""
     import numpy as np
 
     from calib.panel.panel_accuracy import accuracy
     from calib.panel.panel_table import pose_rows, transform_values
 
-    sigma = accuracy(found)
-    values = transform_values(found.solution.camera_from_mocap)
+    sigma = accuracy(calibration)
+    values = transform_values(calibration.solution.camera_from_mocap)
     say(
         f"camera from mocap: rotation {np.round(values['rotation'], 6).tolist()} (qw, qx, qy, qz) +-"
         f" {np.round(sigma.rotation_deg, 3).tolist()} degrees about the camera's axes"
@@ -175,6 +175,6 @@ def print_panel(found: PanelCalibration) -> None:
                 f"{1e3 * row['plane_rms_m']:.2f}",
                 f"{1e3 * row['depth_noise_m']:.1f}",
             )
-            for row in pose_rows(found)
+            for row in pose_rows(calibration)
         ],
     )

@@ -77,8 +77,8 @@ def world(
         if lens is None:
             raise typer.BadParameter("give --intrinsics with --depth")
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        found = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
-    answer = world_answer(found)
+        calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
+    answer = world_answer(calibration)
     write_answer(answer, output, json_file, force)
     print_tables(answer.table.tables)
     print_words(answer)

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from calib.motion.evidence import ClockOffset
 
 
-def print_arm(found: ArmEstimates) -> None:
+def print_arm(estimates: ArmEstimates) -> None:
     """Print lever arms and lengths, each with its sigma."""
     rows = []
-    for joint, lever in found.calibration.lever_arms.items():
+    for joint, lever in estimates.calibration.lever_arms.items():
         cells = [
             f"{1e3 * value:.1f} +- {1e3 * sigma:.1f}"
             for value, sigma in zip(lever.position_m, lever.sigma_m, strict=True)
@@ -25,7 +25,7 @@ def print_arm(found: ArmEstimates) -> None:
         print_table("Lever arms in the IMU's axes, mm (+- one sigma)", ("joint", "x", "y", "z"), rows)
     rows = [
         (name.replace("_", " ").replace("imu", "IMU"), f"{1e3 * value:.1f} +- {1e3 * sigma:.1f}")
-        for name, (value, sigma) in found.lengths.items()
+        for name, (value, sigma) in estimates.lengths.items()
     ]
     if rows:
         print_table("Lengths, mm", ("length", "found"), rows)
@@ -52,23 +52,23 @@ def print_clock(offset: ClockOffset) -> None:
     say(f"the IMU's clock is {1e3 * offset.offset_s:+.1f} ms{known} against the camera's{wandered}")
 
 
-def print_camera(found: ArmEstimates) -> None:
+def print_camera(estimates: ArmEstimates) -> None:
     """Print the camera's noise and the constant errors of its joints, a line."""
-    if not found.camera:
+    if not estimates.camera:
         return
-    noise = ", ".join(f"{joint} {1e3 * each.sample_m:.1f}" for joint, each in found.camera.items())
+    noise = ", ".join(f"{joint} {1e3 * each.sample_m:.1f}" for joint, each in estimates.camera.items())
     say(f"noise of the camera's joints, mm an axis: {noise}")
-    off = [f"{joint} {1e3 * each.bias_m:.1f}" for joint, each in found.camera.items() if each.bias_m > 0]
+    off = [f"{joint} {1e3 * each.bias_m:.1f}" for joint, each in estimates.camera.items() if each.bias_m > 0]
     if off:
         say(
             f"constant errors of the joints against each other, mm: {', '.join(off)}; their common part"
-            f" counts as {1e3 * found.joint_bias_sigma_m:.1f} an axis"
+            f" counts as {1e3 * estimates.joint_bias_sigma_m:.1f} an axis"
         )
 
 
-def print_open(found: ArmEstimates) -> None:
+def print_open(estimates: ArmEstimates) -> None:
     """Print in words what the motion did not determine."""
-    for sentence in found.not_determined:
+    for sentence in estimates.not_determined:
         say(f"not determined: {sentence}")
 
 

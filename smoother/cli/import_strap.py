@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -27,6 +26,9 @@ from .output import check_outputs, print_notes, print_table, say, say_written, w
 
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
+
+#: A length by ruler, m.
+RULER_SIGMA_M = 0.004
 
 
 def strap(
@@ -63,9 +65,12 @@ def strap(
     The recording is solved without images first: the sensor's orientation takes the strap from the arm's core
     to the sensor. Images stream by, memory stays flat. What contradicts the forearm is rejected.
     """
-    from calib.strap.strap_mount import mounted_on
+    from calib.file import read_calibration
+    from calib.strap.strap_mount import held_radius, mounted_on
 
+    from ..calibration import Length
     from ..io.media.strap_cameras import check_images
+    from ..report.strap_summary import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap
     from .config_file import read_config, with_processes
@@ -77,7 +82,10 @@ def strap(
     )
     check_images(recording_file, colour, depth)
     recovery = smooth(recording, known, config)
-    mounted = mounted_on(recovery, _radius(radius_m, calibration_file, recording.side))
+    radius = None if radius_m is None else Length(radius_m, RULER_SIGMA_M)
+    if radius is None and calibration_file is not None:
+        radius = held_radius(read_calibration(calibration_file), recording.side)
+    mounted = mounted_on(recovery, radius)
     noise = recovery.figures.get("camera_sigma_m")
     sigma = (
         max((float(value) for value in noise.values()), default=0.008) if isinstance(noise, dict) else 0.008
@@ -94,7 +102,8 @@ def strap(
         passthrough_images=passthrough_images,
         force=force,
     )
-    write_json(json_file, _figures(found), force)
+    sentences = verdict(found)
+    write_json(json_file, {**_figures(found), "verdict": sentences}, force)
     if report is not None:
         from ..report.strap import write_strap_report
 
@@ -104,34 +113,10 @@ def strap(
         (what, count, f"{100 * count / max(total, 1):.0f}") for what, count in sorted(found.counts.items())
     ]
     print_table(f"The strap in {total} images", ("", "images", "%"), rows)
-    for sentence in verdict(found):
+    for sentence in sentences:
         say(sentence)
     print_notes([*recording.notes, *found.notes])
     say_written(output, json_file, report)
-
-
-def _radius(radius_m: float | None, calibration_file: Path | None, side: str) -> Any:
-    """R with its sigma: given, of the calibration's table [forearm], or None."""
-    from ..calibration import Length
-
-    if radius_m is not None:
-        return Length(radius_m, 0.004)
-    if calibration_file is None:
-        return None
-    from calib.file import read_calibration
-
-    table = read_calibration(calibration_file).tables.get("forearm", {})
-    own = table.get(side or "any") if isinstance(table, dict) else None
-    if not isinstance(own, dict) or not {"r_m", "r_sigma_m"} <= set(own):
-        return None
-    return Length(float(own["r_m"]), float(own["r_sigma_m"]))
-
-
-def verdict(found: StrapFound) -> list[str]:
-    """How well the strap was seen, in words."""
-    from ..report.strap_summary import verdict as words
-
-    return words(found)
 
 
 def _figures(found: StrapFound) -> dict[str, Any]:
@@ -148,5 +133,4 @@ def _figures(found: StrapFound) -> dict[str, Any]:
         "along": float(np.median(found.along[good])) if any(good) else None,
         "colour_topic": found.topics[0],
         "depth_topic": found.topics[1],
-        "verdict": verdict(found),
     }
