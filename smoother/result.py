@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import ArmCalibration
 from .errors import UnoccludeError
+from .measurements.rejection import Reason
 from .measurements.visibility import Gap
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     import pandas
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
-BLOCK = 8192
+BATCH_ROWS = 8192
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,15 @@ class FrameResiduals:
         The sample took part in the solution.
     reason : ndarray of uint8, shape (F, 5)
         Why a tracked sample was rejected: index into `reasons`, 0 where it was not.
-    reasons : tuple of str
-        The sentences, the first one empty.
+    reasons : tuple of Reason
+        The first one empty.
     """
 
     t_s: FloatArray
     residual: FloatArray
     used: BoolArray
     reason: NDArray[np.uint8]
-    reasons: tuple[str, ...] = ("",)
+    reasons: tuple[Reason, ...] = (Reason(""),)
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -59,10 +60,119 @@ class FrameResiduals:
             reason=self.reason[rows],
         )
 
-    def blocks(self) -> Iterator[FrameResiduals]:
+    def batches(self) -> Iterator[FrameResiduals]:
         """All frames, some thousand at a time."""
-        for start in range(0, len(self), BLOCK):
-            yield self.rows(slice(start, start + BLOCK))
+        for start in range(0, len(self), BATCH_ROWS):
+            yield self.rows(slice(start, start + BATCH_ROWS))
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What a method found besides the motion; None where it states nothing.
+
+    Attributes
+    ----------
+    camera_sigma_m, camera_effective_sigma_m : dict of str to float, m an axis, optional
+        Noise of a joint's sample; of a white noise with the same long-run variance.
+    joint_bias_m : dict of str to tuple of float, m, optional
+        Constant errors of the camera's joints (x, y, z in {K}), free of their common part.
+    joint_bias_sigma_m : float, m an axis, optional
+        How large such an error is in this recording.
+    accelerometer_bias, gyroscope_bias : tuple of float, m/s^2 and rad/s, optional
+        Mean over the recording, in {A}.
+    magnetometer_blocks, magnetometer_blocks_used : int, optional
+        Means of the magnetic field over some seconds, and how many took part.
+    magnetometer_sigma_deg : float, degrees, optional
+        How well the field's direction is believed to be known.
+    magnetic_field_direction : tuple of float, optional
+        Unit vector in {K}.
+    given : tuple of str
+        What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
+    max_sigma_m : float, m, optional
+        Samples less certain than this on an axis are marked as not to be used.
+    further : dict
+        What else a file or a baseline states, by name.
+    """
+
+    camera_sigma_m: dict[str, float] | None = None
+    camera_effective_sigma_m: dict[str, float] | None = None
+    joint_bias_m: dict[str, tuple[float, ...]] | None = None
+    joint_bias_sigma_m: float | None = None
+    accelerometer_bias: tuple[float, ...] | None = None
+    gyroscope_bias: tuple[float, ...] | None = None
+    magnetometer_blocks: int | None = None
+    magnetometer_blocks_used: int | None = None
+    magnetometer_sigma_deg: float | None = None
+    magnetic_field_direction: tuple[float, ...] | None = None
+    given: tuple[str, ...] = ()
+    max_sigma_m: float | None = None
+    further: Mapping[str, object] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, object]:
+        """Plain values by name, as files and `--json` state them; what is not stated is left out."""
+
+        def listed(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {name: listed(item) for name, item in value.items()}
+            return list(value) if isinstance(value, tuple) else value
+
+        stated = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "further"}
+        plain = {name: listed(value) for name, value in stated.items() if value is not None and value != ()}
+        return plain | dict(self.further)
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> Estimates:
+        """From plain values; unknown names, or values of another kind, stay in `further`."""
+        stated: dict[str, Any] = {}
+        further: dict[str, object] = {}
+        for name, value in values.items():
+            kind = _KINDS.get(name)
+            if kind is None or (checked := kind(value)) is None:
+                further[name] = value
+            else:
+                stated[name] = checked
+        return cls(**stated, further=further)
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _vector(value: object) -> tuple[float, ...] | None:
+    is_vector = isinstance(value, list | tuple) and [_number(item) is None for item in value] == [False] * 3
+    return tuple(value) if is_vector else None  # type: ignore[arg-type]
+
+
+def _names(value: object) -> tuple[str, ...] | None:
+    is_names = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
+    return tuple(value) if is_names else None  # type: ignore[arg-type]
+
+
+def _by_joint(kind: Callable[[object], Any]) -> Callable[[object], dict[str, Any] | None]:
+    def checked(value: object) -> dict[str, Any] | None:
+        if not isinstance(value, Mapping):
+            return None
+        by_joint = {name: kind(item) for name, item in value.items() if name in JOINTS}
+        return None if len(by_joint) < len(value) or None in by_joint.values() else by_joint
+
+    return checked
+
+
+#: How a plain value becomes an estimate: None where it is of another kind.
+_KINDS: dict[str, Callable[[object], Any]] = {
+    "camera_sigma_m": _by_joint(_number),
+    "camera_effective_sigma_m": _by_joint(_number),
+    "joint_bias_m": _by_joint(_vector),
+    "joint_bias_sigma_m": _number,
+    "accelerometer_bias": _vector,
+    "gyroscope_bias": _vector,
+    "magnetometer_blocks": _number,
+    "magnetometer_blocks_used": _number,
+    "magnetometer_sigma_deg": _number,
+    "magnetic_field_direction": _vector,
+    "given": _names,
+    "max_sigma_m": _number,
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,8 +223,8 @@ class Recovery:
         What a reader must know of this result, one sentence each.
     config : dict
         The effective configuration, as plain values.
-    figures : dict
-        Further numbers worth keeping (biases, noise found), by name.
+    estimates : Estimates
+        What was found besides the motion.
     """
 
     method: str
@@ -139,7 +249,7 @@ class Recovery:
     name: str = "recording"
     notes: tuple[str, ...] = ()
     config: dict[str, object] = field(default_factory=dict)
-    figures: dict[str, object] = field(default_factory=dict)
+    estimates: Estimates = field(default_factory=Estimates)
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -188,23 +298,23 @@ class Recovery:
             joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
         )
 
-    def blocks(self, overlap: int = 0) -> Iterator[Recovery]:
+    def batches(self, overlap: int = 0) -> Iterator[Recovery]:
         """All samples, some thousand at a time (`rows`).
 
-        With an overlap each block begins with the last samples of the one before.
+        With an overlap each batch begins with the last samples of the one before.
         """
-        for start in range(0, len(self), BLOCK):
-            yield self.rows(slice(max(start - overlap, 0), start + BLOCK))
+        for start in range(0, len(self), BATCH_ROWS):
+            yield self.rows(slice(max(start - overlap, 0), start + BATCH_ROWS))
 
-    def frames(self) -> Iterator[JointTracks]:
-        """All camera frames, some thousand at a time, like `blocks`."""
-        for start in range(0, len(self.arm), BLOCK):
-            yield self.arm.select(slice(start, start + BLOCK))
+    def frame_batches(self) -> Iterator[JointTracks]:
+        """All camera frames, some thousand at a time, like `batches`."""
+        for start in range(0, len(self.arm), BATCH_ROWS):
+            yield self.arm.select(slice(start, start + BATCH_ROWS))
 
     @property
     def answered(self) -> BoolArray:
         """(N,) whether there is a position."""
-        return self._of_each(lambda block: np.asarray(np.isfinite(block.position).all(axis=1)), bool)
+        return self._of_each(lambda batch: np.asarray(np.isfinite(batch.position).all(axis=1)), bool)
 
     @property
     def sigma_m(self) -> FloatArray:
@@ -214,7 +324,7 @@ class Recovery:
     @property
     def worst_sigma_m(self) -> FloatArray:
         """(N,) standard deviation of the IMU's position on its worst axis, m."""
-        return self._of_each(lambda block: block.sigma_m.max(axis=1), float)
+        return self._of_each(lambda batch: batch.sigma_m.max(axis=1), float)
 
     @property
     def sigma_deg(self) -> FloatArray:
@@ -225,9 +335,9 @@ class Recovery:
         """(N,) a value of each sample, with little more than itself in memory."""
         values: NDArray = np.empty(len(self), kind)
         start = 0
-        for block in self.blocks():
-            values[start : start + len(block)] = value(block)
-            start += len(block)
+        for batch in self.batches():
+            values[start : start + len(batch)] = value(batch)
+            start += len(batch)
         return values
 
     def to_arrays(self) -> dict[str, FloatArray | BoolArray]:

@@ -199,7 +199,7 @@ def utd(options: argparse.Namespace) -> None:
                 path, truth = recovery.joints["wrist"], recording.arm.joint("wrist")[seen]
                 answer = np.stack([np.interp(t, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
                 sigma = np.sqrt(np.trace(recovery.joint_covariance["wrist"], axis1=1, axis2=2))
-                noise = recovery.figures["camera_sigma_m"]["wrist"]
+                noise = recovery.estimates.camera_sigma_m["wrist"]
                 kept = recording.arm.tracked("wrist") & ~hidden
                 line = np.stack(
                     [

@@ -17,9 +17,6 @@ from ..protocol import Answer
 from .evidence import ClockOffset, Evidence, gather_from
 from .motion_summary import clocks_not_determined, motion_verdict, not_determined
 
-#: Figures of a recovery that these functions read and add.
-GIVEN = "given"
-
 
 @dataclass(frozen=True)
 class JointError:
@@ -159,7 +156,7 @@ def names_given(known: ArmCalibration | None) -> tuple[str, ...]:
 def with_given(recovery: Recovery, calibration: ArmCalibration | None) -> Recovery:
     """The recovery with the names of what was given for it, so that only the rest is called found."""
     given = names_given(calibration)
-    return replace(recovery, figures={**recovery.figures, GIVEN: list(given)}) if given else recovery
+    return replace(recovery, estimates=replace(recovery.estimates, given=given)) if given else recovery
 
 
 def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstimates | None:
@@ -168,7 +165,7 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
     Parameters
     ----------
     recovery : Recovery
-        Its figure `given` names what was given beforehand (`names_given`); nothing is said of that.
+        Its `estimates.given` names what was given beforehand (`names_given`); nothing is said of that.
     recording : Recording, optional
         What it was made of; tells how far the clock wandered.
 
@@ -177,10 +174,9 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
     estimates : ArmEstimates or None
     """
     arm = recovery.calibration
-    if arm is None or not any(np.isfinite(block.quaternion).any() for block in recovery.blocks()):
+    if arm is None or not any(np.isfinite(batch.quaternion).any() for batch in recovery.batches()):
         return None
-    given = recovery.figures.get(GIVEN, ())
-    assert isinstance(given, tuple | list)
+    given = recovery.estimates.given
     known = ArmCalibration(
         arm.side,
         {joint: lever for joint, lever in arm.lever_arms.items() if joint in given},
@@ -192,8 +188,9 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
     if np.isfinite(recovery.clock_offset_s):
         offset_s, sigma_s = recovery.clock_offset_s, recovery.clock_offset_sigma_s
         offsets = (ClockOffset(recovery.name, offset_s, sigma_s, _drift(recovery, recording)),)
-    bias_sigma_m = _number(recovery.figures.get("joint_bias_sigma_m"))
-    noise, bias = _by_joint(recovery, "camera_sigma_m"), _by_joint(recovery, "joint_bias_m")
+    stated = recovery.estimates
+    bias_sigma_m = float("nan") if stated.joint_bias_sigma_m is None else stated.joint_bias_sigma_m
+    noise, bias = stated.camera_sigma_m or {}, stated.joint_bias_m or {}
     return ArmEstimates(
         calibration=arm,
         frame=frame,
@@ -210,17 +207,8 @@ def found_in(recovery: Recovery, recording: Recording | None = None) -> ArmEstim
             for joint, sigma in noise.items()
         },
         joint_bias_sigma_m=bias_sigma_m,
-        given=tuple(given),
+        given=given,
     )
-
-
-def _by_joint(recovery: Recovery, name: str) -> dict[str, float]:
-    values = recovery.figures.get(name)
-    return values if isinstance(values, dict) else {}
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def _drift(recovery: Recovery, recording: Recording | None) -> float:

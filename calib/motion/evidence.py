@@ -99,9 +99,9 @@ def gather_from(recovery: Recovery) -> Evidence:
     square, time = 0.0, 0.0
     angle, visible = np.zeros(len(recovery)), np.zeros(len(recovery) - 1, bool)
     at = 0
-    for block in recovery.blocks(overlap=1):
-        turn, seen = _turns(block)
-        dt = np.diff(block.t_s)
+    for batch in recovery.batches(overlap=1):
+        turn, seen = _turns(batch)
+        dt = np.diff(batch.t_s)
         square += float(np.sum(turn[seen] ** 2 / dt[seen, None]))
         time += float(dt[seen].sum())
         visible[at : at + len(dt)] = seen
@@ -140,9 +140,9 @@ def _turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
 def _frames_of(recovery: Recovery) -> dict[str, int]:
     """Camera samples by joint that took part; those tracked where the method keeps no residuals."""
     if recovery.residuals is not None:
-        parts = (block.used for block in recovery.residuals.blocks())
+        parts = (batch.used for batch in recovery.residuals.batches())
     else:
-        parts = (np.stack([f.tracked(joint) for joint in JOINTS], axis=1) for f in recovery.frames())
+        parts = (np.stack([f.tracked(joint) for joint in JOINTS], axis=1) for f in recovery.frame_batches())
     counts, both = np.zeros(len(JOINTS), np.int64), 0
     for used in parts:
         counts += np.count_nonzero(used, axis=0)

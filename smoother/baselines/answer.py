@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.alignment import lever_of
 from ..recording import JOINTS, FloatArray, Recording
-from ..result import Recovery
+from ..result import Estimates, Recovery
 from .scene import Path, Scene
 
 #: What of the graph's figures a baseline gets, and its result repeats.
-GRAPH_FIGURES = ("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m")
+GRAPH_ESTIMATES = ("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m")
 #: The note of every baseline's result.
 GRAPH_NOTE = (
     "calibration, clock, gravity and what is occluded are the graph's, which every method to compare with is"
@@ -78,8 +78,9 @@ def recovery_of(
         notes=tuple(
             dict.fromkeys((*(note for path in paths for note in path.notes), GRAPH_NOTE, *graph.notes))
         ),
-        figures={name: graph.figures[name] for name in GRAPH_FIGURES if name in graph.figures}
-        | (settings or {}),
+        estimates=Estimates(
+            **{name: getattr(graph.estimates, name) for name in GRAPH_ESTIMATES}, further=settings or {}
+        ),
     )
     for scene, path in zip(scenes, paths, strict=True):
         _write(recovery, recording, scene, path)

@@ -96,10 +96,10 @@ def _scene(recording: Recording, graph: Recovery, orientation: str, samples: sli
         joints=joints,
         camera_joints=camera_joints,
         point=point,
-        point_sigma_m=_point_sigma(graph, used, "camera_sigma_m"),
+        point_sigma_m=_point_sigma(graph.estimates.camera_sigma_m, used),
         gaps=tuple(gap for gap in graph.gaps if gap.end_s > imu.t_s[0] and gap.start_s < imu.t_s[-1]),
         calibration=calibration,
-        point_effective_sigma_m=_point_sigma(graph, used, "camera_effective_sigma_m"),
+        point_effective_sigma_m=_point_sigma(graph.estimates.camera_effective_sigma_m, used),
         rows=rows,
     )
 
@@ -117,8 +117,7 @@ def _unbiased(imu: ImuStream, calibration: ArmCalibration) -> ImuStream:
 def _joint_bias(graph: Recovery) -> FloatArray:
     """The camera's constant errors (5, 3) m in {K} that the lever arms go with."""
     bias = np.zeros((len(JOINTS), 3))
-    estimate = graph.figures.get("joint_bias_m")
-    for joint, value in estimate.items() if isinstance(estimate, dict) else ():
+    for joint, value in (graph.estimates.joint_bias_m or {}).items():
         bias[JOINTS.index(joint)] = value
     return bias
 
@@ -183,11 +182,9 @@ def _point(
         return np.where(good[:, None], total / count[:, None], np.nan)
 
 
-def _point_sigma(graph: Recovery, used: BoolArray, figure: str) -> float:
+def _point_sigma(sigma_m: dict[str, float] | None, used: BoolArray) -> float:
     """Noise of the mean over the joints that are usually seen, m an axis."""
-    noise = graph.figures.get(figure)
-    sigma = noise if isinstance(noise, dict) else {}
     default = CameraNoise().joint_sigma_m
     usual = [joint for joint in FOREARM_JOINTS if used[:, JOINTS.index(joint)].mean() > 0.25]
-    variances = [float(sigma.get(joint, default)) ** 2 for joint in usual] or [default**2]
+    variances = [(sigma_m or {}).get(joint, default) ** 2 for joint in usual] or [default**2]
     return float(np.sqrt(np.sum(variances)) / len(variances))

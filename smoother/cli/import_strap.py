@@ -86,10 +86,7 @@ def strap(
     if radius is None and calibration_file is not None:
         radius = held_radius(read_calibration(calibration_file), recording.side)
     mounted = mounted_on(recovery, radius)
-    noise = recovery.figures.get("camera_sigma_m")
-    sigma = (
-        max((float(value) for value in noise.values()), default=0.008) if isinstance(noise, dict) else 0.008
-    )
+    sigma = max((recovery.estimates.camera_sigma_m or {}).values(), default=0.008)
     found = import_strap(
         recording_file,
         output,

@@ -19,15 +19,15 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
     Returns
     -------
     recovery : Recovery
-        With the limit among its figures, from which `io.usable` derives the marks, and a note that says how
+        With the limit among its estimates, from which `io.usable` derives the marks, and a note that says how
         many samples it concerns.
     """
     if max_sigma_m is None:
         return recovery
-    from ..io.result.usable import LIMIT, usable
+    from ..io.result.usable import usable
 
     answered = int(usable(recovery).sum())
-    marked = replace(recovery, figures={**recovery.figures, LIMIT: float(max_sigma_m)})
+    marked = replace(recovery, estimates=replace(recovery.estimates, max_sigma_m=float(max_sigma_m)))
     certain = int(usable(marked).sum())
     note = (
         f"{answered - certain} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"

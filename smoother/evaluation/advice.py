@@ -190,7 +190,7 @@ def _shoulder(recovery: Recovery) -> list[str]:
 
 def _tracked(recovery: Recovery, joint: str) -> BoolArray:
     """(F,) frames in which a joint is tracked."""
-    parts = [frames.tracked(joint) for frames in recovery.frames()]
+    parts = [frames.tracked(joint) for frames in recovery.frame_batches()]
     return np.concatenate(parts) if parts else np.zeros(0, bool)
 
 
@@ -207,9 +207,9 @@ def _towards_the_camera(recovery: Recovery) -> list[str]:
     if not {"elbow", "wrist"} <= recovery.joints.keys():
         return []
     visible = along = 0
-    for block in recovery.blocks():
-        pointing = towards_the_camera(block.joints["elbow"], block.joints["wrist"])
-        pointing = pointing[~block.occluded & np.isfinite(pointing)]
+    for batch in recovery.batches():
+        pointing = towards_the_camera(batch.joints["elbow"], batch.joints["wrist"])
+        pointing = pointing[~batch.occluded & np.isfinite(pointing)]
         visible, along = visible + len(pointing), along + int((pointing < RAY_DEG).sum())
     share = along / max(visible, 1)
     frames = max(int(_tracked(recovery, "wrist").sum()), 1)
@@ -274,8 +274,8 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
     """Part of all tracked samples."""
     if recovery.residuals is None:
         return 0.0
-    blocks = recovery.residuals.blocks()
-    tracked = sum(int(np.count_nonzero(block.used | (block.reason != 0))) for block in blocks)
+    batches = recovery.residuals.batches()
+    tracked = sum(int(np.count_nonzero(batch.used | (batch.reason != 0))) for batch in batches)
     return sum(counts) / max(tracked, 1)
 
 

@@ -76,10 +76,9 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
     for methods that keep no residuals. Of long recordings `MOST` samples a joint are used.
     """
     residuals = recovery.residuals
-    noise = recovery.figures.get("camera_sigma_m")
-    if residuals is None or not isinstance(noise, dict) or len(recovery) < 1:
+    noise, bias = recovery.estimates.camera_sigma_m, recovery.estimates.joint_bias_m or {}
+    if residuals is None or noise is None or len(recovery) < 1:
         return {}
-    bias = recovery.figures.get("joint_bias_m")
     by_joint = {}
     for joint, sigma_m in noise.items():
         spread = recovery.joint_covariance.get(joint)
@@ -89,7 +88,7 @@ def camera_residuals(recovery: Recovery) -> dict[str, StatedAndActual]:
             continue
         column = JOINTS.index(joint)
         used = _evenly(np.flatnonzero(residuals.used[:, column]), MOST)
-        off = np.array(bias[joint], dtype=float) if isinstance(bias, dict) and joint in bias else np.zeros(3)
+        off = np.array(bias.get(joint, np.zeros(3)))
         nearest = np.clip(np.searchsorted(recovery.t_s, residuals.t_s[used]), 0, len(recovery) - 1)
         own = spread[nearest]
         variance = np.einsum("nii->n", own) / 3.0

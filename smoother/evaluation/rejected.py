@@ -50,19 +50,19 @@ def rejected(recovery: Recovery) -> list[Rejected]:
         return []
     times: dict[tuple[int, int], tuple[int, float, float]] = {}  # count, first and last by reason and joint
     tracked = np.zeros(len(JOINTS), np.int64)
-    for block in residuals.blocks():
-        tracked += np.count_nonzero(block.used | (block.reason != 0), axis=0)
-        for code in np.unique(block.reason[block.reason != 0]).tolist():
-            for column in np.flatnonzero((block.reason == code).any(axis=0)).tolist():
-                t_s = block.t_s[block.reason[:, column] == code]
+    for batch in residuals.batches():
+        tracked += np.count_nonzero(batch.used | (batch.reason != 0), axis=0)
+        for code in np.unique(batch.reason[batch.reason != 0]).tolist():
+            for column in np.flatnonzero((batch.reason == code).any(axis=0)).tolist():
+                t_s = batch.t_s[batch.reason[:, column] == code]
                 count, first_s, _ = times.get((code, column), (0, float(t_s[0]), 0.0))
                 times[code, column] = count + len(t_s), first_s, float(t_s[-1])
     totals = {code: sum(row[0] for (other, _), row in times.items() if other == code) for code, _ in times}
     rows = []
     for code in sorted(totals, key=lambda code: (-totals[code], residuals.reasons[code])):
-        name, _, why = residuals.reasons[code].partition(": ")
+        reason = residuals.reasons[code]
         for column, joint in enumerate(JOINTS):
             if (code, column) in times:
                 count, first_s, last_s = times[code, column]
-                rows.append(Rejected(name, why, joint, count, count / int(tracked[column]), first_s, last_s))
+                rows.append(Rejected(*reason, joint, count, count / int(tracked[column]), first_s, last_s))
     return rows

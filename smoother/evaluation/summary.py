@@ -92,7 +92,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
         "gravity_direction": recovery.gravity_direction,
         "calibration": _calibration(recovery),
-        "figures": recovery.figures,
+        "figures": recovery.estimates.plain(),
         "notes": list(recovery.notes),
         "config": recovery.config,
     }

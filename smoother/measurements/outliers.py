@@ -15,17 +15,8 @@ from ..linalg import runs, unit
 from ..recording import JOINTS, BoolArray, FloatArray
 from .alignment import Alignment
 from .joint_noise import JointNoise
+from .rejection import Rejection
 from .segment import Segment
-
-FROZEN = "frozen: the value stands still while the sensor moves"
-JUMP = "jump: far from its neighbours in time"
-BONE = "bone length: elbow and wrist are too near or too far"
-DIRECTION = "direction: forearm more than 30 degrees off the inertial one"
-RAY = "viewing ray: the forearm points at the camera and is misjudged"
-STRAP = "strap: off the elbow-wrist line or nearer the elbow"
-RESIDUAL = "residual: does not agree with the recovered motion"
-#: All of them by their code (`Segment.reason`); 0 = nothing wrong.
-REASONS = ("", FROZEN, JUMP, BONE, DIRECTION, RAY, STRAP, RESIDUAL)
 
 #: A value that repeats exactly so often is frozen, if the sensor turns or is moved meanwhile.
 FROZEN_REPEATS = 2
@@ -61,17 +52,17 @@ def reject_by_camera(segment: Segment) -> Segment:
         With fewer accepted samples, their reasons noted.
     """
     for column in range(len(JOINTS)):
-        segment = _reject(segment, _only(_frozen(segment, column), column), FROZEN)
+        segment = _reject(segment, _only(_frozen(segment, column), column), Rejection.FROZEN)
     for column in range(len(JOINTS)):
-        segment = _reject(segment, _only(_jumps(segment, column), column), JUMP)
+        segment = _reject(segment, _only(_jumps(segment, column), column), Rejection.JUMP)
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]
     if both.sum() >= 10:
         length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
         usual = float(np.median(length[both]))
         wrong = both & (np.abs(length - usual) > BONE_PART * usual)
-        segment = _reject(segment, _only(wrong, ELBOW, WRIST), BONE)
+        segment = _reject(segment, _only(wrong, ELBOW, WRIST), Rejection.BONE)
     strap = both & segment.accepted[:, STRAP_COLUMN]
-    return _reject(segment, _only(strap & _strap_off(segment), STRAP_COLUMN), STRAP)
+    return _reject(segment, _only(strap & _strap_off(segment), STRAP_COLUMN), Rejection.STRAP)
 
 
 def reject_by_attitude(
@@ -103,7 +94,7 @@ def reject_by_attitude(
     by_camera = unit(segment.position[:, WRIST] - segment.position[:, ELBOW])
     ray = unit(segment.position[:, WRIST] + segment.position[:, ELBOW])
     off = both & (np.sum(by_camera * inertial, axis=1) < np.cos(np.radians(DIRECTION_DEG)))
-    segment = _reject(segment, _only(off, *_FOREARM), DIRECTION)
+    segment = _reject(segment, _only(off, *_FOREARM), Rejection.DIRECTION)
     # pointing at the camera is no reason by itself: the forearm must also look wrong
     pointing = both & (np.abs(np.sum(ray * inertial, axis=1)) > np.cos(np.radians(RAY_DEG)))
     length = np.linalg.norm(segment.position[:, WRIST] - segment.position[:, ELBOW], axis=1)
@@ -111,7 +102,7 @@ def reject_by_attitude(
     short = np.abs(length - usual) > RAY_BONE_PART * usual
     turned = np.sum(by_camera * inertial, axis=1) < np.cos(np.radians(RAY_DIRECTION_DEG))
     pointing &= short | turned
-    return _reject(segment, _only(pointing, *_FOREARM), RAY)
+    return _reject(segment, _only(pointing, *_FOREARM), Rejection.RAY)
 
 
 def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, JointNoise]) -> Segment:
@@ -138,15 +129,15 @@ def reject_by_residual(segment: Segment, residual: FloatArray, noise: dict[str, 
         ]
     )
     with np.errstate(invalid="ignore"):
-        return _reject(segment, length > limit, RESIDUAL)
+        return _reject(segment, length > limit, Rejection.RESIDUAL)
 
 
-def _reject(segment: Segment, wrong: BoolArray, why: str) -> Segment:
+def _reject(segment: Segment, wrong: BoolArray, why: Rejection) -> Segment:
     """The segment without the wrong samples (f, 5), the reason noted for those that were accepted."""
     wrong = wrong & segment.accepted
     if not wrong.any():
         return segment
-    reason = np.where(wrong, np.uint8(REASONS.index(why)), segment.reason)
+    reason = np.where(wrong, np.uint8(why), segment.reason)
     return replace(segment, accepted=segment.accepted & ~wrong, reason=reason)
 
 

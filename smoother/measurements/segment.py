@@ -39,7 +39,7 @@ class Segment:
     accepted : ndarray of bool, shape (f, 5)
         Samples that may take part.
     reason : ndarray of uint8, shape (f, 5)
-        Why a tracked sample was rejected, as a code of `outliers.REASONS`.
+        Why a tracked sample was rejected, as a code of `Rejection`.
     down : ndarray, shape (3,)
         Rough direction of gravity in {K}; zero where nothing is known.
     needed : int

@@ -99,14 +99,16 @@ class Magnetometer:
         """The recovery with a word on the magnetometer."""
         if not self.note:
             return recovery
-        figures: dict[str, object] = {
-            "magnetometer_blocks": self.means,
-            "magnetometer_blocks_used": self.used,
-        }
+        estimates = replace(
+            recovery.estimates, magnetometer_blocks=self.means, magnetometer_blocks_used=self.used
+        )
         if self.used:
-            figures["magnetometer_sigma_deg"] = float(np.degrees(max(self.sigma_rad, FACTOR_SIGMA_RAD)))
-            figures["magnetic_field_direction"] = self.direction.tolist()
-        return replace(recovery, notes=(*recovery.notes, self.note), figures={**recovery.figures, **figures})
+            estimates = replace(
+                estimates,
+                magnetometer_sigma_deg=float(np.degrees(max(self.sigma_rad, FACTOR_SIGMA_RAD))),
+                magnetic_field_direction=tuple(self.direction.tolist()),
+            )
+        return replace(recovery, notes=(*recovery.notes, self.note), estimates=estimates)
 
 
 #: A recording without one.

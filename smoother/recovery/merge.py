@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..measurements.clock import Clock
-from ..measurements.outliers import REASONS
+from ..measurements.rejection import REASONS
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, FloatArray, Recording
-from ..result import FrameResiduals, Recovery
+from ..result import Estimates, FrameResiduals, Recovery
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration
 from ..window.problem import Message
@@ -82,24 +82,23 @@ def merge(
         notes=notes_on(recording, timeline, model, clock, residuals, gaps),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
-        figures=_figures(model, np.mean(columns.bias, axis=0)),
+        estimates=_estimates(model, np.mean(columns.bias, axis=0)),
     )
     return magnetometer.noted(recovery)
 
 
-def _figures(model: SelfCalibration, bias: FloatArray) -> dict[str, object]:
-    """What was found besides the motion."""
+def _estimates(model: SelfCalibration, bias: FloatArray) -> Estimates:
     joint_bias = model.joint_bias
-    return {
-        "camera_sigma_m": {joint: noise.sample_m for joint, noise in model.joint_noise.items()},
-        "camera_effective_sigma_m": {joint: noise.effective_m for joint, noise in model.joint_noise.items()},
-        "joint_bias_m": {
-            joint: joint_bias.error_m[JOINTS.index(joint)].tolist() for joint in joint_bias.joints
+    return Estimates(
+        camera_sigma_m={joint: noise.sample_m for joint, noise in model.joint_noise.items()},
+        camera_effective_sigma_m={joint: noise.effective_m for joint, noise in model.joint_noise.items()},
+        joint_bias_m={
+            joint: tuple(joint_bias.error_m[JOINTS.index(joint)].tolist()) for joint in joint_bias.joints
         },
-        "joint_bias_sigma_m": joint_bias.sigma_m,
-        "accelerometer_bias": bias[:3].tolist(),
-        "gyroscope_bias": bias[3:].tolist(),
-    }
+        joint_bias_sigma_m=joint_bias.sigma_m,
+        accelerometer_bias=tuple(bias[:3].tolist()),
+        gyroscope_bias=tuple(bias[3:].tolist()),
+    )
 
 
 class _Columns:

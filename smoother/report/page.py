@@ -192,7 +192,7 @@ def _trust(recovery: Recovery, truth: Truth | None) -> Iterator[str]:
 def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
     """How the sensor sits on the arm: drawn, as tables, and what stayed open."""
     plot = mount(estimates)
-    about = tables.calibration(recovery.calibration, recovery.figures)
+    about = tables.calibration(recovery.calibration, recovery.estimates)
     if estimates is not None:
         about += tables.camera(estimates)
         if estimates.not_determined:

@@ -66,7 +66,7 @@ def _point(
     truth_joint: str | None,
 ) -> Point:
     arm = recovery.arm
-    tracked = [part.tracked(joint) for part in recovery.frames()]
+    tracked = [part.tracked(joint) for part in recovery.frame_batches()]
     frames = np.flatnonzero(np.concatenate(tracked)) if tracked else np.zeros(0, np.int64)
     frames = frames[decimate(np.zeros(len(frames), bool), MOST_DOTS)]
     reference = np.zeros((0, 3))

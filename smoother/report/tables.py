@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from ..calibration import ArmCalibration
 from ..evaluation.rejected import rejected
 from ..evaluation.summary import gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
-from ..io.result.usable import LIMIT, usable
-from ..result import Recovery
+from ..io.result.usable import usable
+from ..result import Estimates, Recovery
 from .sheet import in_cm, table
 from .summary import WEAK_M
 
@@ -51,18 +50,18 @@ def overview(recovery: Recovery) -> str:
         rows.append(("samples marked as too uncertain to use", unsure))
     rows += [
         (name.replace("_", " "), _plain(value))
-        for name, value in recovery.figures.items()
+        for name, value in recovery.estimates.plain().items()
         if name not in ELSEWHERE
     ]
     return table(("what", "value"), rows)
 
 
 def _too_uncertain(recovery: Recovery) -> str | None:
-    limit = recovery.figures.get(LIMIT)
+    limit = recovery.estimates.max_sigma_m
     if limit is None:
         return None
     unsure = int(recovery.answered.sum() - usable(recovery).sum())
-    return f"{unsure} (above {100 * float(str(limit)):g} cm)"
+    return f"{unsure} (above {100 * limit:g} cm)"
 
 
 def rejections(recovery: Recovery) -> str:
@@ -167,7 +166,7 @@ def validation(comparison: Validation) -> str:
     return table(columns, rows) + table(heads, joints)
 
 
-def calibration(arm: ArmCalibration | None, figures: Mapping[str, object]) -> str:
+def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:
     """How the sensor sits on the arm, the arm's measures, and the sensor's biases."""
     if arm is None:
         return "<p>This method needs none.</p>"
@@ -179,10 +178,10 @@ def calibration(arm: ArmCalibration | None, figures: Mapping[str, object]) -> st
         length = arm.upper_arm
         rows.append(("shoulder to elbow", f"{100 * length.value_m:.1f}", f"{100 * length.sigma_m:.2f}", "cm"))
     for name, value, unit in (
-        ("accelerometer bias", figures.get("accelerometer_bias", arm.accelerometer_bias), "m/s²"),
-        ("gyroscope bias", figures.get("gyroscope_bias", arm.gyroscope_bias), "rad/s"),
+        ("accelerometer bias", estimates.accelerometer_bias or arm.accelerometer_bias, "m/s²"),
+        ("gyroscope bias", estimates.gyroscope_bias or arm.gyroscope_bias, "rad/s"),
     ):
-        if isinstance(value, list | np.ndarray):
+        if value is not None:
             rows.append((name, ", ".join(f"{item:.4f}" for item in value), None, unit))
     if not rows:
         return "<p>None was given, and none was needed.</p>"

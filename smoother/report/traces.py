@@ -151,7 +151,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
     samples = recovery.residuals
     if samples is None:
         return None
-    parts = [np.isfinite(block.residual).all(axis=2) for block in samples.blocks()]
+    parts = [np.isfinite(batch.residual).all(axis=2) for batch in samples.batches()]
     answered = np.concatenate(parts) if parts else np.zeros((0, len(JOINTS)), bool)
     drawn = np.flatnonzero(answered.any(axis=0)).tolist()
     if not drawn:
@@ -184,7 +184,10 @@ def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
         cross = _cross("rejected", samples.t_s[index], distance_cm(index))
-        cross.update(text=np.array(samples.reasons)[samples.reason[index, joint]], showlegend=False)
+        cross.update(
+            text=np.array([reason.sentence for reason in samples.reasons])[samples.reason[index, joint]],
+            showlegend=False,
+        )
         traces.append(cross)
     return traces
 

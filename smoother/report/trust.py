@@ -9,6 +9,7 @@ from plotly.subplots import make_subplots
 from ..evaluation.align import truth_at
 from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
 from ..evaluation.rejected import rejected
+from ..measurements.rejection import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .decimate import decimate
@@ -119,8 +120,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
         )
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
-        text = f"{reason}: {why}" if why else reason
-        at, column = np.nonzero(samples.reason == samples.reasons.index(text))
+        at, column = np.nonzero(samples.reason == samples.reasons.index(Reason(reason, why)))
         chosen = decimate(np.zeros(len(at), bool), 3000)
         tick = {"symbol": "line-ns-open", "size": 20, "color": REASON_COLOURS[number % len(REASON_COLOURS)]}
         figure.add_trace(
@@ -130,7 +130,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
                 mode="markers",
                 marker={**tick, "line": {"width": 1.6}},
                 name=reason,
-                text=text,
+                text=Reason(reason, why).sentence,
             )
         )
     shade(figure, recovery.gaps)

@@ -177,8 +177,10 @@ def test_an_answer_repeats_what_is_the_graphs(behind: SolvedArm):
         graph.gaps,
         graph.clock_offset_s,
     )
-    assert found.figures["orientation"] == "comotti" and found.figures["boundary_s"] == 0.3
-    assert found.figures["camera_sigma_m"] == graph.figures["camera_sigma_m"]
+    assert (
+        found.estimates.further["orientation"] == "comotti" and found.estimates.further["boundary_s"] == 0.3
+    )
+    assert found.estimates.camera_sigma_m == graph.estimates.camera_sigma_m
     assert any("are the graph's" in note for note in found.notes)
     np.testing.assert_array_equal(found.occluded, graph.occluded)
     assert np.isnan(found.pose_covariance).all() and np.isnan(found.joint_covariance["wrist"]).all()

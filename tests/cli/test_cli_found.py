@@ -60,7 +60,7 @@ def test_what_is_given_is_not_called_found(frozen, tmp_path, capsys):
     assert {"elbow", "wrist", "hand", "upper_arm"} <= set(figures["found"]["given"])
     # the file remembers, so that a report made of it later says the same
     (kept,) = read_recovery(tmp_path / "out.mcap")
-    assert set(kept.figures["given"]) == set(figures["found"]["given"])
+    assert set(kept.estimates.given) == set(figures["found"]["given"])
 
 
 def test_a_strap_that_is_the_imu(tmp_path, capsys):

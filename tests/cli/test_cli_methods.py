@@ -107,7 +107,7 @@ def test_the_orientation_asked_for_is_used(session: Path, tmp_path: Path):
             *("--orientation", orientation, "--calibration", session / "cal.toml"),
         )
         (found[orientation],) = read_recovery(out)
-        assert found[orientation].figures["orientation"] == orientation
+        assert found[orientation].estimates.further["orientation"] == orientation
     dot = np.abs(np.sum(found["vqf"].quaternion * found["complementary"].quaternion, axis=1))
     assert np.degrees(2 * np.arccos(np.clip(np.nanmin(dot), 0, 1))) > 2.0
 
@@ -121,7 +121,7 @@ def test_the_boundary_asked_for_is_used(session: Path, tmp_path: Path):
             *("--boundary-s", boundary_s, "--calibration", session / "cal.toml"),
         )
         found.append(read_recovery(out)[0])
-    assert found[1].figures["boundary_s"] == 0.1
+    assert found[1].estimates.further["boundary_s"] == 0.1
     moved = np.linalg.norm(found[0].position - found[1].position, axis=1)
     assert np.nanmax(moved[found[0].occluded]) > 0.005
     assert np.nanmax(moved[~found[0].occluded]) < 1e-9

@@ -134,7 +134,7 @@ def test_gravity_offset_and_biases_are_found(white_arm: Scene) -> None:
     down = drawn["gravity"] / np.linalg.norm(drawn["gravity"])
     assert np.degrees(np.arccos(np.clip(recovery.gravity_direction @ down, -1, 1))) < 1.0
     assert abs(recovery.clock_offset_s) < 0.003  # measured under 0.5 ms; a frame is 33 ms
-    bias = np.array(recovery.figures["gyroscope_bias"])
+    bias = np.array(recovery.estimates.gyroscope_bias)
     np.testing.assert_allclose(bias, drawn["gyroscope_bias"], atol=0.004)
 
 

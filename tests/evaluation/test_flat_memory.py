@@ -19,8 +19,8 @@ from private_memory import PrivatePeak
 from smoother.runtime.disk_store import DiskStore
 from smoother.recording import ImuStream, JointTracks, Recording
 from smoother.report import write_report
-from smoother.result import FrameResiduals, Gap, Recovery
-from smoother.measurements.outliers import REASONS
+from smoother.result import Estimates, FrameResiduals, Gap, Recovery
+from smoother.measurements.rejection import REASONS
 
 
 peak = PrivatePeak()
@@ -80,7 +80,7 @@ with DiskStore(folder) as store:
         arm=arm,
         residuals=FrameResiduals(frame_t, residual, reason == 0, reason, REASONS),
         side="right",
-        figures={"camera_sigma_m": dict.fromkeys(names, 0.01)},
+        estimates=Estimates(camera_sigma_m=dict.fromkeys(names, 0.01)),
     )
     recording = Recording(ImuStream("imu", t, np.zeros((0, 3)), np.zeros((0, 3))), arm, side="right")
     write_recovery(recovery, folder / "out.mcap")

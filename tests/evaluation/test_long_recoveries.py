@@ -16,17 +16,17 @@ from calib.motion.evidence import AXIAL_S, _turn_between, gather_from
 from smoother.evaluation.advice import advice
 from smoother.evaluation.rejected import rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
-from smoother.io.result.usable import LIMIT, usable
-from smoother.measurements.outliers import REASONS
+from smoother.io.result.usable import usable
+from smoother.measurements.rejection import REASONS, Reason
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
-from smoother.result import Recovery
+from smoother.result import Estimates, Recovery
 
 
 @pytest.fixture
 def recovery(monkeypatch: pytest.MonkeyPatch) -> Recovery:
     """Gaps, missing answers, rejected samples; looked at in batches that end anywhere."""
-    monkeypatch.setattr("smoother.result.BLOCK", 37)
+    monkeypatch.setattr("smoother.result.BATCH_ROWS", 37)
     rng = np.random.default_rng(3)
     made = make_recovery(make_recording(40.0), error_m=0.01)
     gaps = (Gap(0.0, 0.31, open_start=True), Gap(5.0, 7.0), Gap(7.5, 7.5125), Gap(22.222, 23.1))
@@ -86,7 +86,7 @@ def test_figures(recovery: Recovery) -> None:
 def test_usable(recovery: Recovery) -> None:
     answered = np.isfinite(recovery.position).all(axis=1)
     np.testing.assert_array_equal(usable(recovery), answered)
-    limited = replace(recovery, figures={LIMIT: 0.06})
+    limited = replace(recovery, estimates=Estimates(max_sigma_m=0.06))
     expected = answered & (recovery.sigma_m <= 0.06).all(axis=1)
     assert 0 < expected.sum() < answered.sum()
     np.testing.assert_array_equal(usable(limited), expected)
@@ -98,13 +98,13 @@ def test_rejected(recovery: Recovery) -> None:
     rows = rejected(recovery)
     assert sum(row.count for row in rows) == np.count_nonzero(kept.reason)
     for row in rows:
-        code = REASONS.index(f"{row.reason}: {row.why}")
+        code = REASONS.index(Reason(row.reason, row.why))
         column = JOINTS.index(row.joint)
         at = kept.t_s[kept.reason[:, column] == code]
         tracked = (kept.used[:, column] | (kept.reason[:, column] != 0)).sum()
         assert (row.count, row.first_s, row.last_s) == (len(at), at[0], at[-1])
         assert row.share == len(at) / tracked
-    totals = [int((kept.reason == REASONS.index(f"{row.reason}: {row.why}")).sum()) for row in rows]
+    totals = [int((kept.reason == REASONS.index(Reason(row.reason, row.why))).sum()) for row in rows]
     assert totals == sorted(totals, reverse=True)
 
 
@@ -161,7 +161,7 @@ def test_advice_does_not_depend_on_the_blocks(
     recovery = recovery if kept else replace(recovery, residuals=None)
     said = advice(recovery, found_in(recovery))
     assert any("shoulder in view while" in sentence for sentence in said)
-    monkeypatch.setattr("smoother.result.BLOCK", 10**6)
+    monkeypatch.setattr("smoother.result.BATCH_ROWS", 10**6)
     assert advice(recovery, found_in(recovery)) == said
 
 

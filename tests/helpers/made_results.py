@@ -7,9 +7,10 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.measurements.rejection import Reason
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS, JointTracks
-from smoother.result import FrameResiduals, Recovery
+from smoother.result import Estimates, FrameResiduals, Recovery
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -64,13 +65,13 @@ def recovery(count: int = 400, seed: int = 0, side: str = "right", origin_ns: in
         clock_offset_s=-0.04,
         clock_offset_sigma_s=float("nan"),
         arm=JointTracks("/body", frames, camera, state),
-        residuals=FrameResiduals(frames, residual, used, reason, ("", "far from the arm")),
+        residuals=FrameResiduals(frames, residual, used, reason, (Reason(""), Reason("far from the arm"))),
         origin_ns=origin_ns,
         side=side,
         name="rec.mcap",
         notes=("A note.",),
         config={"camera": {"joint_sigma_m": 0.01}},
-        figures={"biases": [1.0, 2.0], "rounds": 3},
+        estimates=Estimates.from_plain({"biases": [1.0, 2.0], "rounds": 3, "joint_bias_sigma_m": 0.004}),
     )
 
 

@@ -142,20 +142,20 @@ def test_columns_in_files_give_the_same_bytes(tmp_path: Path, monkeypatch: pytes
     with DiskStore(tmp_path) as store:
         kept = on_disk(made, store)
         write_recovery(kept, tmp_path / "files.mcap")
-        for block in kept.blocks():
-            assert len(block)
+        for batch in kept.batches():
+            assert len(batch)
         assert_same(made, kept)
     assert (tmp_path / "files.mcap").read_bytes() == (tmp_path / "memory.mcap").read_bytes()
 
 
 def test_blocks_go_over_all_samples_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smoother.result.BLOCK", 7)
+    monkeypatch.setattr("smoother.result.BATCH_ROWS", 7)
     made = recovery(100)
-    np.testing.assert_array_equal(np.concatenate([block.t_s for block in made.blocks()]), made.t_s)
-    overlapping = [block.t_s for block in made.blocks(overlap=1)]
+    np.testing.assert_array_equal(np.concatenate([batch.t_s for batch in made.batches()]), made.t_s)
+    overlapping = [batch.t_s for batch in made.batches(overlap=1)]
     assert all(after[0] == before[-1] for before, after in pairwise(overlapping))
     assert made.residuals is not None
-    used = np.concatenate([block.used for block in made.residuals.blocks()])
+    used = np.concatenate([batch.used for batch in made.residuals.batches()])
     np.testing.assert_array_equal(used, made.residuals.used)
 
 

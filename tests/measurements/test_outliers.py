@@ -16,18 +16,11 @@ from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.joint_noise import JointNoise
 from smoother.measurements.outliers import (
-    BONE,
-    DIRECTION,
-    FROZEN,
-    JUMP,
-    RAY,
-    REASONS,
-    RESIDUAL,
-    STRAP,
     reject_by_attitude,
     reject_by_camera,
     reject_by_residual,
 )
+from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, BoolArray, FloatArray
 
@@ -36,11 +29,11 @@ X = np.array([1.0, 0.0, 0.0])
 RESTING = Alignment(np.zeros(1), Rotation.from_quat([[0.0, 0.0, 0.0, 1.0]]), np.eye(3)[None])
 
 
-def rejected_for(before: Segment, after: Segment, why: str) -> BoolArray:
+def rejected_for(before: Segment, after: Segment, why: Rejection) -> BoolArray:
     """Which samples (F, 5) one reason rejected; every one that was rejected has a reason, no other has."""
     lost = before.accepted & ~after.accepted
     np.testing.assert_array_equal(after.reason != 0, lost)
-    return np.asarray(after.reason == REASONS.index(why))
+    return np.asarray(after.reason == why)
 
 
 def frames_of(mask: BoolArray, column: int) -> list[int]:
@@ -57,7 +50,7 @@ def test_a_frozen_value_only_while_the_sensor_moves(rate: FloatArray | None) -> 
     segment = forearm(rate=rate)
     frozen = with_position(segment, slice(30, 40), WRIST, segment.position[29, WRIST])
     checked = reject_by_camera(frozen)
-    rows = frames_of(rejected_for(frozen, checked, FROZEN), WRIST)
+    rows = frames_of(rejected_for(frozen, checked, Rejection.FROZEN), WRIST)
     assert rows == ([] if rate is None else list(range(30, 40)))  # the first of the run is a measurement
     assert (checked.accepted[:, ELBOW] == frozen.accepted[:, ELBOW]).all()
 
@@ -75,7 +68,9 @@ def test_a_frozen_value_while_the_sensor_is_shaken() -> None:
     imu.acc[:, 0] = 4.0 * np.sin(2 * np.pi * 2.0 * imu.t_s)
     shaken = replace(segment, signal=InertialSignal(imu))
     frozen = with_position(shaken, slice(30, 45), HAND, segment.position[29, HAND])
-    assert frames_of(rejected_for(frozen, reject_by_camera(frozen), FROZEN), HAND) == list(range(30, 45))
+    assert frames_of(rejected_for(frozen, reject_by_camera(frozen), Rejection.FROZEN), HAND) == list(
+        range(30, 45)
+    )
 
 
 @pytest.mark.parametrize(("off_m", "is_jump"), [(0.10, False), (0.25, True)])
@@ -83,7 +78,7 @@ def test_a_jump(off_m: float, is_jump: bool) -> None:
     segment = forearm()
     jumped = with_position(segment, [40, 41], HAND, segment.position[40, HAND] + [0.0, off_m, 0.0])
     checked = reject_by_camera(jumped)
-    assert frames_of(rejected_for(jumped, checked, JUMP), HAND) == ([40, 41] if is_jump else [])
+    assert frames_of(rejected_for(jumped, checked, Rejection.JUMP), HAND) == ([40, 41] if is_jump else [])
 
 
 def test_a_fast_arm_does_not_jump() -> None:
@@ -110,7 +105,7 @@ def test_the_bone_s_length(part: float, wrong: bool) -> None:
     elbow, wrist = segment.position[50, ELBOW], segment.position[50, WRIST]
     # a long run, so that no median of neighbours calls it a jump
     off = with_position(segment, slice(40, 60), WRIST, elbow + part * (wrist - elbow))
-    mask = rejected_for(off, reject_by_camera(off), BONE)
+    mask = rejected_for(off, reject_by_camera(off), Rejection.BONE)
     expected = list(range(40, 60)) if wrong else []
     assert frames_of(mask, WRIST) == expected
     assert frames_of(mask, ELBOW) == expected
@@ -126,7 +121,7 @@ def test_the_strap_on_the_forearm_s_line(across_m: float, part: float, wrong: bo
     elbow, wrist = segment.position[50, ELBOW], segment.position[50, WRIST]
     place = elbow + part * (wrist - elbow) + [0.0, across_m, 0.0]
     off = with_position(segment, slice(40, 60), STRAP_COLUMN, place)
-    assert frames_of(rejected_for(off, reject_by_camera(off), STRAP), STRAP_COLUMN) == (
+    assert frames_of(rejected_for(off, reject_by_camera(off), Rejection.STRAP), STRAP_COLUMN) == (
         list(range(40, 60)) if wrong else []
     )
 
@@ -136,7 +131,7 @@ def test_the_direction_against_the_inertial_one(degrees: float, wrong: bool) -> 
     segment = forearm()
     along = Rotation.from_rotvec([0.0, np.radians(degrees), 0.0]).apply(X)
     checked = reject_by_attitude(segment, segment.frame_t_camera, RESTING, along)
-    mask = rejected_for(segment, checked, DIRECTION)
+    mask = rejected_for(segment, checked, Rejection.DIRECTION)
     for column in (ELBOW, WRIST, HAND):
         assert mask[:, column].all() == wrong
         assert mask[:, column].any() == wrong
@@ -153,7 +148,7 @@ def test_the_viewing_ray_only_where_it_is_misjudged(degrees: float, part: float,
     elbow, wrist = segment.position[:, ELBOW], segment.position[:, WRIST]
     turned = Rotation.from_rotvec([np.radians(degrees), 0.0, 0.0]).apply(wrist - elbow)
     off = with_position(segment, slice(40, 60), WRIST, (elbow + part * turned)[40:60])
-    mask = rejected_for(off, reject_by_attitude(off, off.frame_t_camera, RESTING, inertial), RAY)
+    mask = rejected_for(off, reject_by_attitude(off, off.frame_t_camera, RESTING, inertial), Rejection.RAY)
     assert frames_of(mask, WRIST) == (list(range(40, 60)) if wrong else [])
 
 
@@ -176,7 +171,7 @@ def test_a_residual_in_metres_and_in_deviations(sample_m: float, off_m: float, w
     residual[30, HAND] = [1.0, 0.0, 0.0]  # its noise is not known: no judgement
     residual[40] = np.nan
     checked = reject_by_residual(segment, residual, {"wrist": JointNoise(sample_m, sample_m, 0.0)})
-    mask = rejected_for(segment, checked, RESIDUAL)
+    mask = rejected_for(segment, checked, Rejection.RESIDUAL)
     assert np.argwhere(mask).tolist() == ([[20, WRIST]] if wrong else [])
 
 
@@ -184,11 +179,11 @@ def test_the_first_reason_is_kept() -> None:
     segment = forearm()
     jumped = with_position(segment, [40], WRIST, segment.position[40, WRIST] + [0.0, 0.3, 0.0])
     checked = reject_by_camera(jumped)
-    assert checked.reason[40, WRIST] == REASONS.index(JUMP)
+    assert checked.reason[40, WRIST] == Rejection.JUMP
     residual = np.full((*segment.accepted.shape, 3), 1.0)
     again = reject_by_residual(checked, residual, {"wrist": JointNoise(0.01, 0.01, 0.0)})
-    assert again.reason[40, WRIST] == REASONS.index(JUMP)
-    assert again.reason[41, WRIST] == REASONS.index(RESIDUAL)
+    assert again.reason[40, WRIST] == Rejection.JUMP
+    assert again.reason[41, WRIST] == Rejection.RESIDUAL
 
 
 @settings(max_examples=40, deadline=None)

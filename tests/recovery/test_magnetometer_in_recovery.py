@@ -64,7 +64,7 @@ def test_an_undisturbed_field_makes_the_orientation_better(plain, helped):
 
 
 def test_the_fields_direction_is_found(helped):
-    found = np.array(helped.recovery.figures["magnetic_field_direction"])
+    found = np.array(helped.recovery.estimates.magnetic_field_direction)
     assert np.degrees(np.arccos(found @ FIELD_K / np.linalg.norm(FIELD_K))) < 2.0
 
 

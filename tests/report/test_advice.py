@@ -15,9 +15,10 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.advice import NOTHING, advice, towards_the_camera
 from smoother.evaluation.coverage import LEVELS, camera_residuals, stated_and_actual
 from smoother.evaluation.rejected import rejected
+from smoother.measurements.rejection import Reason
 from smoother.measurements.visibility import Gap
 from smoother.recording import JOINTS
-from smoother.result import Recovery
+from smoother.result import Estimates, Recovery
 
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "upper_arm"), 500)
 GOOD = Evidence(visible_s=25.0, frames=FRAMES, turning_rad_s=2.0, axial_rad=2.5)
@@ -61,7 +62,7 @@ def with_reason(recovery: Recovery, reason: str, joint: str, frames: slice) -> R
     codes, used = kept.reason.copy(), kept.used.copy()
     codes[frames, JOINTS.index(joint)] = len(kept.reasons)
     used[frames, JOINTS.index(joint)] = False
-    kept = replace(kept, reason=codes, reasons=(*kept.reasons, reason), used=used)
+    kept = replace(kept, reason=codes, reasons=(*kept.reasons, Reason.of_sentence(reason)), used=used)
     return replace(recovery, residuals=kept)
 
 
@@ -211,7 +212,9 @@ def test_camera_residuals_hold_the_noise_and_no_constant_error():
     residual = kept.residual.copy()
     residual[:, JOINTS.index("wrist")] += off["wrist"]
     figures = {"camera_sigma_m": {"elbow": 0.008, "wrist": 0.008}, "joint_bias_m": off}
-    recovery = replace(recovery, residuals=replace(kept, residual=residual), figures=figures)
+    recovery = replace(
+        recovery, residuals=replace(kept, residual=residual), estimates=Estimates.from_plain(figures)
+    )
     both = camera_residuals(recovery)
     assert set(both) == {"elbow", "wrist"}
     for each in both.values():
@@ -232,7 +235,7 @@ def test_what_a_recovery_shows():
     assert isinstance(whole.frame, ForearmFrame)
     assert found_in(replace(recovery, calibration=None)) is None
     given = {"given": ["elbow", "wrist", "hand", "upper_arm"]}
-    told = found_in(replace(recovery, figures=given))
+    told = found_in(replace(recovery, estimates=Estimates.from_plain(given)))
     assert told is not None and told.all_given
 
 

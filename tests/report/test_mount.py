@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.estimates import ArmEstimates, found_in
 from smoother.calibration import ArmCalibration, LeverArm
+from smoother.measurements.rejection import Reason
 from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.mount import directions, ellipse, mount
 from smoother.report.summary import summary
 from smoother.report.trust import timeline
+from smoother.result import Estimates
 
 
 def an_arm(levers: dict[str, list[float]], turn: Rotation | None = None) -> ArmEstimates:
@@ -83,9 +85,9 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
     reason, used = kept.reason.copy(), kept.used.copy()
     reason[30:90, JOINTS.index("wrist")] = 1
     used[30:90, JOINTS.index("wrist")] = False
-    kept = replace(kept, reason=reason, reasons=("", "frozen: <it> stands"), used=used)
+    kept = replace(kept, reason=reason, reasons=(Reason(""), Reason("frozen", "<it> stands")), used=used)
     figures = {"max_sigma_m": 0.005, "camera_sigma_m": {"wrist": 0.008, "elbow": 0.008}}
-    recovery = replace(recovery, residuals=kept, figures=figures)
+    recovery = replace(recovery, residuals=kept, estimates=Estimates.from_plain(figures))
     drawn = timeline(recovery)
     assert drawn is not None
     frozen = next(trace for trace in drawn.data if trace.name == "frozen")
@@ -102,7 +104,7 @@ def test_the_page_tells_what_was_set_aside(tmp_path):
 
 
 def test_an_answer_that_the_camera_contradicts_is_doubted():
-    recovery = replace(make_recovery(make_recording()), figures={"camera_sigma_m": {"wrist": 0.003}})
+    recovery = replace(make_recovery(make_recording()), estimates=Estimates(camera_sigma_m={"wrist": 0.003}))
     text = " ".join(summary(recovery, None))
     assert "The answer and the camera disagree more than stated: of the wrist's samples" in text
     assert "95 of 100 cases" not in text

@@ -15,7 +15,7 @@ from smoother.evaluation import validate
 from smoother.measurements.visibility import Gap
 from smoother.recording import CameraFrame, Recording
 from smoother.report import write_report
-from smoother.result import Recovery
+from smoother.result import Estimates, Recovery
 
 
 class Page(HTMLParser):
@@ -156,7 +156,9 @@ def test_odd_results(tmp_path, what):
             gravity_direction=np.full(3, np.nan),
             clock_offset_s=float("nan"),
             clock_offset_sigma_s=float("nan"),
-            figures={"bias": np.arange(3.0), "worst": np.float64(2.5), "deep": {"a": [1, None]}},
+            estimates=Estimates(
+                further={"bias": np.arange(3.0), "worst": np.float64(2.5), "deep": {"a": [1, None]}}
+            ),
         ),
         "one": lambda: cut(recovery, 1),
         "none": lambda: cut(recovery, 0),

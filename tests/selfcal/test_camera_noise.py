@@ -139,7 +139,7 @@ def test_a_joint_alone_has_no_bias() -> None:
 def differences(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Found and true errors of the forearm's joints less their mean, (3, 3) m in {K}."""
     names = ("elbow", "wrist", "hand")
-    found = np.array([scene.recovery.figures["joint_bias_m"][joint] for joint in names])  # type: ignore[index]
+    found = np.array([scene.recovery.estimates.joint_bias_m[joint] for joint in names])  # type: ignore[index]
     true = np.array([scene.made.parameters["joint_bias"][joint] for joint in names])
     return found - found.mean(axis=0), true - true.mean(axis=0)
 
@@ -162,4 +162,4 @@ def test_no_bias_is_invented(white_arms: list[Scene]) -> None:
         found, true = differences(scene)
         assert not true.any()
         assert np.abs(found).max() < 0.003
-        assert float(str(scene.recovery.figures["joint_bias_sigma_m"])) < 0.003
+        assert float(str(scene.recovery.estimates.joint_bias_sigma_m)) < 0.003

@@ -53,7 +53,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "has_residuals": recovery.residuals is not None,
             "notes": recovery.notes,
             "config": _lasting(recovery.config),
-            "figures": recovery.figures,
+            "figures": recovery.estimates.plain(),
         }.items()
     }
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...measurements.rejection import Reason
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
-from ...result import FrameResiduals, Recovery
+from ...result import Estimates, FrameResiduals, Recovery
 from ..mcap.container import Container
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds
@@ -38,7 +39,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     list of Recovery
         One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
         rounding; covariances that were nan are nan again. A sample without a position has no pose and no
-        velocity. Arrays in `figures` come back as lists.
+        velocity. Arrays in `estimates.further` come back as lists.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, _Table], name:
             name=values["name"],
             notes=tuple([*values["notes"], *container.notes]),
             config=values["config"],
-            figures=values["figures"],
+            estimates=Estimates.from_plain(values["figures"]),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise RecordingError(
@@ -170,7 +171,7 @@ def _residuals(table: _Table | None, origin: int) -> FrameResiduals:
         values["residual"].reshape(-1, len(JOINTS), 3),
         values["used"].astype(bool),
         values["reason"],
-        tuple(table.reasons),
+        tuple(Reason.of_sentence(sentence) for sentence in table.reasons),
     )
 
 

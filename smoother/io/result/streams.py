@@ -192,7 +192,7 @@ class RecoveryStreams:
 
         for pattern, rows in wire.alike(residuals.reason):
             if pattern not in self._residual_templates:
-                reasons = [residuals.reasons[code] for code in pattern]
+                reasons = [residuals.reasons[code].sentence for code in pattern]
                 self._residual_templates[pattern] = self._residual_template(reasons)
             template = self._residual_templates[pattern]
             yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
@@ -310,7 +310,7 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
 def _present(residuals: FrameResiduals) -> list[int]:
     """Joints of which there is anything to say."""
     present = np.zeros(len(JOINTS), bool)
-    for part in residuals.blocks():
+    for part in residuals.batches():
         present |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
         present |= (part.reason != 0).any(axis=0)
     return np.flatnonzero(present).tolist()

@@ -7,9 +7,6 @@ import numpy as np
 from ...recording import BoolArray
 from ...result import Recovery
 
-#: The figure of a recovery that holds the limit, m.
-LIMIT = "max_sigma_m"
-
 
 def usable(recovery: Recovery) -> BoolArray:
     """(N,) samples with an answer that is certain enough.
@@ -17,8 +14,8 @@ def usable(recovery: Recovery) -> BoolArray:
     Without a limit every answer counts. With one, the standard deviation of the position has to be below
     it on every axis; an answer that states none is not known to be.
     """
-    limit = recovery.figures.get(LIMIT)
-    if not isinstance(limit, int | float):
+    limit = recovery.estimates.max_sigma_m
+    if limit is None:
         return recovery.answered
     with np.errstate(invalid="ignore"):
         certain: BoolArray = recovery.worst_sigma_m <= limit  # nan where one axis is

@@ -13,6 +13,7 @@ import pytest
 from results import made, without_answer
 
 from smoother.io import export_csv, prepare_export
+from smoother.result import Estimates
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -76,7 +77,7 @@ def test_configuration_and_figures_go_along(tmp_path):
     recovery = replace(
         made("left"),
         config={"camera": {"noise_m": 0.008}},
-        figures={"rms_m": float("nan"), "biases": np.array([1.0, 2.0])},
+        estimates=Estimates(further={"rms_m": float("nan"), "biases": np.array([1.0, 2.0])}),
         notes=("A note with “quotes”.",),
     )
     table = export(recovery, tmp_path / "a.parquet")

@@ -1,0 +1,66 @@
+"""Estimates as plain values and back: what is known is typed, the rest is kept as it came."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smoother.recording import JOINTS
+from smoother.result import Estimates
+
+PLAIN = {
+    "camera_sigma_m": {"wrist": 0.008, "elbow": 0.01},
+    "camera_effective_sigma_m": {"wrist": 0.02},
+    "joint_bias_m": {"wrist": [0.001, 0.0, -0.002]},
+    "joint_bias_sigma_m": 0.004,
+    "accelerometer_bias": [0.01, 0.02, 0.03],
+    "gyroscope_bias": [0.001, 0.002, 0.003],
+    "magnetometer_blocks": 12,
+    "magnetometer_blocks_used": 11,
+    "magnetometer_sigma_deg": 2.0,
+    "magnetic_field_direction": [0.0, 1.0, 0.0],
+    "given": ["wrist", "upper_arm"],
+    "max_sigma_m": 0.02,
+    "orientation": "vqf",
+}
+
+
+def test_every_estimate_comes_back() -> None:
+    estimates = Estimates.from_plain(PLAIN)
+    assert estimates.plain() == PLAIN
+    assert set(PLAIN) - {"orientation"} == {each.name for each in fields(Estimates)} - {"further"}
+    assert estimates.further == {"orientation": "vqf"}
+    assert estimates.joint_bias_m == {"wrist": (0.001, 0.0, -0.002)}
+
+
+def test_what_is_not_stated_is_left_out_and_nothing_found_is_stated() -> None:
+    assert Estimates().plain() == {}
+    assert Estimates(joint_bias_m={}, joint_bias_sigma_m=0.0).plain() == {
+        "joint_bias_m": {},
+        "joint_bias_sigma_m": 0.0,
+    }
+
+
+@pytest.mark.parametrize("name", [name for name in PLAIN if name != "orientation"])
+@pytest.mark.parametrize("value", [None, "text", True, {"knee": 1.0}, {"wrist": "far"}, [[1.0]], [None]])
+def test_a_value_of_another_kind_is_kept_beside(name: str, value: object) -> None:
+    estimates = Estimates.from_plain({name: value})
+    assert estimates == Estimates(further={name: value})
+    assert estimates.plain() == {name: value}
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(JOINTS), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(st.sampled_from([*PLAIN, "else"]), values, max_size=6))
+def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
+    again = Estimates.from_plain(plain).plain()
+    # an empty list of what was given says the same as none
+    assert again == {name: value for name, value in plain.items() if (name, value) != ("given", [])}
