@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from pydantic import BaseModel, ConfigDict, Field
+
+
+class Anatomy(StrEnum):
+    """Whose arm it is: decides which lengths are possible."""
+
+    ADULT = "adult"
+    CHILD = "child"
+    ANY = "any"  # phantoms and robots: every length is
 
 
 class _Section(BaseModel):
@@ -43,6 +53,7 @@ class ArmPrior(_Section):
     upper_arm_m: float = Field(default=0.30, gt=0, description="shoulder to elbow where nothing is known, m")
     upper_arm_sigma_m: float = Field(default=0.05, gt=0, description="m")
     upper_arm_flex_m: float = Field(default=0.005, gt=0, description="how far from constant the length is, m")
+    anatomy: Anatomy = Field(default=Anatomy.ADULT, description="adult, child, or any (phantoms, robots)")
     shoulder_walk: float = Field(default=0.10, gt=0, description="how the shoulder wanders, m/sqrt(s)")
 
 

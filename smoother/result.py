@@ -90,6 +90,12 @@ class Estimates:
         What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
     max_sigma_m : float, m, optional
         Samples less certain than this on an axis are marked as not to be used.
+    trusted : bool, optional
+        Nothing says that the set-up was wrong or the answer impossible.
+    reasons : tuple of str
+        Why it is not trusted.
+    cautions : tuple of str
+        What to take care of where it is trusted.
     further : dict
         What else a file or a baseline states, by name.
     """
@@ -106,7 +112,19 @@ class Estimates:
     magnetic_field_direction: tuple[float, ...] | None = None
     given: tuple[str, ...] = ()
     max_sigma_m: float | None = None
+    trusted: bool | None = None
+    reasons: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
     further: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence to act on; "" where nobody judged."""
+        if self.trusted is None:
+            return ""
+        if not self.trusted:
+            return f"Not to be trusted: {'; '.join(self.reasons)}."
+        return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
 
     def plain(self) -> dict[str, object]:
         """Plain values by name, as files and `--json` state them; what is not stated is left out."""
@@ -172,6 +190,9 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "magnetic_field_direction": _vector,
     "given": _names,
     "max_sigma_m": _number,
+    "trusted": lambda value: value if isinstance(value, bool) else None,
+    "reasons": _names,
+    "cautions": _names,
 }
 
 

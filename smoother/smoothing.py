@@ -17,6 +17,7 @@ from .recovery.merge import merge
 from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
 from .recovery.task import Task
+from .recovery.trust import judged
 from .result import Recovery
 from .runtime.pool import Pool
 from .runtime.store import Store
@@ -99,7 +100,7 @@ def smooth(
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
     report(1.0, "done")
-    return recovery
+    return judged(recovery, recording, config.arm.anatomy)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

@@ -85,3 +85,26 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False)
+
+
+def with_anatomy(config: Config, name: str) -> Config:
+    """The configuration for another person's arm.
+
+    Parameters
+    ----------
+    config : Config
+    name : str
+        "adult", "child" or "any".
+
+    Raises
+    ------
+    typer.BadParameter
+        It is none of these.
+    """
+    import typer
+
+    from ..config import Anatomy
+
+    if name not in tuple(Anatomy):
+        raise typer.BadParameter(f"--anatomy is one of {', '.join(Anatomy)}, not {name}")
+    return config.model_copy(update={"arm": config.arm.model_copy(update={"anatomy": Anatomy(name)})})

@@ -62,6 +62,12 @@ def smooth(
         typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
     ] = None,
     solve_lever_arms: SolveLeverArms = False,
+    anatomy: Annotated[
+        str | None,
+        typer.Option(
+            "--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."
+        ),
+    ] = None,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -71,7 +77,7 @@ def smooth(
 
     from ..io import write_recovery
     from ..runtime.disk_store import DiskStore
-    from .config_file import read_config, with_processes
+    from .config_file import read_config, with_anatomy, with_processes
     from .limit import limit_sigma
 
     names = choose(method)
@@ -82,6 +88,8 @@ def smooth(
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
+    if anatomy is not None:
+        config = with_anatomy(config, anatomy)
     with DiskStore() as store:  # memory stays flat however long the recording is
         recording, calibration = load_arm(
             recording_file,
@@ -129,6 +137,8 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
     found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
+        "trusted": recovery.estimates.trusted,
+        "reasons": list(recovery.estimates.reasons),
         "usable": int(usable(recovery).sum()),
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
@@ -155,6 +165,8 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
         for summary in gap_summaries(recovery)
     ]
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
+    if recovery.estimates.verdict:
+        say(recovery.estimates.verdict)
     say(
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
         f" {len(rows)} gaps, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"

@@ -58,6 +58,7 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
         At least one.
     """
     sentences = [
+        *_set_up(recovery),
         *_motion(estimates),
         *_gaps(gap_summaries(recovery)),
         *_clock(estimates),
@@ -67,6 +68,13 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
         *_rates(recovery),
     ]
     return sentences or [NOTHING]
+
+
+def _set_up(recovery: Recovery) -> list[str]:
+    """A wrong set-up comes before everything else."""
+    if recovery.estimates.trusted is not False:
+        return []
+    return [f"Mend the set-up first: {'; '.join(recovery.estimates.reasons)}."]
 
 
 def _motion(estimates: ArmEstimates | None) -> list[str]:

@@ -22,13 +22,14 @@ def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
     if not len(recovery):
         return ["The result holds no sample."]
     gaps = gap_summaries(recovery)
-    paragraphs = [_what_was_hidden(recovery, gaps)]
+    paragraphs = [recovery.estimates.verdict, _what_was_hidden(recovery, gaps)]
     if gaps:
         paragraphs.append(_how_well(recovery, gaps))
     if validation is not None:
         paragraphs.append(_against_reference(validation))
     doubt = _camera_doubts(recovery)
-    paragraphs += [doubt, _what_to_trust(gaps, _consistent(validation) and not doubt)]
+    consistent = _consistent(validation) and not doubt and recovery.estimates.trusted is not False
+    paragraphs += [doubt, _what_to_trust(gaps, consistent)]
     return [paragraph for paragraph in paragraphs if paragraph]
 
 

@@ -1,0 +1,177 @@
+"""Whether a recovery can be what happened: anatomy, gravity, clock, rates, and what the camera sees of it.
+
+A wrong set-up (a mirrored skeleton, the other arm's joints, a sensor elsewhere, an accelerometer of the other
+sign) gives an answer all the same, and its sigma holds only if the model does. Each sign here is cheap, and
+far from what sound recordings show; an answer that shows one is not to be trusted, whatever its sigma says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ..calibration import ArmCalibration
+from ..config import Anatomy
+from ..linalg import runs
+from ..measurements.clock import LARGEST_OFFSET_S
+from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
+from ..result import Recovery
+
+#: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
+#: years on.
+UPPER_ARM_M = {Anatomy.ADULT: (0.20, 0.40), Anatomy.CHILD: (0.12, 0.36)}
+FOREARM_M = {Anatomy.ADULT: (0.17, 0.34), Anatomy.CHILD: (0.10, 0.30)}
+#: A sensor on a forearm is no farther from the bone's axis, m; short recordings find it up to twice as far,
+#: and the joints are right all the same: beyond that nothing is. No lever arm is longer than the last.
+FROM_AXIS_M, FAR_FROM_AXIS_M = 0.10, 0.20
+LEVER_ARM_M = 0.45
+#: Gravity farther than this from where the camera's frame has down is not a tilted camera, degrees.
+GRAVITY_DEG = 60.0
+#: Where the camera sees a joint, the answer is nearer than this in half of the frames, m: simulated arms stay
+#: below 0.03, Kinect v1 with synthetic stamps below 0.08 (some above 0.05), wrong set-ups begin at 0.1.
+NEAR_M, FAR_M = 0.05, 0.08
+#: A joint's own noise is less, m an axis.
+JOINT_SIGMA_M = 0.05
+#: Where more of the tracked samples are rejected, camera and IMU contradict each other.
+REJECTED_SHARE = 0.30
+#: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
+TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
+#: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
+PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
+#: Of frames, at most so many are looked at.
+MOST_FRAMES = 20_000
+
+
+def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recovery:
+    """The recovery with a verdict among its estimates.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        With residuals.
+    recording : Recording
+        What it was made of.
+    anatomy : Anatomy
+        Whose arm it is.
+    """
+    reasons = (
+        *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
+        *_gravity(recovery, recording),
+        *_clock(recovery, recording),
+        *_camera(recovery, FAR_M),
+        *_rate(recording.imu, TOO_SLOW_HZ),
+    )
+    cautions = (
+        *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
+        *_camera(recovery, NEAR_M),
+        *_rate(recording.imu, SLOW_HZ),
+        *_clipped(recording.imu),
+    )
+    cautions = tuple(caution for caution in cautions if caution not in reasons)
+    estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
+    return replace(recovery, estimates=estimates)
+
+
+def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -> Iterator[str]:
+    """Lengths that no arm has, each farther outside than twice its sigma."""
+    if arm is None or anatomy is Anatomy.ANY:
+        return
+    if arm.upper_arm is not None:
+        length = arm.upper_arm
+        yield from _outside(length.value_m, length.sigma_m, UPPER_ARM_M[anatomy], "the upper arm is")
+    levers = arm.lever_arms
+    if "elbow" in levers and "wrist" in levers:
+        elbow, wrist = levers["elbow"], levers["wrist"]
+        along = wrist.position_m - elbow.position_m
+        length_m = float(np.linalg.norm(along))
+        sigma_m = float(np.hypot(elbow.sigma_m, wrist.sigma_m).max())
+        yield from _outside(length_m, sigma_m, FOREARM_M[anatomy], "elbow and wrist are")
+        across = wrist.position_m - (wrist.position_m @ along) * along / length_m**2
+        away_m = float(np.linalg.norm(across))
+        yield from _outside(away_m, sigma_m, (0.0, from_axis_m), "the IMU lies off the forearm's axis by")
+    for joint, lever in levers.items():
+        length_m = float(np.linalg.norm(lever.position_m))
+        if length_m > LEVER_ARM_M + 2.0 * float(lever.sigma_m.max()):
+            yield f"the IMU seems {100 * length_m:.0f} cm away from the {joint}"
+
+
+def _outside(value_m: float, sigma_m: float, limits_m: tuple[float, float], what: str) -> Iterator[str]:
+    least, most = limits_m
+    if not least - 2.0 * sigma_m <= value_m <= most + 2.0 * sigma_m:
+        allowed = f"{100 * least:.0f} to {100 * most:.0f} cm" if least > 0 else f"at most {100 * most:.0f} cm"
+        yield f"{what} {100 * value_m:.0f} cm, where {allowed} is possible"
+
+
+def _gravity(recovery: Recovery, recording: Recording) -> Iterator[str]:
+    """Gravity that does not point where the camera's frame, or a base IMU, has down."""
+    down = recording.gravity_hint
+    if down is None and recording.camera_frame is not None:
+        down = recording.camera_frame.down
+    if down is None or not np.isfinite(recovery.gravity_direction).all():
+        return
+    cosine = float(recovery.gravity_direction @ down / np.linalg.norm(down))
+    angle_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    if angle_deg > GRAVITY_DEG:
+        yield (
+            f"gravity was found {angle_deg:.0f} degrees from where the camera has down: the camera's frame,"
+            " the accelerometer's sign or the skeleton's axes are likely to be wrong"
+        )
+
+
+def _clock(recovery: Recovery, recording: Recording) -> Iterator[str]:
+    """An offset that stopped at the end of the fine search."""
+    stopped = abs(abs(recovery.clock_offset_s) - LARGEST_OFFSET_S) < 0.01 * LARGEST_OFFSET_S
+    if stopped and len(recording.arm):
+        yield (
+            f"the clocks' offset stopped at the search's limit of {1e3 * LARGEST_OFFSET_S:.0f} ms: they are"
+            " likely to be farther apart"
+        )
+
+
+def _camera(recovery: Recovery, far_m: float) -> Iterator[str]:
+    """Joints that the camera sees elsewhere, or too noisily, or mostly contradicted by the answer."""
+    residuals = recovery.residuals
+    if residuals is None:
+        return
+    step = max(len(residuals) // MOST_FRAMES, 1)
+    residual, used = residuals.residual[::step], residuals.used[::step]
+    rejected = residuals.reason[::step] != 0
+    for joint in FOREARM_JOINTS:
+        column = JOINTS.index(joint)
+        size = np.linalg.norm(residual[(used | rejected)[:, column], column], axis=1)
+        size = size[np.isfinite(size)]
+        if len(size) > 20 and float(np.median(size)) > far_m:
+            yield f"the answer passes {100 * np.median(size):.0f} cm beside the {joint} that the camera sees"
+    for joint, sigma_m in (recovery.estimates.camera_sigma_m or {}).items():
+        if sigma_m > JOINT_SIGMA_M:
+            yield f"the camera's {joint} scatters by {100 * sigma_m:.0f} cm about the answer"
+    tracked = used | rejected
+    if tracked.sum() > 20 and rejected.sum() > REJECTED_SHARE * tracked.sum():
+        share = 100.0 * rejected.sum() / tracked.sum()
+        yield f"{share:.0f} % of what the camera tracked contradicts the IMU"
+
+
+def _rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
+    if imu.rate_hz < least_hz:
+        yield f"the IMU has {imu.rate_hz:.0f} samples a second, where 40 are needed and 80 are better"
+
+
+def _clipped(imu: ImuStream) -> Iterator[str]:
+    """Plateaus at the end of a sensor's range."""
+    for name, values, unit in (("accelerometer", imu.acc, "m/s^2"), ("gyroscope", imu.gyro, "rad/s")):
+        limits = [limit for axis in np.asarray(values).T for limit in _plateaus(axis)]
+        if limits:
+            yield f"the {name} was clipped at about {max(limits):.0f} {unit}: fast movement is less certain"
+
+
+def _plateaus(axis: FloatArray) -> list[float]:
+    """Sizes of the largest and the smallest value of an axis (N,), where the sensor stood at it."""
+    return [
+        abs(float(end))
+        for end in (axis.max(initial=0.0), axis.min(initial=0.0))
+        if np.count_nonzero(axis == end) >= PLATEAU_SAMPLES
+        and max((row.stop - row.start for row in runs(axis == end)), default=0) >= PLATEAU_IN_A_ROW
+        and end != 0.0
+    ]

@@ -1,0 +1,138 @@
+"""A verdict: sound recordings are usable, wrong set-ups are not to be trusted and say why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes import ALONE, there
+
+from smoother import Recording, smooth
+from smoother.config import Config
+from smoother.errors import UnoccludeError
+from smoother.io import import_utd_mhad
+from smoother.recording import CameraFrame
+from smoother.recovery.trust import judged
+from smoother.result import Estimates
+from smoother.simulation import ArmSimulation, simulate_arm
+
+
+@cache
+def sound(seed: int) -> Recording:
+    """An arm with realistic errors, 30 s."""
+    settings = ArmSimulation.preset("realistic", protocol="random", duration_s=30.0)
+    return replace(simulate_arm(settings, seed).recording, truth=None)
+
+
+def mirrored(recording: Recording) -> Recording:
+    return replace(
+        recording, arm=replace(recording.arm, position=recording.arm.position * np.array([-1.0, 1.0, 1.0]))
+    )
+
+
+def other_accelerometer_sign(recording: Recording) -> Recording:
+    return replace(recording, imu=replace(recording.imu, acc=-recording.imu.acc))
+
+
+def other_gyroscope_sign(recording: Recording) -> Recording:
+    return replace(recording, imu=replace(recording.imu, gyro=-recording.imu.gyro))
+
+
+def left_handed(recording: Recording) -> Recording:
+    axes = np.array([1.0, 1.0, -1.0])
+    imu = replace(recording.imu, acc=recording.imu.acc * axes, gyro=recording.imu.gyro * axes)
+    return replace(recording, imu=imu)
+
+
+def another_skeleton(recording: Recording) -> Recording:
+    other = sound(77).arm
+    count = min(len(other), len(recording.arm))
+    arm = recording.arm.select(slice(0, count))
+    return replace(recording, arm=replace(arm, position=other.position[:count], state=other.state[:count]))
+
+
+def degrees_for_radians(recording: Recording) -> Recording:
+    return replace(recording, imu=replace(recording.imu, gyro=np.radians(recording.imu.gyro)))
+
+
+def wrong_frame(recording: Recording) -> Recording:
+    return replace(recording, camera_frame=CameraFrame.OPTICAL)
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_a_sound_recording_is_usable(seed: int) -> None:
+    estimates = smooth(sound(seed), None, ALONE).estimates
+    assert estimates.trusted is True and estimates.reasons == ()
+    assert estimates.verdict == "Usable."
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        (mirrored, "gravity"),
+        (other_accelerometer_sign, "gravity"),
+        (other_gyroscope_sign, "beside the"),
+        (left_handed, "beside the"),
+        (another_skeleton, "beside the"),
+        (degrees_for_radians, "possible"),
+        (wrong_frame, "gravity"),
+    ],
+)
+def test_a_wrong_set_up_is_not_to_be_trusted(
+    wrong: Callable[[Recording], Recording], word: str, seed: int
+) -> None:
+    try:
+        estimates = smooth(wrong(sound(seed)), None, ALONE).estimates
+    except UnoccludeError as refused:  # clocks that nothing brings together
+        assert wrong is another_skeleton and "apart" in str(refused)
+        return
+    assert estimates.trusted is False
+    assert any(word in reason for reason in estimates.reasons), estimates.reasons
+    assert estimates.verdict.startswith("Not to be trusted: ")
+
+
+def test_whose_arm_it_is_decides_what_is_possible() -> None:
+    small = sound(0)
+    small = replace(small, arm=replace(small.arm, position=small.arm.position * 0.5))
+    recovery = smooth(small, None, ALONE)
+    for anatomy, trusted in (("adult", False), ("child", True), ("any", True)):
+        config = Config.model_validate({"arm": {"anatomy": anatomy}})
+        again = judged(recovery, small, config.arm.anatomy).estimates
+        assert (anatomy, any("possible" in each for each in again.reasons)) == (anatomy, not trusted)
+
+
+def test_a_slow_sensor_and_a_clipped_one() -> None:
+    recording = sound(0)
+    recovery = smooth(recording, None, ALONE)
+    anatomy = ALONE.arm.anatomy
+    slow = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 8 == 0))
+    assert judged(recovery, slow, anatomy).estimates.reasons == (
+        "the IMU has 10 samples a second, where 40 are needed and 80 are better",
+    )
+    half = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 3 == 0))
+    assert "Usable with care: the IMU has 27" in judged(recovery, half, anatomy).estimates.verdict
+    acc = np.clip(recording.imu.acc, -10.0, 10.0)
+    clipped = judged(recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy).estimates
+    assert clipped.trusted is True
+    assert clipped.cautions == (
+        "the accelerometer was clipped at about 10 m/s^2: fast movement is less certain",
+    )
+
+
+def test_nobody_judged() -> None:
+    assert Estimates().verdict == "" and Estimates().trusted is None
+
+
+@pytest.mark.real
+def test_real_recordings_are_usable() -> None:
+    """Kinect v1 with synthetic stamps: noisier than any simulation."""
+    for action in (2, 3, 7, 8, 10):
+        for subject in (1, 3):
+            name = f"a{action}_s{subject}_t1"
+            inertial = there("utd_mhad", "Inertial", f"{name}_inertial.mat")
+            recording = import_utd_mhad(inertial, there("utd_mhad", "Skeleton", f"{name}_skeleton.mat"))
+            assert smooth(recording, None, ALONE).estimates.trusted, name
