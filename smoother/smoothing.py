@@ -38,6 +38,7 @@ def smooth(
     config: Config | None = None,
     progress: Progress | None = None,
     store: Store | None = None,
+    processes: int | None = None,
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
 
@@ -57,6 +58,8 @@ def smooth(
         Called with a fraction (0..1) and a word for the step.
     store : Store, optional
         Where what grows with the recording's length lives; in memory where None.
+    processes : int, optional
+        Worker processes, 0 for one a core; as the configuration says where None.
 
     Returns
     -------
@@ -78,7 +81,8 @@ def smooth(
     report(0.0, "calibrating")
     timeline = Timeline.of(recording)
     recording, coarse_clock = synchronise_coarsely(recording, timeline)
-    with Pool(config.windows.processes, len(recording.arm)) as workers:
+    count = config.windows.processes if processes is None else processes
+    with Pool(count, len(recording.arm)) as workers:
         # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration
-from ..linalg import interpolate, rotate_covariance, skew
+from ..linalg import interpolate, rotate_covariance
 from ..measurements.alignment import lever_of
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS, BoolArray, FloatArray
 from ..selfcal.rounds import SelfCalibration
 from ..window.cut import PreparedSegment
-from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times
+from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose
 
 #: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
 COMMON_BIAS_SHARE = 1.0
@@ -165,12 +165,9 @@ def _joint(
         return interpolate(motion.t, motion.shoulder, t), interpolate(motion.t, motion.shoulder_covariance, t)
     if lever_of(calibration, joint) is None:
         return np.full_like(p, np.nan), np.full((len(p), 3, 3), np.nan)
-    arm = np.einsum("nij,nj->ni", R, motion.lever_at(joint, t))
-    jacobian = np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(arm)], axis=2)
-    covariance = rotate_covariance(jacobian, pose_covariance)
-    if joint in calibration.lever_arms:
-        covariance = covariance + rotate_covariance(R, np.diag(calibration.lever_arms[joint].sigma_m ** 2))
-    return p + arm, covariance
+    lever = calibration.lever_arms.get(joint)
+    lever_covariance = None if lever is None else np.diag(lever.sigma_m**2)
+    return joint_from_pose(R, p, pose_covariance, motion.lever_at(joint, t), lever_covariance)
 
 
 def frame_residuals(

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ..errors import CalibrationError
+from ..linalg import masked_correlation
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.timeline import Timeline
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
@@ -22,6 +23,8 @@ from .excerpts import spread_excerpts
 GRID_HZ, SMOOTH_S = 50.0, 0.12
 #: Frames farther apart are not bridged, s.
 BRIDGED_S = 0.25
+#: A speed that varies by less than this, of its variance over the whole, is at rest there.
+AT_REST = 1e-2
 #: Both must share so much, s, at a shift that is tried.
 OVERLAP_S = 8.0
 #: A shift is accepted from this correlation on; another peak as good as this part of it makes it doubtful.
@@ -157,7 +160,7 @@ class _Peak:
         imu_t, imu = _imu_speed(imu_stream)
         if len(camera) < OVERLAP_S * GRID_HZ or len(imu) < OVERLAP_S * GRID_HZ:
             return None
-        r, count = _correlation(imu, camera)
+        r, count = masked_correlation(imu, camera, AT_REST)
         lag = (np.arange(len(r)) - (len(camera) - 1)) / GRID_HZ + imu_t[0] - camera_t[0]
         score = np.arctanh(np.clip(r, -0.999, 0.999)) * np.sqrt(count)
         score[count < OVERLAP_S * GRID_HZ] = -np.inf
@@ -203,26 +206,3 @@ def _imu_speed(imu: ImuStream) -> tuple[FloatArray, FloatArray]:
     missing = t[after] - t[after - 1] > BRIDGED_S
     speed = np.linalg.norm(gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0), axis=1)
     return grid, np.where(missing, np.nan, speed)
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pearson's correlation at every shift over what both have, and how many samples that is."""
-    known_a, known_b = np.isfinite(a).astype(float), np.isfinite(b).astype(float)
-    a, b = np.where(known_a > 0, a, 0.0), np.where(known_b > 0, b, 0.0)
-    a, b = a / max(float(a.std()), 1e-12), b / max(float(b.std()), 1e-12)
-
-    size = 1 << (len(a) + len(b) - 2).bit_length()
-
-    def shifted(x: FloatArray, y: FloatArray) -> FloatArray:
-        # as scipy.signal.correlate, whose import would cost more memory than a section of a recording
-        product = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
-        return np.asarray(np.fft.irfft(product, size)[: len(a) + len(b) - 1])
-
-    n = np.maximum(np.round(shifted(known_a, known_b)), 1.0)
-    sum_a, sum_b = shifted(a, known_b), shifted(known_a, b)
-    spread_a = shifted(a * a, known_b) / n - (sum_a / n) ** 2
-    spread_b = shifted(known_a, b * b) / n - (sum_b / n) ** 2
-    still = (spread_a < 1e-2) | (spread_b < 1e-2)  # rest has no correlation to speak of
-    together = shifted(a, b) / n - sum_a * sum_b / n**2
-    r = together / np.sqrt(np.where(still, 1.0, spread_a * spread_b))
-    return np.where(still, 0.0, np.clip(r, -1.0, 1.0)), n

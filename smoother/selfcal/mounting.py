@@ -14,9 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, LeverArm
+from ..linalg import parabola_vertex
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
 from ..measurements.segment import Segment
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from ..units import GRAVITY
 
 #: Clock offsets tried first, s.
 OFFSETS_S = np.arange(-0.30, 0.301, 0.02)
@@ -35,7 +37,6 @@ WRIST_PART = 0.2
 LEVER_SIGMA_M = 0.06
 #: What the closed form is good to, m: prior of the graph that refines it.
 CLOSED_FORM_SIGMA_M = 0.04
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def _direction_and_offset(
             opposite = directions @ best < -0.5
             margin = float(at[opposite].min() - at[k]) if opposite.any() else float("nan")
         for r in range(count):
-            choice[r] = (choice[r] if step else 0.0) + _vertex(offsets, loss[r, :, k])
+            choice[r] = (choice[r] if step else 0.0) + parabola_vertex(offsets, loss[r, :, k])
         width = (0.25, 0.06, 0.0)[step]
         directions = _cap(best, width) if known is None else known[None]
         offsets = np.linspace(-0.03, 0.03, 7)
@@ -150,16 +151,6 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
             sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
             loss[i] += member.sum() - (S[:, 0] + S[:, 1] + sign * S[:, 2])
     return loss / DIRECTION_SIGMA_RAD**2
-
-
-def _vertex(x: FloatArray, y: FloatArray) -> float:
-    """Minimum of the parabola through the lowest sample and its neighbours."""
-    k = int(np.argmin(y))
-    if k in (0, len(x) - 1):
-        return float(x[k])
-    a, b, c = y[k - 1], y[k], y[k + 1]
-    curvature = a - 2 * b + c
-    return float(x[k] + 0.5 * (x[1] - x[0]) * (a - c) / curvature) if curvature > 0 else float(x[k])
 
 
 def _sphere(count: int) -> FloatArray:
