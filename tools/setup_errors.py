@@ -452,7 +452,9 @@ def summarise(jobs: list[Job], outcomes: list[Outcome]) -> None:
 
 
 def _cm(metres: float) -> str:
-    return f"{100 * metres:8.2f} cm" if np.isfinite(metres) else f"{'-':>11}"
+    if not np.isfinite(metres):
+        return f"{'-':>11}"
+    return f"{100 * metres:8.2f} cm" if metres < 1000 else f"{100 * metres:8.1e} cm"
 
 
 def main() -> None:
