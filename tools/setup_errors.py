@@ -369,7 +369,7 @@ class Outcome:
     trusted : bool or None
         The result's own verdict; None where it has none.
     reasons : tuple of str
-        The verdict's reasons; the result's notes where it has no verdict.
+        The verdict's reasons or cautions; the result's notes where it has no verdict.
     """
 
     error_m: float = float("nan")
@@ -407,12 +407,14 @@ def run(job: Job, config: Config = ONE_PROCESS) -> Outcome:
     variance = np.trace(recovery.pose_covariance[answered, :3, :3], axis1=1, axis2=2)
     estimates = getattr(recovery, "estimates", None)
     trusted = getattr(estimates, "trusted", None)
-    reasons = recovery.notes if trusted is None else getattr(estimates, "reasons", ())
+    reasons = getattr(estimates, "reasons", ()) or getattr(estimates, "cautions", ())
+    if trusted is None:
+        reasons = recovery.notes
     return Outcome(
         float(np.sqrt(np.mean(errors.distance_m[answered] ** 2))) if answered.any() else float("nan"),
         float(np.sqrt(np.mean(variance))) if answered.any() else float("nan"),
         trusted=None if trusted is None else bool(trusted),
-        reasons=(reasons,) if isinstance(reasons, str) else tuple(str(reason) for reason in reasons),
+        reasons=tuple(reasons),
     )
 
 

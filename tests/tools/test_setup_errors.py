@@ -160,9 +160,9 @@ def test_the_results_own_verdict_is_read(monkeypatch: pytest.MonkeyPatch, truste
 
     def judged(*arguments: object) -> Recovery:
         recovery = right(*arguments)  # type: ignore[arg-type]
-        if trusted is not None:
-            estimates = SimpleNamespace(trusted=trusted, reasons=("clocks",))
-            object.__setattr__(recovery, "estimates", estimates)
+        reasons, cautions = ((), ("slow",)) if trusted else (("clocks",), ())
+        estimates = SimpleNamespace(trusted=trusted, reasons=reasons, cautions=cautions)
+        object.__setattr__(recovery, "estimates", estimates)
         return recovery
 
     monkeypatch.setattr(setup_errors, "smooth", judged)
@@ -170,7 +170,8 @@ def test_the_results_own_verdict_is_read(monkeypatch: pytest.MonkeyPatch, truste
     assert outcome.trusted is trusted
     expected = {True: "trusted", False: "not trusted", None: "no verdict yet"}
     assert outcome.verdict == expected[trusted]
-    assert trusted is None or outcome.reasons == ("clocks",)
+    if trusted is not None:
+        assert outcome.reasons == (("slow",) if trusted else ("clocks",))
 
 
 def test_errors_end_as_their_sentence(monkeypatch: pytest.MonkeyPatch):
