@@ -1,6 +1,7 @@
 """The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd [options]`.
 
-`broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings.
+`broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
+`--gap-s 5 10 20 30` tables gaps of those lengths in random motion.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ import argparse
 import os
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -28,6 +30,8 @@ from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
 
 LENGTHS_S = (0.5, 1.0, 2.0, 3.0)
+#: What is seen between two long gaps, about, s.
+BETWEEN_GAPS_S = 8.0
 
 
 class Tally:
@@ -99,6 +103,10 @@ def arm(options: argparse.Namespace) -> None:
     """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
     tally, config = Tally(), read_config(options.config)
     changes = dict(pair.split("=", 1) for pair in options.set)
+    if options.gap_s:
+        for length_s in options.gap_s:
+            _long_gaps(length_s, changes, options)
+        return
     squares: list[np.ndarray] = []
     for seed in options.seeds:
         simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes), seed=seed)
@@ -130,10 +138,96 @@ def arm(options: argparse.Namespace) -> None:
     print(f"  occluded samples inside the region that should hold  {_coverage(np.concatenate(squares))}")
 
 
-def _coverage(squared_sigmas: np.ndarray) -> str:
+def _long_gaps(length_s: float, changes: dict[str, str], options: argparse.Namespace) -> None:
+    """Gaps of one length in random motion: print what they hold, and each gap with `--each`."""
+    config, gaps = read_config(options.config), []
+    settings: dict[str, Any] = {
+        "protocol": "random",
+        "duration_s": max(60.0, 2.5 * length_s),
+        "occlusion_lengths_s": (length_s,),
+        "occlusion_every_s": length_s + BETWEEN_GAPS_S,
+    }
+    for seed in options.seeds:
+        simulated = simulate_arm(ArmSimulation.preset(options.preset, **{**settings, **changes}), seed=seed)
+        truth = simulated.recording.truth
+        assert truth is not None
+        calibration = simulated.calibration if options.calibrated else None
+        recovery = smooth(replace(simulated.recording, truth=None), calibration, config)
+        errors = sample_errors(recovery, truth)
+        variance = np.trace(recovery.pose_covariance[:, :3, :3], axis1=1, axis2=2)
+        for gap in recovery.gaps:
+            rows = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & errors.scored
+            if gap.length_s < 0.5 * length_s or not rows.any():
+                continue  # a gap of some frames that the preset makes besides
+            gaps.append(
+                GapErrors(
+                    errors.distance_m[rows],
+                    errors.angle_deg[rows],
+                    variance[rows],
+                    errors.squared_sigmas[rows],
+                    errors.turn_squared_sigmas[rows],
+                )
+            )
+            if options.each:
+                print(
+                    f"  seed {seed:3} gap {gap.start_s:6.1f} s + {gap.length_s:4.1f} s: {gaps[-1]}",
+                    flush=True,
+                )
+    if gaps:
+        _show_gaps(length_s, gaps)
+    else:
+        print(f"{length_s:g} s: no gap", flush=True)
+
+
+@dataclass(frozen=True)
+class GapErrors:
+    """Errors of a gap's samples (n,): m, degrees, and against what is stated."""
+
+    distance_m: np.ndarray
+    angle_deg: np.ndarray
+    variance_m2: np.ndarray
+    squared_sigmas: np.ndarray
+    turn_squared_sigmas: np.ndarray
+
+    @property
+    def rms_m(self) -> float:
+        """Of the position."""
+        return float(np.sqrt(np.nanmean(self.distance_m**2)))
+
+    @property
+    def sigmas(self) -> float:
+        """Position rms over the stated sigma's."""
+        return self.rms_m / float(np.sqrt(np.nanmean(self.variance_m2)))
+
+    def __str__(self) -> str:
+        return (
+            f"rms {100 * self.rms_m:6.2f} cm  max {100 * np.nanmax(self.distance_m):6.2f} cm"
+            f"  {self.sigmas:4.1f} sigma  orientation {np.sqrt(np.nanmean(self.angle_deg**2)):5.2f} deg"
+            f"  answered {100 * np.isfinite(self.distance_m).mean():.0f} %"
+        )
+
+
+def _show_gaps(length_s: float, gaps: list[GapErrors]) -> None:
+    rms, sigmas = (np.array([getattr(gap, name) for gap in gaps]) for name in ("rms_m", "sigmas"))
+    distance, angle, squares, turns = (
+        np.concatenate([getattr(gap, name) for gap in gaps])
+        for name in ("distance_m", "angle_deg", "squared_sigmas", "turn_squared_sigmas")
+    )
+    print(
+        f"{length_s:g} s, {len(gaps)} gaps: rms {100 * np.sqrt(np.nanmean(distance**2)):.2f} cm"
+        f"  worst gap {100 * np.nanmax(rms):.2f} cm  orientation {np.sqrt(np.nanmean(angle**2)):.2f} deg"
+        f"  squared error / sigma^2 {np.nanmean(squares) / 3:.2f} (orientation {np.nanmean(turns) / 3:.2f})\n"
+        f"    largest rms / sigma of a gap {np.nanmax(sigmas):.1f}, above 4: {np.sum(sigmas > 4)}"
+        f"  inside the region  {_coverage(squares, (0.5, 0.95))}"
+        f"  (orientation  {_coverage(turns, (0.5, 0.95))})",
+        flush=True,
+    )
+
+
+def _coverage(squared_sigmas: np.ndarray, shares: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8, 0.95)) -> str:
     """Share of occluded samples inside the regions that should hold a given share."""
     known = squared_sigmas[np.isfinite(squared_sigmas)]
-    inside = [(p, np.mean(known <= chi2.ppf(p, df=3))) for p in (0.2, 0.4, 0.6, 0.8, 0.95)]
+    inside = [(p, np.mean(known <= chi2.ppf(p, df=3))) for p in shares]
     return "   ".join(f"{100 * p:.0f} %: {100 * share:.0f} %" for p, share in inside)
 
 
@@ -261,6 +355,10 @@ def main() -> None:
     two.add_argument(
         "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset"
     )
+    two.add_argument(
+        "--gap-s", type=float, nargs="+", metavar="S", help="random motion with gaps of these lengths instead"
+    )
+    two.add_argument("--each", action="store_true", help="with --gap-s: also print every gap")
     three = commands.add_parser("utd", help=utd.__doc__)
     three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
     for each in (one, two, three):

@@ -28,7 +28,7 @@ Mocap = Annotated[
     ),
 ]
 PresetName = Annotated[
-    str, typer.Option("--preset", metavar="white|realistic|clean", help="Set of errors to start from.")
+    str, typer.Option("--preset", metavar="white|realistic|azure|clean", help="Set of errors to start from.")
 ]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import gammainc
 
 from ..linalg import unit
 from ..recording import JOINTS, BoolArray, FloatArray, JointState, JointTracks
@@ -48,7 +49,7 @@ def film(t_s: FloatArray, joints: dict[str, FloatArray]) -> Footage:
 
 
 def correlated_noise(
-    frames: int, size: int, sigma: float, tau_s: float, step_s: float, rng: np.random.Generator
+    frames: int, size: int, sigma: float | FloatArray, tau_s: float, step_s: float, rng: np.random.Generator
 ) -> FloatArray:
     """Noise (frames, size) with standard deviation `sigma` and autocorrelation exp(-lag / tau_s)."""
     memory = np.exp(-step_s / tau_s)
@@ -61,12 +62,20 @@ def add_noise(footage: Footage, errors: SensorErrors, rng: np.random.Generator) 
     """Add bias, correlated, white and depth noise to every joint; returns the biases (5, 3) m in {K}."""
     frames, joints, _ = footage.position.shape
     true = footage.position.copy()
-    bias = errors.joint_bias_m * rng.normal(size=(joints, 3))
+    drawn = rng.normal(size=(joints, 3))
+    bias = errors.joint_bias_m * drawn
+    if errors.joint_off_m:
+        # A normal vector's length is independent of its direction: its quantile gives the size.
+        least, most = min(errors.joint_off_m), max(errors.joint_off_m)
+        size = least + (most - least) * gammainc(1.5, 0.5 * (drawn**2).sum(axis=1, keepdims=True))
+        bias += size * unit(drawn)
     footage.position += bias
+    slow = np.zeros(joints)
+    slow[: len(errors.joint_slow_m)] = errors.joint_slow_m
     footage.position += correlated_noise(
         frames,
         joints * 3,
-        errors.noise_correlated_m,
+        np.repeat(np.hypot(errors.noise_correlated_m, slow / np.sqrt(3)), 3),
         errors.noise_correlated_s,
         1.0 / errors.frame_rate_hz,
         rng,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..recording import CameraFrame
+from ..recording import JOINTS, CameraFrame
 
 
 class Preset(StrEnum):
@@ -16,6 +16,7 @@ class Preset(StrEnum):
     CLEAN = "clean"  # no error at all
     WHITE = "white"  # 8 mm of white camera noise, an ordinary MEMS IMU: the defaults
     REALISTIC = "realistic"  # what Kinect skeletons and strapped IMUs do as well
+    AZURE = "azure"  # the joints of an Azure Kinect as measured by motion capture, the rest as in REALISTIC
 
 
 _CLEAN = {
@@ -39,6 +40,17 @@ _REALISTIC = {
     "imu_misalignment_deg": 0.2,
 }
 _REALISTIC_ARM = {"wobble_deg": 2.3, "shoulder_lost": 0.05}
+# Measured: the constant errors' sizes and, for shoulder, elbow and wrist, those of the slow ones (memory of
+# 0.5 to 0.7 s). The hand counts as the wrist; the strap is no joint of the skeleton and as in REALISTIC.
+_AZURE: dict[str, Any] = _REALISTIC | {
+    "noise_correlated_m": 0.0,
+    "noise_correlated_s": 0.6,
+    "joint_slow_m": (0.017, 0.023, 0.054, 0.054, 0.014),
+    "joint_bias_m": 0.0,
+    "joint_off_m": (0.013, 0.017),
+}
+
+_Size = Annotated[float, Field(ge=0)]
 
 
 class SensorErrors(BaseModel):
@@ -53,8 +65,18 @@ class SensorErrors(BaseModel):
     )
     noise_correlated_m: float = Field(default=0.0, ge=0, description="noise with a memory, m an axis")
     noise_correlated_s: float = Field(default=0.3, gt=0, description="its time constant, s")
+    joint_slow_m: tuple[_Size, ...] = Field(
+        default=(),
+        max_length=len(JOINTS),
+        description="noise with that memory by joint (shoulder, elbow, wrist, hand, strap), added, 3D rms, m",
+    )
     joint_bias_m: float = Field(
         default=0.0, ge=0, description="sigma of a joint's constant error, m an axis in {K}"
+    )
+    joint_off_m: tuple[_Size, ...] = Field(
+        default=(),
+        max_length=2,
+        description="a joint's constant error, added: its 3D size lies between these two, m",
     )
     latency_s: float = Field(
         default=0.0, description="camera stamps late by this; t_imu = t_camera - latency_s"
@@ -82,11 +104,16 @@ class SensorErrors(BaseModel):
 
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
-        return {Preset.CLEAN: _CLEAN, Preset.WHITE: {}, Preset.REALISTIC: _REALISTIC}[name]
+        return {
+            Preset.CLEAN: _CLEAN,
+            Preset.WHITE: {},
+            Preset.REALISTIC: _REALISTIC,
+            Preset.AZURE: _AZURE,
+        }[name]
 
     @classmethod
     def preset(cls, name: Preset | str, **changes: Any) -> Self:
-        """The named preset ("clean", "white", "realistic") with these settings changed."""
+        """The named preset ("clean", "white", "realistic", "azure") with these settings changed."""
         return cls(**{**cls._changes(Preset(name)), **changes})
 
 
@@ -144,7 +171,7 @@ class ArmSimulation(SensorErrors):
 
     @classmethod
     def _changes(cls, name: Preset) -> dict[str, Any]:
-        extra = _REALISTIC_ARM if name is Preset.REALISTIC else {}
+        extra = _REALISTIC_ARM if name in (Preset.REALISTIC, Preset.AZURE) else {}
         return {**super()._changes(name), **extra}
 
 

@@ -107,6 +107,62 @@ def test_joint_biases_are_constant_and_told():
     assert np.std(drawn) == pytest.approx(0.008, rel=0.2)  # 300 values
 
 
+def test_constant_errors_of_a_given_size():
+    sizes, directions = [], []
+    for seed in range(40):
+        drawn = np.array(
+            list(make(seed, joint_off_m=(0.013, 0.017), duration_s=2).parameters["joint_bias"].values())
+        )
+        sizes.extend(np.linalg.norm(drawn, axis=1))
+        directions.extend(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+    # 200 joints: a uniform draw's mean scatters by 0.08 mm, its extremes come within 0.1 mm of the bounds.
+    assert 0.013 <= min(sizes) < 0.0133 and 0.0167 < max(sizes) <= 0.017
+    assert np.mean(sizes) == pytest.approx(0.015, abs=0.0004)
+    np.testing.assert_allclose(np.mean(directions, axis=0), 0, atol=0.2)  # sigma 0.04
+    one_size = make(joint_off_m=(0.02,), duration_s=2).parameters["joint_bias"]
+    np.testing.assert_allclose([np.linalg.norm(off) for off in one_size.values()], 0.02)
+
+
+def test_slow_errors_by_joint():
+    noise = residual(make(joint_slow_m=(0.017, 0.023, 0.054), noise_correlated_m=0.01, duration_s=600))
+    size = np.sqrt((noise**2).sum(axis=2).mean(axis=0))
+    common = np.sqrt(3) * 0.01
+    expected = np.hypot([0.017, 0.023, 0.054, 0.0], common)  # a joint that is not named has what all have
+    np.testing.assert_allclose(size, expected, rtol=0.1)
+
+
+def test_the_azure_preset_has_the_measured_sizes_and_memory():
+    """Ten minutes of the preset: constant, slow and white errors told apart by their memory."""
+    quiet = {"noise_m": 0.0, "noise_depth_m": 0.0}
+    settings: dict[str, Any] = {"protocol": "random", "duration_s": 600.0, "occlusion_lengths_s": ()}
+    settings |= {"latency_s": 0.0, "frame_jitter_s": 0.0, "dropped_frames": 0.0, "strap": True}
+    simulated = simulate_arm(ArmSimulation.preset("azure", **settings, **quiet), 0)
+    error = residual(simulated)
+    off = np.stack([simulated.parameters["joint_bias"][joint] for joint in JOINTS[:4]])
+    assert ((np.linalg.norm(off, axis=1) >= 0.013) & (np.linalg.norm(off, axis=1) <= 0.017)).all()
+    slow = error - off
+    # 600 s hold about 500 independent values an axis at this memory.
+    size = np.sqrt((slow**2).sum(axis=2).mean(axis=0))
+    np.testing.assert_allclose(size, [0.017, 0.023, 0.054, 0.054], rtol=0.1)
+    scaled = (slow / size[:, None]).reshape(-1, 12) * np.sqrt(3)
+    lags = np.arange(1, 60)
+    memory = np.array([(scaled[lag:] * scaled[:-lag]).mean() for lag in lags])
+    assert 0.5 < lags[memory < np.exp(-1)][0] / 30 < 0.7
+    white = residual(simulate_arm(ArmSimulation.preset("azure", **settings), 0)) - error
+    across = white.reshape(-1, 12).std(axis=0)
+    assert (across >= 0.0075).all() and (across < 0.012).all()  # 8 mm, more along the ray
+
+
+def test_the_azure_preset_differs_from_the_realistic_one_in_its_joints_only():
+    changed = {"joint_bias_m", "joint_off_m", "joint_slow_m", "noise_correlated_m", "noise_correlated_s"}
+    azure, realistic = (ArmSimulation.preset(name).model_dump() for name in ("azure", "realistic"))
+    assert {name for name in azure if azure[name] != realistic[name]} == changed
+    one, other = (simulate_arm(ArmSimulation.preset(name), 3).recording for name in ("azure", "realistic"))
+    np.testing.assert_array_equal(one.imu.acc, other.imu.acc)
+    np.testing.assert_array_equal(one.arm.t_s, other.arm.t_s)
+    np.testing.assert_array_equal(one.arm.state, other.arm.state)
+
+
 def test_late_stamps_and_the_sign_of_the_offset():
     simulated = make(latency_s=0.02)
     assert simulated.parameters["clock_offset_s"] == -0.02  # t_imu = t_camera + offset
@@ -311,6 +367,9 @@ def test_the_realistic_preset_has_what_it_names():
 
 def test_wrong_settings_are_refused():
     for changes in ({"noise": 1}, {"noise_m": -1}, {"noise_m": float("nan")}, {"dropped_frames": 1.0}):
+        with pytest.raises(ValidationError):
+            ArmSimulation(**changes)
+    for changes in ({"joint_slow_m": (-0.01,)}, {"joint_slow_m": (0.01,) * 6}, {"joint_off_m": (0.1,) * 3}):
         with pytest.raises(ValidationError):
             ArmSimulation(**changes)
     with pytest.raises(ValueError):

@@ -1,0 +1,44 @@
+"""The program of the README's figures: its table of long gaps."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tools import accuracy
+from tools.accuracy import GapErrors
+
+
+def test_a_gaps_errors_are_held_against_what_is_stated():
+    gap = GapErrors(
+        distance_m=np.array([0.03, 0.04, np.nan]),
+        angle_deg=np.array([1.0, 1.0, 1.0]),
+        variance_m2=np.array([1e-4, 1e-4, np.nan]),
+        squared_sigmas=np.array([9.0, 16.0, np.nan]),
+        turn_squared_sigmas=np.ones(3),
+    )
+    assert gap.rms_m == pytest.approx(np.sqrt(0.00125))
+    assert gap.sigmas == pytest.approx(np.sqrt(12.5))
+    assert "answered 67 %" in str(gap)
+
+
+def test_the_table_of_long_gaps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    settings = "arm --preset azure --gap-s 3 4 --seeds 0:1 --each --set duration_s=30"
+    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
+    accuracy.main()
+    printed = capsys.readouterr().out
+    tables = re.findall(r"^([34]) s, (\d) gaps: rms (\S+) cm  worst gap (\S+) cm", printed, re.MULTILINE)
+    assert [length for length, *_ in tables] == ["3", "4"]
+    for length, count, rms, worst in tables:
+        gaps = re.findall(rf"\+ +{length}\.\d s: rms +(\S+) cm", printed)
+        assert len(gaps) == int(count) > 0
+        assert float(worst) == max(float(each) for each in gaps)
+        assert min(float(each) for each in gaps) <= float(rms) <= float(worst)
+    assert printed.count("largest rms / sigma of a gap") == 2
+    assert len(re.findall(r"50 %: \d+ %   95 %: \d+ %", printed)) == 4  # position and orientation

@@ -1,0 +1,485 @@
+"""What the smoother answers on wrong set-ups: `python tools/setup_errors.py --count 200 --sound 40`.
+
+Each case is a mistake that people make with sensors, axes, clocks, units or names, put into a simulated
+recording; which case, recording, preset and length is drawn from the seed. `smooth` runs on it without a word
+of warning. The table says how far the answer is off in the gaps, what sigma it states there, or the sentence
+that it ends with, and whether the result is called trusted. `--sound` adds recordings without a mistake.
+"""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
+from smoother.errors import UnoccludeError
+from smoother.evaluation.validate import sample_errors
+from smoother.linalg import interpolate, unit
+from smoother.recording import JOINTS, BoolArray, CameraFrame, FloatArray, JointState, Recording
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.simulation.arm import true_motion
+from smoother.simulation.camera import add_noise, film
+from smoother.simulation.inertial import ideal_imu, measure
+from smoother.simulation.motion import ArmMotion
+from smoother.smoothing import smooth
+
+ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
+PRESETS = ("white", "realistic", "azure")
+SHORTEST_S, LONGEST_S = 24.0, 60.0
+#: An answer that is off by more than this in the gaps must not be called trusted, m.
+LARGEST_ERROR_M = 0.10
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is smoothed, and what it is made of.
+
+    Attributes
+    ----------
+    simulated : SimulatedArm
+        Where the skeleton comes from; says what the camera could not see.
+    config : ArmSimulation
+        What was simulated.
+    rng : Generator
+        Of the mistake's draws.
+    recording : Recording
+        Its truth is the IMU's motion in the coordinates that the camera gives.
+    calibration : ArmCalibration, optional
+        Given to `smooth`.
+    """
+
+    simulated: SimulatedArm
+    config: ArmSimulation
+    rng: np.random.Generator
+    recording: Recording
+    calibration: ArmCalibration | None = None
+
+    def with_imu(self, **changes: Any) -> Setup:
+        """The set-up with other samples of the IMU."""
+        return self.with_recording(imu=replace(self.recording.imu, **changes))
+
+    def with_arm(self, **changes: Any) -> Setup:
+        """The set-up with another skeleton."""
+        return self.with_recording(arm=replace(self.recording.arm, **changes))
+
+    def with_recording(self, **changes: Any) -> Setup:
+        """The set-up with another recording."""
+        return replace(self, recording=replace(self.recording, **changes))
+
+    def another(self) -> SimulatedArm:
+        """Another person before another camera, as long and with the same errors."""
+        return simulate_arm(self.config, int(self.rng.integers(2**31)))
+
+    def occluded(self, t_s: FloatArray) -> BoolArray:
+        """(N,) True where the camera cannot see the forearm, at times on the IMU's clock."""
+        frame_t = self.simulated.recording.arm.t_s + self.simulated.parameters["clock_offset_s"]
+        nearest = np.abs(t_s[:, None] - frame_t).argmin(axis=1)
+        return np.asarray(self.simulated.occluded[nearest])
+
+
+def sound(setup: Setup) -> Setup:
+    """No mistake."""
+    return setup
+
+
+def mirrored_skeleton(setup: Setup) -> Setup:
+    """One of the camera's axes, most often left and right, points the other way."""
+    mirror = np.ones(3)
+    mirror[setup.rng.choice(3, p=[0.5, 0.25, 0.25])] = -1.0
+    truth = setup.recording.truth
+    assert truth is not None
+    setup = setup.with_recording(truth=replace(truth, position=truth.position * mirror, joints={}))
+    return setup.with_arm(position=setup.recording.arm.position * mirror)
+
+
+def accelerometer_sign(setup: Setup) -> Setup:
+    """Acceleration with gravity instead of specific force."""
+    return setup.with_imu(acc=-setup.recording.imu.acc)
+
+
+def gyroscope_sign(setup: Setup) -> Setup:
+    """Turns counted the other way round."""
+    return setup.with_imu(gyro=-setup.recording.imu.gyro)
+
+
+def left_handed_axes(setup: Setup) -> Setup:
+    """One axis of the IMU points the other way in both sensors."""
+    flip = np.ones(3)
+    flip[setup.rng.integers(3)] = -1.0
+    return setup.with_imu(acc=setup.recording.imu.acc * flip, gyro=setup.recording.imu.gyro * flip)
+
+
+def elbow_and_wrist_swapped(setup: Setup) -> Setup:
+    """The names of two joints exchanged."""
+    order = [JOINTS.index(joint) for joint in ("shoulder", "wrist", "elbow", "hand", "strap")]
+    arm = setup.recording.arm
+    return setup.with_arm(position=arm.position[:, order], state=arm.state[:, order])
+
+
+def hand_given_as_wrist(setup: Setup) -> Setup:
+    """The hand's column read as the wrist's, and no hand."""
+    order = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "hand", "strap", "strap")]
+    arm = setup.recording.arm
+    return setup.with_arm(position=arm.position[:, order], state=arm.state[:, order])
+
+
+def joints_of_the_other_arm(setup: Setup) -> Setup:
+    """The camera's left arm with the right arm's IMU."""
+    arm, motion = setup.recording.arm, setup.simulated.motion
+    assert isinstance(motion, ArmMotion)
+    t_s = arm.t_s + setup.simulated.parameters["clock_offset_s"]
+    footage = film(t_s, motion.other_arm(t_s))
+    add_noise(footage, setup.config, setup.rng)
+    seen = arm.state[:, :, None] != JointState.NOT_TRACKED
+    return setup.with_arm(position=np.where(seen, footage.position, np.nan))
+
+
+def skeleton_of_another_recording(setup: Setup) -> Setup:
+    """Files mixed up: the IMU of one recording, the skeleton (and where the arm truly was) of another."""
+    other = setup.another()
+    setup = replace(setup, simulated=other)
+    return setup.with_recording(arm=other.recording.arm, truth=other.recording.truth)
+
+
+class OnUpperArm:
+    """A simulated arm whose IMU sits on the upper arm, 8 cm above the elbow."""
+
+    def __init__(self, motion: ArmMotion) -> None:
+        self._motion = motion
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `MotionModel.imu_pose`."""
+        joints = self._motion.joints(t_s)
+        along, lateral = unit(joints["elbow"] - joints["shoulder"]), self._motion.bone_axes(t_s)[0]
+        back = np.cross(along, lateral)
+        R_K_U = np.stack([back, along, np.cross(back, along)], axis=2)
+        return R_K_U @ self._motion.measures.R_F_A, joints["elbow"] - 0.08 * along + 0.045 * back
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """See `MotionModel.joints`."""
+        return self._motion.joints(t_s)
+
+
+def sensor_on_the_upper_arm(setup: Setup) -> Setup:
+    """The IMU strapped above the elbow."""
+    assert isinstance(setup.simulated.motion, ArmMotion)
+    motion, config = OnUpperArm(setup.simulated.motion), setup.config
+    ideal = ideal_imu(motion, config.duration_s, config.imu_rate_hz, setup.simulated.parameters["gravity"])
+    imu, _ = measure(ideal, config, setup.rng)
+    return setup.with_recording(imu=imu, truth=true_motion(motion, imu.t_s))
+
+
+def clocks_apart(setup: Setup) -> Setup:
+    """The camera's stamps off by half a second to one and a half."""
+    shift_s = setup.rng.choice([-1.0, 1.0]) * setup.rng.uniform(0.5, 1.5)
+    return setup.with_arm(t_s=setup.recording.arm.t_s + shift_s)
+
+
+def imu_at_10_hz(setup: Setup) -> Setup:
+    """Every eighth sample of an IMU at 80 Hz."""
+    imu = setup.recording.imu
+    return setup.with_recording(imu=imu.select(slice(None, None, round(imu.rate_hz / 10.0))))
+
+
+def clipped_sensor(setup: Setup) -> Setup:
+    """The accelerometer or the gyroscope saturates at 40 to 70 % of what the motion needs."""
+    sensor = str(setup.rng.choice(["acc", "gyro"]))
+    values = getattr(setup.recording.imu, sensor)
+    limit = setup.rng.uniform(0.4, 0.7) * np.abs(values).max()
+    return setup.with_imu(**{sensor: np.clip(values, -limit, limit)})
+
+
+def strap_turned_half_way(setup: Setup) -> Setup:
+    """The strap slips round the forearm by 15 degrees."""
+    imu, truth, R_F_A = setup.recording.imu, setup.recording.truth, setup.simulated.calibration.R_F_A
+    assert truth is not None and R_F_A is not None
+    turn = Rotation.from_rotvec(setup.rng.choice([-15.0, 15.0]) * R_F_A[1], degrees=True)
+    late = _late(imu.t_s)
+    acc, gyro, quaternion = imu.acc.copy(), imu.gyro.copy(), truth.quaternion.copy()
+    acc[late], gyro[late] = turn.inv().apply(acc[late]), turn.inv().apply(gyro[late])
+    R_K_A = Rotation.from_quat(quaternion[late], scalar_first=True)
+    quaternion[late] = (R_K_A * turn).as_quat(scalar_first=True)
+    return setup.with_imu(acc=acc, gyro=gyro).with_recording(truth=replace(truth, quaternion=quaternion))
+
+
+def camera_bumped_half_way(setup: Setup) -> Setup:
+    """Somebody turns the camera by 5 degrees; the truth is what the camera then calls it."""
+    arm, truth = setup.recording.arm, setup.recording.truth
+    assert truth is not None
+    turn = Rotation.from_rotvec(5.0 * unit(setup.rng.normal(size=3)), degrees=True)
+    late, seen, true = _late(arm.t_s), arm.position.copy(), truth.position.copy()
+    seen[late] = seen[late] @ turn.as_matrix().T
+    quaternion, late = truth.quaternion.copy(), _late(truth.t_s)
+    true[late] = turn.apply(true[late])
+    R_K_A = Rotation.from_quat(quaternion[late], scalar_first=True)
+    quaternion[late] = (turn * R_K_A).as_quat(scalar_first=True)
+    bumped = replace(truth, position=true, quaternion=quaternion, joints={})
+    return setup.with_arm(position=seen).with_recording(truth=bumped)
+
+
+def _late(t_s: FloatArray) -> BoolArray:
+    """(N,) the second half."""
+    return np.asarray(t_s > 0.5 * (t_s[0] + t_s[-1]))
+
+
+def skeleton_interpolated(setup: Setup) -> Setup:
+    """A straight line through every gap, called tracked."""
+    arm = setup.recording.arm
+    position, state = arm.position.copy(), arm.state.copy()
+    for joint in arm.present:
+        tracked, column = arm.tracked(joint), JOINTS.index(joint)
+        position[:, column] = interpolate(arm.t_s[tracked], position[tracked, column], arm.t_s)
+        state[:, column] = JointState.TRACKED
+    return setup.with_arm(position=position, state=state)
+
+
+def imu_zero_for_a_second(setup: Setup) -> Setup:
+    """A reader that fills what was lost with zeros."""
+    t_s = setup.recording.imu.t_s
+    start_s = setup.rng.uniform(t_s[0], t_s[-1] - 1.0)
+    lost = ((t_s >= start_s) & (t_s < start_s + 1.0))[:, None]
+    imu = setup.recording.imu
+    return setup.with_imu(acc=np.where(lost, 0.0, imu.acc), gyro=np.where(lost, 0.0, imu.gyro))
+
+
+def one_wild_gyroscope_sample(setup: Setup) -> Setup:
+    """34 rad/s in one sample of one axis: a bit that fell over."""
+    gyro = setup.recording.imu.gyro.copy()
+    gyro[setup.rng.integers(len(gyro)), setup.rng.integers(3)] = 34.0
+    return setup.with_imu(gyro=gyro)
+
+
+def frames_far_away(setup: Setup) -> Setup:
+    """4 % of the frames hold 1e6 m, a mark of nothing that nobody took out."""
+    position = setup.recording.arm.position.copy()
+    position[setup.rng.uniform(size=len(position)) < 0.04] = 1e6
+    return setup.with_arm(position=position)
+
+
+def radians_called_degrees(setup: Setup) -> Setup:
+    """Angular velocity converted that was in rad/s already."""
+    return setup.with_imu(gyro=np.radians(setup.recording.imu.gyro))
+
+
+def metres_called_millimetres(setup: Setup) -> Setup:
+    """Positions divided by 1000 that were in metres already; the truth stays in metres."""
+    return setup.with_arm(position=setup.recording.arm.position / 1000.0)
+
+
+def wrong_camera_frame(setup: Setup) -> Setup:
+    """The name of another convention of the camera's axes."""
+    others = [frame for frame in CameraFrame if frame is not setup.recording.camera_frame]
+    return setup.with_recording(camera_frame=others[setup.rng.integers(len(others))])
+
+
+def calibration_of_another_mounting(setup: Setup) -> Setup:
+    """The calibration of another person's strap."""
+    return replace(setup, calibration=setup.another().calibration)
+
+
+CASES: tuple[Callable[[Setup], Setup], ...] = (
+    mirrored_skeleton,
+    accelerometer_sign,
+    gyroscope_sign,
+    left_handed_axes,
+    elbow_and_wrist_swapped,
+    hand_given_as_wrist,
+    joints_of_the_other_arm,
+    skeleton_of_another_recording,
+    sensor_on_the_upper_arm,
+    clocks_apart,
+    imu_at_10_hz,
+    clipped_sensor,
+    strap_turned_half_way,
+    camera_bumped_half_way,
+    skeleton_interpolated,
+    imu_zero_for_a_second,
+    one_wild_gyroscope_sample,
+    frames_far_away,
+    radians_called_degrees,
+    metres_called_millimetres,
+    wrong_camera_frame,
+    calibration_of_another_mounting,
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording to draw.
+
+    Attributes
+    ----------
+    case : function
+        The mistake.
+    seed : int
+        Of the recording and of the mistake's draws.
+    preset : str
+    duration_s : float, s
+    """
+
+    case: Callable[[Setup], Setup]
+    seed: int
+    preset: str
+    duration_s: float
+
+    @property
+    def name(self) -> str:
+        """The case in words."""
+        return self.case.__name__.replace("_", " ")
+
+    def setup(self) -> Setup:
+        """The recording with its mistake."""
+        config = ArmSimulation.preset(self.preset, protocol="random", duration_s=self.duration_s)
+        simulated, rng = simulate_arm(config, self.seed), np.random.default_rng(self.seed)
+        return self.case(Setup(simulated, config, rng, simulated.recording))
+
+
+def draw(count: int, seed: int, cases: tuple[Callable[[Setup], Setup], ...] = CASES) -> list[Job]:
+    """As many jobs, the cases in turn; the first ones do not depend on how many follow."""
+    rng = np.random.default_rng([seed, int(cases == (sound,))])
+    return [
+        Job(
+            cases[number % len(cases)],
+            int(rng.integers(2**31)),
+            str(rng.choice(PRESETS)),
+            round(float(rng.uniform(SHORTEST_S, LONGEST_S)), 1),
+        )
+        for number in range(count)
+    ]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a job ended.
+
+    Attributes
+    ----------
+    error_m, sigma_m : float, m
+        Rms of the IMU's position error in the gaps, and of what is stated; nan without an answer.
+    sentence : str
+        The error that it ended with; "" for an answer.
+    trusted : bool or None
+        The result's own verdict; None where it has none.
+    reasons : tuple of str
+        The verdict's reasons or cautions; the result's notes where it has no verdict.
+    """
+
+    error_m: float = float("nan")
+    sigma_m: float = float("nan")
+    sentence: str = ""
+    trusted: bool | None = None
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """In a word."""
+        if self.sentence:
+            return "refused"
+        return {True: "trusted", False: "not trusted", None: "no verdict yet"}[self.trusted]
+
+    @property
+    def off(self) -> bool:
+        """The answer is off by more than it may be in a result that is trusted."""
+        return self.error_m > LARGEST_ERROR_M
+
+
+def run(job: Job, config: Config = ONE_PROCESS) -> Outcome:
+    """Smooth a job's recording and judge the answer."""
+    setup = job.setup()
+    truth = setup.recording.truth
+    assert truth is not None
+    try:
+        recovery = smooth(replace(setup.recording, truth=None), setup.calibration, config)
+    except UnoccludeError as error:
+        return Outcome(sentence=str(error))
+    except Exception as error:  # a mistake that ends in a traceback is what this program looks for
+        return Outcome(sentence=f"traceback, {type(error).__name__}: {error}")
+    errors, occluded = sample_errors(recovery, truth), setup.occluded(recovery.t_s)
+    answered = occluded & np.isfinite(errors.distance_m)
+    variance = np.trace(recovery.pose_covariance[answered, :3, :3], axis1=1, axis2=2)
+    estimates = getattr(recovery, "estimates", None)
+    trusted = getattr(estimates, "trusted", None)
+    reasons = getattr(estimates, "reasons", ()) or getattr(estimates, "cautions", ())
+    if trusted is None:
+        reasons = recovery.notes
+    return Outcome(
+        float(np.sqrt(np.mean(errors.distance_m[answered] ** 2))) if answered.any() else float("nan"),
+        float(np.sqrt(np.mean(variance))) if answered.any() else float("nan"),
+        trusted=None if trusted is None else bool(trusted),
+        reasons=tuple(reasons),
+    )
+
+
+def show(job: Job, outcome: Outcome) -> None:
+    """Print a row of the table."""
+    text = outcome.sentence or "; ".join(outcome.reasons)
+    print(
+        f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s"
+        f" {_cm(outcome.error_m)} {_cm(outcome.sigma_m)}  {outcome.verdict:14}"
+        f" {textwrap.shorten(text, 150)}",
+        flush=True,
+    )
+
+
+def summarise(jobs: list[Job], outcomes: list[Outcome]) -> None:
+    """Print a line a case, and what is to be none."""
+    print(f"\n{'case':32} {'jobs':>4} {'refused':>7} {'trusted':>7} {'not':>4}  errors in the gaps / stated")
+    for name in dict.fromkeys(job.name for job in jobs):
+        own = [outcome for job, outcome in zip(jobs, outcomes, strict=True) if job.name == name]
+        answers = [f"{_cm(each.error_m)} /{_cm(each.sigma_m)}" for each in own if not each.sentence]
+        refused, trusted, untrusted = (
+            sum(each.verdict == verdict for each in own) for verdict in ("refused", "trusted", "not trusted")
+        )
+        print(f"{name:32} {len(own):4} {refused:7} {trusted:7} {untrusted:4}  {', '.join(answers)}")
+    wrong, good = (
+        [each for job, each in zip(jobs, outcomes, strict=True) if (job.case is sound) is is_sound]
+        for is_sound in (False, True)
+    )
+    undecided = sum(each.off and each.verdict == "no verdict yet" for each in wrong)
+    print(
+        f"\nwrong, above {100 * LARGEST_ERROR_M:.0f} cm in the gaps and trusted:"
+        f" {sum(each.off and each.trusted is True for each in wrong)} of {len(wrong)}"
+        f" (without a verdict yet: {undecided})"
+    )
+    untrusted = sum(each.trusted is False or bool(each.sentence) for each in good)
+    print(f"sound, not trusted or refused: {untrusted} of {len(good)}")
+
+
+def _cm(metres: float) -> str:
+    if not np.isfinite(metres):
+        return f"{'-':>11}"
+    return f"{100 * metres:8.2f} cm" if metres < 1000 else f"{100 * metres:8.1e} cm"
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=44, help="wrong set-ups, the cases in turn")
+    parser.add_argument("--sound", type=int, default=0, help="recordings without a mistake besides")
+    parser.add_argument("--seed", type=int, default=0, help="of all draws")
+    parser.add_argument("--only", default="", help="cases whose name holds this")
+    parser.add_argument("--processes", type=int, default=1, help="recordings at a time")
+    options = parser.parse_args()
+    cases = tuple(case for case in CASES if options.only in case.__name__.replace("_", " "))
+    if not cases:
+        parser.error(f"no case is called '{options.only}'")
+    jobs = [*draw(options.count, options.seed, cases), *draw(options.sound, options.seed, (sound,))]
+    outcomes = []
+    with ProcessPoolExecutor(options.processes) as pool:
+        answers = pool.map(run, jobs) if options.processes > 1 else map(run, jobs)
+        for job, outcome in zip(jobs, answers, strict=True):
+            show(job, outcome)
+            outcomes.append(outcome)
+    summarise(jobs, outcomes)
+
+
+if __name__ == "__main__":
+    main()
