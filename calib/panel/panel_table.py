@@ -101,8 +101,8 @@ def pose_rows(calibration: PanelCalibration) -> list[dict[str, Any]]:
 
 def transform_values(transform: Frame) -> dict[str, list[float]]:
     """Rotation (qw, qx, qy, qz) and translation (m)."""
-    x, y, z, w = Rotation.from_matrix(transform.R).as_quat(canonical=True).tolist()
-    return {"rotation": [w, x, y, z], "translation": transform.origin.tolist()}
+    quaternion = Rotation.from_matrix(transform.R).as_quat(canonical=True, scalar_first=True)
+    return {"rotation": quaternion.tolist(), "translation": transform.origin.tolist()}
 
 
 def _rms(values: np.ndarray) -> float:

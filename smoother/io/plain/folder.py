@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -15,6 +15,7 @@ from ...linalg import unit
 from ...recording import CameraFrame, FloatArray, IntArray, JointState, Recording
 from ...units import STANDARD_GRAVITY
 from ..mcap.stamps import nanoseconds
+from ..recording.choose import Selection
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.skeletons import joint_code
@@ -57,18 +58,10 @@ class _Description(_Section):
 
 
 def import_csv(
-    folder: str | os.PathLike[str],
-    *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
-    prefer_side: str | None = None,
+    folder: str | os.PathLike[str], *, prefer_side: str | None = None, **selection: Unpack[Selection]
 ) -> Recording:
     """Read one arm from a folder of plain files; options and errors as in `read_recording`."""
-    return select_recording(
-        open_csv(folder), imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side
-    )
+    return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
 
 
 def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
