@@ -12,7 +12,7 @@ from calib.panel.drawing import drawn_depth, drawn_spots
 from calib.panel.images import View
 from calib.panel.panel_accuracy import accuracy, verdict
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
-from calib.panel.panel_table import pose_rows, transform_values
+from calib.panel.panel_table import pose_cells, pose_rows, transform_values
 
 from .sheet import figure, listing, picture, tabulated, write_sheet
 from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve_3d, dots_3d, dress
@@ -111,17 +111,7 @@ def _answer(calibration: PanelCalibration) -> str:
 def _poses(calibration: PanelCalibration) -> str:
     columns = ("pose", "markers", "distance, m", "tilt, deg", "pixels rms", "markers, mm", "plane, mm")
     rows = [
-        (
-            row["pose"],
-            ", ".join(row["markers"]),
-            f"{row['distance_m']:.2f}",
-            f"{row['tilt_deg']:.0f}",
-            f"{row['pixels_rms']:.3f}",
-            f"{1e3 * row['markers_rms_m']:.2f}",
-            f"{1e3 * row['plane_rms_m']:.2f}",
-            f"{1e3 * row['depth_noise_m']:.1f}",
-            row["depth_pixels"],
-        )
+        (row["pose"], ", ".join(row["markers"]), *pose_cells(row), row["depth_pixels"])
         for row in pose_rows(calibration)
     ]
     return tabulated(
