@@ -35,8 +35,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.errors import CalibrationError
+from smoother.errors import CalibrationError, UnoccludeError
 from smoother.recording import FloatArray
+from smoother.runtime.atomic import writing
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
@@ -222,7 +223,14 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
         _check(section, f"arm.{side}", path)
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
-    _replace(path, to_toml(document, text))
+    text = to_toml(document, text)
+    try:
+        with writing(path, force=True) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+            if path.exists():
+                shutil.copymode(path, temporary)
+    except UnoccludeError as error:
+        raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
 
 
 def _merged(held: Any, new: Any, depth: int) -> Any:
@@ -311,25 +319,6 @@ def _to_section(arm: ArmCalibration) -> dict[str, Any]:
             for joint, lever in arm.lever_arms.items()
         }
     return section
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write beside the file, then put it in its place; a link stays a link."""
-    target = path.resolve()
-    beside = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        try:
-            with beside.open("w", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
-                stream.flush()
-                os.fsync(stream.fileno())
-            if target.exists():
-                shutil.copymode(target, beside)
-            beside.replace(target)
-        finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        raise CalibrationError(f"Calibration {path} cannot be written: {error.strerror or error}.") from error
 
 
 def to_toml(document: dict[str, Any], text: str = "") -> str:

@@ -7,8 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +15,16 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
+from shared import datasets, rms
 
 from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
 from smoother.evaluation import evaluate_gaps, validate
+from smoother.evaluation.metrics import Figures
 from smoother.evaluation.validate import sample_errors
 from smoother.io import import_broad, import_utd_mhad
+from smoother.linalg import interpolate
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -41,11 +42,12 @@ class Tally:
         self._sums: dict[object, np.ndarray] = {}
         self._worst: dict[object, float] = {}
 
-    def add(self, key: object, rms_m: float, worst_m: float, deg: float | None, nees: float, n: int) -> None:
-        """Take in a recording's figures over n samples."""
-        row = np.array([rms_m**2 * n, (deg or 0.0) ** 2 * n, nees * n, n])
+    def add(self, key: object, figures: Figures) -> None:
+        """Take in a recording's figures."""
+        n, deg = figures.samples, figures.orientation_rms_deg or 0.0
+        row = np.array([figures.position_rms_m**2 * n, deg**2 * n, figures.nees * n, n])
         self._sums[key] = self._sums.get(key, np.zeros(4)) + row
-        self._worst[key] = max(self._worst.get(key, 0.0), worst_m)
+        self._worst[key] = max(self._worst.get(key, 0.0), figures.position_max_m)
 
     def show(self) -> None:
         """Print one line a key."""
@@ -56,18 +58,10 @@ class Tally:
             )
 
 
-def datasets() -> Path:
-    """The folder of recordings that others made."""
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
-    return Path(folder)
-
-
 def broad(options: argparse.Namespace) -> None:
     """BROAD: the strap alone at 30 Hz with 8 mm of noise, gaps at random."""
     tally, config = Tally(), read_config(options.config)
-    for path in sorted(each for each in (datasets() / "broad").glob("*.mat") if options.only in each.stem):
+    for path in sorted(each for each in datasets("broad").glob("*.mat") if options.only in each.stem):
         line, began = [], time.perf_counter()
         for length in LENGTHS_S:
             own = Tally()
@@ -81,14 +75,7 @@ def broad(options: argparse.Namespace) -> None:
                     print(f"  {path.stem}, seed {seed}, {length:g} s: {'; '.join(table.notes)}")
                     continue
                 for each in (own, tally):
-                    each.add(
-                        f"{length:g} s",
-                        figures.position_rms_m,
-                        figures.position_max_m,
-                        figures.orientation_rms_deg,
-                        figures.nees,
-                        figures.samples,
-                    )
+                    each.add(f"{length:g} s", figures)
             e, _, c, n = own._sums[f"{length:g} s"]
             line.append(f"{100 * np.sqrt(e / n):5.2f} ({c / n:4.1f})")
         runs = len(LENGTHS_S) * len(options.seeds)
@@ -118,17 +105,8 @@ def arm(options: argparse.Namespace) -> None:
         assert simulated.recording.truth is not None
         figures = validate(recovery, simulated.recording.truth)
         for part in ("occluded", "visible"):
-            each = figures.to_dict()[part]
-            if not each["samples"]:
-                continue
-            tally.add(
-                part,
-                each["position_rms_m"],
-                each["position_max_m"],
-                each["orientation_rms_deg"],
-                each["nees"],
-                each["samples"],
-            )
+            if getattr(figures, part).samples:
+                tally.add(part, getattr(figures, part))
         squares.append(sample_errors(recovery, simulated.recording.truth).squared_sigmas[recovery.occluded])
         print(
             f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s",
@@ -266,7 +244,7 @@ def _found(recovery: Recovery, simulated: object) -> str:
 
 def utd(options: argparse.Namespace) -> None:
     """UTD-MHAD: calibrated on a subject's first trials, a gap in the middle of every other one."""
-    folder, config = datasets() / "utd_mhad", read_config(options.config)
+    folder, config = datasets("utd_mhad"), read_config(options.config)
     rows: list[tuple[float, int, bool, np.ndarray, np.ndarray, float]] = []
     for subject in options.subjects:
         trials = {
@@ -291,35 +269,18 @@ def utd(options: argparse.Namespace) -> None:
                 recovery = smooth(copy, found.calibration, config)
                 t = recovery.arm.t_s[seen]
                 path, truth = recovery.joints["wrist"], recording.arm.joint("wrist")[seen]
-                answer = np.stack([np.interp(t, recovery.t_s, path[:, i]) for i in range(3)], axis=1)
+                answer = interpolate(recovery.t_s, path, t)
                 sigma = np.sqrt(np.trace(recovery.joint_covariance["wrist"], axis1=1, axis2=2))
                 noise = recovery.estimates.camera_sigma_m["wrist"]
                 kept = recording.arm.tracked("wrist") & ~hidden
-                line = np.stack(
-                    [
-                        np.interp(
-                            recording.arm.t_s[seen],
-                            recording.arm.t_s[kept],
-                            recording.arm.joint("wrist")[kept, i],
-                        )
-                        for i in range(3)
-                    ],
-                    axis=1,
-                )
+                wrist, frame_t = recording.arm.joint("wrist"), recording.arm.t_s
+                line = interpolate(frame_t[kept], wrist[kept], frame_t[seen])
                 calm = uniform_filter1d(truth, 5, axis=0)  # without the camera's own noise
                 moved = float(np.sum(np.linalg.norm(np.diff(calm, axis=0), axis=1)))
-                rows.append(
-                    (
-                        length,
-                        action,
-                        moved < 0.30,
-                        np.linalg.norm(answer - truth, axis=1),
-                        np.linalg.norm(line - truth, axis=1),
-                        float(np.nanmax(np.interp(t, recovery.t_s, sigma))),
-                        np.linalg.norm(answer - truth, axis=1)
-                        < 2 * np.hypot(np.interp(t, recovery.t_s, sigma), np.sqrt(3) * noise),
-                    )
-                )
+                off, line_off = (np.linalg.norm(each - truth, axis=1) for each in (answer, line))
+                stated = np.interp(t, recovery.t_s, sigma)
+                inside = off < 2 * np.hypot(stated, np.sqrt(3) * noise)
+                rows.append((length, action, moved < 0.30, off, line_off, float(np.nanmax(stated)), inside))
     for length in (0.5, 1.0):
         for name, pick in (("all", lambda r: True), ("slow", lambda r: r[2]), ("fast", lambda r: not r[2])):
             _show_utd(f"{length:g} s {name}", [r for r in rows if r[0] == length and pick(r)])
@@ -331,11 +292,11 @@ def _show_utd(title: str, rows: list) -> None:
     if not rows:
         return
     graph, line = (np.concatenate([r[k] for r in rows]) for k in (3, 4))
-    trial = [(np.sqrt(np.mean(r[3] ** 2)), np.sqrt(np.mean(r[4] ** 2))) for r in rows]
+    trial = [(rms(r[3]), rms(r[4])) for r in rows]
     print(
-        f"  {title:15}: graph rms {100 * np.sqrt(np.mean(graph**2)):5.1f}"
+        f"  {title:15}: graph rms {100 * rms(graph):5.1f}"
         f" median {100 * np.median(graph):5.1f} cm"
-        f"   interpolation rms {100 * np.sqrt(np.mean(line**2)):5.1f} median {100 * np.median(line):5.1f} cm"
+        f"   interpolation rms {100 * rms(line):5.1f} median {100 * np.median(line):5.1f} cm"
         f"   graph nearer in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}"
         f"   median sigma {100 * np.median([r[5] for r in rows]):4.1f} cm"
         f"   inside 2 sigma (camera's noise added)"

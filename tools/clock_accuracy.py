@@ -6,20 +6,17 @@ receptions (steps of 0.3125 ms), the realistic arm, and 15 minutes of it with a 
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from shared import ONE_PROCESS, rms, run_parts
 
 from calib.clock.beeps import find_beeps
 from calib.clock.motion_clock import clock_from_motion
 from calib.clock.network import solve_clocks
-from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast
 
-ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 SKEW = 390e-6
 
 
@@ -27,7 +24,7 @@ def show(name: str, errors_ms: list[float], sigmas_ms: list[float], more: str = 
     """Print one line of figures."""
     error, sigma = np.array(errors_ms), np.array(sigmas_ms)
     print(
-        f"{name:34} rms {np.sqrt(np.mean(error**2)):7.3f} ms  max {np.abs(error).max():7.3f} ms  stated"
+        f"{name:34} rms {rms(error):7.3f} ms  max {np.abs(error).max():7.3f} ms  stated"
         f" {np.median(sigma):6.3f} ms  squared error / sigma^2 {np.mean((error / sigma) ** 2):5.2f}  {more}",
         flush=True,
     )
@@ -56,7 +53,7 @@ def broadcasts(seeds: int) -> None:
                 sigmas.append(1e3 * link.sigma_s)
                 skews.append(clocks.skew_error_ppm(link))
         name = f"broadcast, {nodes} nodes, {rounds} in {span_s:.0f} s"
-        show(name, errors, sigmas, f"skew rms {np.sqrt(np.mean(np.square(skews))):.2f} ppm")
+        show(name, errors, sigmas, f"skew rms {rms(skews):.2f} ppm")
 
 
 def motion(seeds: int) -> None:
@@ -86,25 +83,5 @@ def skew(seeds: int) -> None:
     show("motion, 15 minutes, 390 ppm", errors, sigmas, f"skew max {np.abs(skews).max():.1f} ppm off")
 
 
-PARTS: dict[str, Callable[[int], None]] = {
-    "sound": sound,
-    "broadcast": broadcasts,
-    "motion": motion,
-    "skew": skew,
-}
-
-
-def main() -> None:
-    """Run the parts asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "parts", nargs="*", choices=[[], *PARTS], help="what to measure; all if none is named"
-    )
-    parser.add_argument("--seeds", type=int, default=16)
-    options = parser.parse_args()
-    for name in options.parts or PARTS:
-        PARTS[name](options.seeds)
-
-
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, {"sound": sound, "broadcast": broadcasts, "motion": motion, "skew": skew}, seeds=16)

@@ -6,21 +6,19 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 
 import numpy as np
+from shared import ONE_PROCESS, rms, run_parts
 
 from calib.forearm.forearm_summary import compare
 from calib.forearm.held_pose_fit import calibrate_forearm
 from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap.strap_camera import Depth
 from calib.strap.strap_in_image import find_strap
-from smoother.config import Config
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 
-ONE_PROCESS = Config.model_validate({"windows": {"processes": 1}})
 COLOUR = PlacedCamera(Intrinsics(960, 540, 600.0, 600.0, 480.0, 270.0), t_C_K=np.array([0.05, 0.0, 0.0]))
 INFRARED = PlacedCamera(Intrinsics(512, 424, 366.0, 366.0, 256.0, 212.0))
 
@@ -50,10 +48,9 @@ def pose(seeds: int) -> None:
                 rolls.append(np.degrees(np.arctan2(turn[0, 2], turn[0, 0])))
         print("strap seen" if seen else "strap by ruler")
         print("  agree:", ", ".join(f"{name} {agree[name]} of {asked[name]}" for name in asked))
-        rms = float(np.sqrt(np.mean(np.square(rolls))))
+        nees = np.mean(levers)
         print(
-            f"  lever arms: squared error / sigma^2 {np.mean(levers):.2f}; roll rms {rms:.0f} degrees",
-            flush=True,
+            f"  lever arms: squared error / sigma^2 {nees:.2f}; roll rms {rms(rolls):.0f} degrees", flush=True
         )
 
 
@@ -89,27 +86,12 @@ def strap(seeds: int) -> None:
                     nees.append(error @ np.linalg.solve(seen.covariance, error) / 3)
         size = 1e3 * np.linalg.norm(errors, axis=1)
         print(
-            f"joints {1e3 * sigma_m:.0f} mm off: core rms {np.sqrt(np.mean(size**2)):.1f} mm, max"
+            f"joints {1e3 * sigma_m:.0f} mm off: core rms {rms(size):.1f} mm, max"
             f" {size.max():.1f} mm,"
             f" squared error / sigma^2 {np.mean(nees):.2f}; {dict(reasons)}; accepted behind a body: {wrong}",
             flush=True,
         )
 
 
-PARTS = {"pose": pose, "strap": strap}
-
-
-def main() -> None:
-    """Run the parts asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "parts", nargs="*", choices=[[], *PARTS], help="what to measure; all if none is named"
-    )
-    parser.add_argument("--seeds", type=int, default=12)
-    options = parser.parse_args()
-    for name in options.parts or PARTS:
-        PARTS[name](options.seeds)
-
-
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, {"pose": pose, "strap": strap}, seeds=12)

@@ -8,13 +8,12 @@ Of every trial: orientation and heading of the whole recovery while the body mov
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from shared import datasets, rms
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from smoother.evaluation import evaluate_gaps
@@ -41,7 +40,7 @@ def attitude(recovery: Recovery, recording: Recording) -> tuple[float, float]:
         Rotation.from_quat(each[known][:, [1, 2, 3, 0]]) for each in (recovery.quaternion, truth.quaternion)
     ]
     error = np.degrees((turn[0] * turn[1].inv()).as_rotvec())
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(error[:, 2] ** 2)))
+    return rms(np.linalg.norm(error, axis=1)), rms(error[:, 2])
 
 
 def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespace) -> None:
@@ -62,7 +61,7 @@ def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespac
                 figures = table.lengths[length]["graph"].figures
                 rows[2 + 2 * k].append(100.0 * (figures.position_rms_m or np.nan))
                 rows[3 + 2 * k].append(figures.orientation_rms_deg or np.nan)
-        mean = [float(np.sqrt(np.mean(np.square(row)))) for row in rows]
+        mean = [rms(row) for row in rows]
         parts = [
             f"{length:g} s: {mean[2 + 2 * k]:5.2f} cm {mean[3 + 2 * k]:5.2f} deg"
             for k, length in enumerate(options.lengths)
@@ -82,9 +81,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s")
     options = parser.parse_args()
-    if not os.environ.get("UNOCCLUDE_DATASETS"):
-        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
-    trials = sorted(Path(os.environ["UNOCCLUDE_DATASETS"]).joinpath("broad").glob("*.mat"))
+    trials = sorted(datasets("broad").glob("*.mat"))
     source = next(path for path in trials if path.stem.startswith(options.calibrated_on))
     mag = import_broad(source).imu.mag
     assert mag is not None

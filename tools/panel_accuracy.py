@@ -8,8 +8,6 @@ UNOCCLUDE_DATASETS (`kinect_calib`: a real panel in real Kinect depth, with a pu
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from ast import literal_eval
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -19,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
+from shared import datasets
 
 from calib.intrinsics import Intrinsics
 from calib.panel.definition import Panel
@@ -146,11 +145,8 @@ def _show(title: str, rows: list[dict[str, Any]]) -> None:
 
 
 def real() -> None:
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        sys.exit("set UNOCCLUDE_DATASETS to the folder of the data sets")
     for corrected in (False, True):
-        rows = real_planes(Path(folder) / "kinect_calib", corrected)
+        rows = real_planes(datasets("kinect_calib"), corrected)
         print(f"disparity distortion {'taken off' if corrected else 'left in'}")
         print("  image          z, m  angle, deg  distance, mm  sigma, deg  depth noise, mm")
         for name, (z, angle, distance, sigma, noise) in rows.items():

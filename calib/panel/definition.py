@@ -134,16 +134,8 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     CalibrationError
         The file or a key is missing, or a value is wrong.
     """
-    section = _check(_LensSection, _load(Path(path)), str(path))
-    return Intrinsics(
-        section.width,
-        section.height,
-        section.fx,
-        section.fy,
-        section.cx,
-        section.cy,
-        tuple(section.distortion),
-    )
+    values = _check(_LensSection, _load(Path(path)), str(path)).model_dump()
+    return Intrinsics(**values | {"distortion": tuple(values["distortion"])})
 
 
 def _load(path: Path) -> dict[str, Any]:

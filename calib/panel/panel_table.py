@@ -99,10 +99,20 @@ def pose_rows(calibration: PanelCalibration) -> list[dict[str, Any]]:
     return rows
 
 
+def pose_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """Of a row of `pose_rows`, as text: distance m, tilt degrees, pixels; markers, plane, depth noise mm."""
+    in_mm = (1e3 * row["markers_rms_m"], 1e3 * row["plane_rms_m"])
+    return (
+        *(f"{row['distance_m']:.2f}", f"{row['tilt_deg']:.0f}", f"{row['pixels_rms']:.3f}"),
+        *(f"{value:.2f}" for value in in_mm),
+        f"{1e3 * row['depth_noise_m']:.1f}",
+    )
+
+
 def transform_values(transform: Frame) -> dict[str, list[float]]:
     """Rotation (qw, qx, qy, qz) and translation (m)."""
-    x, y, z, w = Rotation.from_matrix(transform.R).as_quat(canonical=True).tolist()
-    return {"rotation": [w, x, y, z], "translation": transform.origin.tolist()}
+    quaternion = Rotation.from_matrix(transform.R).as_quat(canonical=True, scalar_first=True)
+    return {"rotation": quaternion.tolist(), "translation": transform.origin.tolist()}
 
 
 def _rms(values: np.ndarray) -> float:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand
 
 from . import (
     batch,
@@ -76,78 +78,51 @@ def _root(
     """Recover an occluded arm from a depth camera's skeleton and one wrist IMU."""
 
 
-app.command("demo", epilog="Example: unocclude demo")(demo.demo)
-app.command("info", epilog="Example: unocclude info session.mcap")(info.info)
-app.command(
-    "smooth",
-    epilog="Example: unocclude smooth session.mcap -o out.mcap --calibration arm.toml --report out.html",
-)(smooth.smooth)
-app.command(
-    "validate",
-    epilog="Example: unocclude validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml",
-)(validate.validate)
-app.command(
-    "compare",
-    epilog="Example: unocclude compare session.mcap --truth trial.c3d --markers map.toml --report c.html",
-)(compare.compare)
-app.command(
-    "gaps", epilog="Example: unocclude gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json"
-)(gaps.gaps)
-app.command("export", epilog="Example: unocclude export recovered.mcap --format trc -o recovered.trc")(
-    export.export
-)
-app.command(
-    "batch",
-    cls=batch.BatchCommand,
-    epilog="Example: unocclude batch sessions -o recovered --calibration arm.toml --report",
-)(batch.batch)
-app.command("config", epilog="Example: unocclude config > settings.toml")(config.config)
-app.command("doctor", epilog="Example: unocclude doctor")(doctor.doctor)
+def _add(
+    group: typer.Typer, command: Callable[..., None], example: str, cls: type[TyperCommand] | None = None
+) -> None:
+    """Add a command under its function's name, with an example of its use below its help."""
+    name = command.__name__.replace("_", "-")
+    group.command(name, cls=cls, epilog=f"Example: unocclude {example}")(command)
+
+
+_add(app, demo.demo, "demo")
+_add(app, info.info, "info session.mcap")
+_add(app, smooth.smooth, "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html")
+_add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml")
+_add(app, compare.compare, "compare session.mcap --truth trial.c3d --markers map.toml --report c.html")
+_add(app, gaps.gaps, "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json")
+_add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
+_add(app, batch.batch, "batch sessions -o recovered --calibration arm.toml --report", batch.BatchCommand)
+_add(app, config.config, "config > settings.toml")
+_add(app, doctor.doctor, "doctor")
 
 _imports = _app("Make a recording of other formats.")
 _imports.command("csv", epilog=_CSV_EXAMPLE)(imports.csv)
-_imports.command("broad", epilog="Example: unocclude import broad 01_trial.mat -o trial.mcap")(imports.broad)
-_imports.command(
-    "utd-mhad",
-    epilog="Example: unocclude import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap",
-)(imports.utd_mhad)
-_imports.command("strap", epilog="Example: unocclude import strap session.mcap -o with_strap.mcap")(
-    import_strap.strap
-)
+_add(_imports, imports.broad, "import broad 01_trial.mat -o trial.mcap")
+_add(_imports, imports.utd_mhad, "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap")
+_add(_imports, import_strap.strap, "import strap session.mcap -o with_strap.mcap")
 app.add_typer(_imports, name="import")
 
 _calibrate = _app("Measure once what does not change, and keep it in a calibration file.")
-
-
-@_calibrate.callback()
-def _calibrate_root() -> None:
-    """Measure once what does not change, and keep it in a calibration file."""
-
-
-_calibrate.command("motion", epilog="Example: unocclude calibrate motion a.mcap b.mcap -o arm.toml")(
-    calibrate.motion
+_add(_calibrate, calibrate.motion, "calibrate motion a.mcap b.mcap -o arm.toml")
+_add(_calibrate, calibrate_imu.imu, "calibrate imu poses.mcap -o arm.toml --report imu.html")
+_add(_calibrate, calibrate_imu.magnetometer, "calibrate magnetometer turning.mcap -o arm.toml")
+_add(
+    _calibrate,
+    calibrate_clock.clock,
+    "calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
 )
-_calibrate.command("imu", epilog="Example: unocclude calibrate imu poses.mcap -o arm.toml --report imu.html")(
-    calibrate_imu.imu
+_add(
+    _calibrate,
+    calibrate_panel.panel,
+    "calibrate panel --depth d.png --infrared i.png --markers m.csv --intrinsics k.toml --panel panel.toml"
+    " -o cal.toml",
 )
-_calibrate.command(
-    "magnetometer", epilog="Example: unocclude calibrate magnetometer turning.mcap -o arm.toml"
-)(calibrate_imu.magnetometer)
-_calibrate.command(
-    "clock",
-    epilog="Example: unocclude calibrate clock --sound beep.wav --event-time 12.3456 --broadcast times.csv",
-)(calibrate_clock.clock)
-_calibrate.command(
-    "panel",
-    epilog="Example: unocclude calibrate panel --depth d.png --infrared i.png --markers m.csv"
-    " --intrinsics k.toml --panel panel.toml -o cal.toml",
-)(calibrate_panel.panel)
-_calibrate.command(
-    "world", epilog="Example: unocclude calibrate world session.mcap --panel panel.toml -o cal.toml"
-)(calibrate_world.world)
-_calibrate.command(
-    "forearm", epilog="Example: unocclude calibrate forearm session.mcap -o arm.toml --report forearm.html"
-)(calibrate_forearm.forearm)
+_add(_calibrate, calibrate_world.world, "calibrate world session.mcap --panel panel.toml -o cal.toml")
+_add(
+    _calibrate, calibrate_forearm.forearm, "calibrate forearm session.mcap -o arm.toml --report forearm.html"
+)
 app.add_typer(_calibrate, name="calibrate")
 
 _simulate = _app("Make a recording with truth.", cls=simulate.SimulateGroup)

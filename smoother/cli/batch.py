@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .options import Body, Calibration, ConfigFile, Imu, Json, Processes, Side, Skeleton, one_side
+from .options import (
+    Body,
+    Calibration,
+    ConfigFile,
+    Imu,
+    Json,
+    PassthroughImages,
+    Processes,
+    Side,
+    Skeleton,
+    one_side,
+)
 from .output import centimetres, check_outputs, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
@@ -72,9 +83,7 @@ def batch(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
-    passthrough_images: Annotated[
-        bool, typer.Option("--passthrough-images", help="Carry images and depth over (they show the person).")
-    ] = False,
+    passthrough_images: PassthroughImages = False,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try again what failed, not only what may have changed.")
     ] = False,

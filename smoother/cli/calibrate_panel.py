@@ -149,7 +149,7 @@ def print_panel(calibration: PanelCalibration) -> None:
     import numpy as np
 
     from calib.panel.panel_accuracy import accuracy
-    from calib.panel.panel_table import pose_rows, transform_values
+    from calib.panel.panel_table import pose_cells, pose_rows, transform_values
 
     sigma = accuracy(calibration)
     values = transform_values(calibration.solution.camera_from_mocap)
@@ -165,16 +165,5 @@ def print_panel(calibration: PanelCalibration) -> None:
     print_table(
         "Poses",
         ("pose", "distance, m", "tilt, deg", "pixels", "markers, mm", "plane, mm", "depth noise, mm"),
-        [
-            (
-                row["pose"],
-                f"{row['distance_m']:.2f}",
-                f"{row['tilt_deg']:.0f}",
-                f"{row['pixels_rms']:.3f}",
-                f"{1e3 * row['markers_rms_m']:.2f}",
-                f"{1e3 * row['plane_rms_m']:.2f}",
-                f"{1e3 * row['depth_noise_m']:.1f}",
-            )
-            for row in pose_rows(calibration)
-        ],
+        [(row["pose"], *pose_cells(row)) for row in pose_rows(calibration)],
     )

@@ -13,6 +13,7 @@ from ..errors import UnoccludeError
 from .load import load_arm
 from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
 from .options import (
+    Align,
     Body,
     BoundaryS,
     Calibration,
@@ -64,9 +65,7 @@ def compare(
         Path | None,
         typer.Option("--markers", metavar="MAP.toml", help="Of the truth: which markers make a joint."),
     ] = None,
-    align: Annotated[
-        bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
-    ] = False,
+    align: Align = False,
     config_file: ConfigFile = None,
     imu: Imu = None,
     skeleton: Skeleton = None,

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import UnoccludeError
 from .load import camera_frame_of
-from .options import Force, Json, Output, Side, one_side
+from .options import Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
@@ -21,9 +21,7 @@ FRAMES = ("camera", "opensim")
 
 
 def export(
-    result: Annotated[
-        Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)
-    ],
+    result: Result,
     output: Output,
     format_name: Annotated[
         str, typer.Option("--format", metavar="|".join(FORMATS), help="Format to write.", show_default=False)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from ..errors import UnoccludeError
 from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
+    from ..io.recording.choose import Selection
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
     from ..runtime.store import Store
@@ -19,23 +20,18 @@ def load_arm(
     path: Path,
     calibration_file: Path | None = None,
     *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
     store: Store | None = None,
     truth: bool = True,
+    **selection: Unpack[Selection],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording and the calibration of its arm, and say what was chosen.
 
-    Where the recording leaves the side open, a calibration of one arm settles it. `store` and `truth` as in
-    `io.read_recording`.
+    Where the recording leaves the side open, a calibration of one arm settles it. `store`, `truth` and
+    the selection as in `io.read_recording`.
     """
     from ..io.recording.read_arm import read_arm
 
-    recording, calibration = read_arm(
-        path, calibration_file, imu=imu, skeleton=skeleton, side=side, body=body, store=store, truth=truth
-    )
+    recording, calibration = read_arm(path, calibration_file, store=store, truth=truth, **selection)
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"
     say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")

@@ -99,6 +99,15 @@ SolveLeverArms = Annotated[
 ]
 
 
+Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)]
+Align = Annotated[
+    bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
+]
+PassthroughImages = Annotated[
+    bool, typer.Option("--passthrough-images", help="Carry images and depth over (they show the person).")
+]
+
+
 def one_side(side: str | None) -> str | None:
     """Check `--side` before any work is done for it."""
     if side not in (None, "left", "right"):

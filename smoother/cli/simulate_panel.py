@@ -111,8 +111,8 @@ def answer(simulated: SimulatedPanel) -> dict[str, Any]:
 def _quaternion(R: Any) -> list[float]:
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(R).as_quat(canonical=True).tolist()
-    return [w, x, y, z]
+    quaternion: list[float] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True).tolist()
+    return quaternion
 
 
 def _configured(panel_file: Path | None, changes: dict[str, Any]) -> PanelSimulation:

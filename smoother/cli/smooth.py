@@ -20,6 +20,7 @@ from .options import (
     Json,
     Orientation,
     Output,
+    PassthroughImages,
     Processes,
     RecordingPath,
     Report,
@@ -54,9 +55,7 @@ def smooth(
     side: Side = None,
     body: Body = None,
     report: Report = None,
-    passthrough_images: Annotated[
-        bool, typer.Option("--passthrough-images", help="Carry images and depth over (they show the person).")
-    ] = False,
+    passthrough_images: PassthroughImages = False,
     max_sigma_m: Annotated[
         float | None,
         typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
@@ -110,11 +109,7 @@ def smooth(
             recovery = with_strap_note(recovery)
         recovery = limit_sigma(recovery, max_sigma_m)
         write_recovery(
-            [recovery],
-            output,
-            source=recording_file,
-            force=force,
-            passthrough_images=passthrough_images,
+            [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
         )
         if report is not None:
             from ..report import write_report

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .load import camera_frame_of, load_recovery
-from .options import Force, Json, Report, Side, one_side
+from .options import Align, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -21,9 +21,7 @@ _MOST_GAPS = 40
 
 
 def validate(
-    result: Annotated[
-        Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)
-    ],
+    result: Result,
     truth_file: Annotated[
         Path,
         typer.Option(
@@ -48,9 +46,7 @@ def validate(
             help="Holds [camera_from_mocap]; without it markers are aligned by the motion itself.",
         ),
     ] = None,
-    align: Annotated[
-        bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")
-    ] = False,
+    align: Align = False,
     side: Side = None,
     report: Report = None,
     json_file: Json = None,

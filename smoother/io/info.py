@@ -6,11 +6,12 @@ import math
 import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Unpack
 
 from ..errors import RecordingError
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
-from .recording.choose import named_side, role
+from .recording.choose import Selection, named_side, role
 from .recording.read import METADATA, open_recording, select_recording
 from .recording.streams import RecordingFile
 from .result.write import RESULT
@@ -110,11 +111,7 @@ class RecordingInfo:
 
 def describe(
     path: str | os.PathLike[str],
-    *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
+    **selection: Unpack[Selection],
 ) -> RecordingInfo:
     """Describe an MCAP file; options as in `read_recording`.
 
@@ -165,7 +162,7 @@ def describe(
     )
     recording = None
     try:
-        recording = select_recording(file, imu=imu, skeleton=skeleton, side=side, body=body)
+        recording = select_recording(file, **selection)
     except RecordingError as error:
         info.missing["smooth"] = str(error)
     if recording is not None:

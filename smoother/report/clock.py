@@ -14,7 +14,7 @@ from calib.clock.links import ClockNetwork, Leftover, Receptions
 from calib.clock.motion_clock import MotionClock
 
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import OCCLUDED, VISIBLE, dress
+from .style import OCCLUDED, TRUTH, VISIBLE, curve, dots, dress
 
 
 def write_clock_report(
@@ -95,15 +95,8 @@ def residuals(leftover: Leftover) -> go.Figure:
     for name in dict.fromkeys(leftover.node):
         mine = names == name
         symbols = np.where(leftover.used[mine], "circle", "x").tolist()
-        plot.add_trace(
-            go.Scatter(
-                x=leftover.t_s[mine] - first,
-                y=1e3 * leftover.residual_s[mine],
-                mode="markers",
-                marker={"symbol": symbols, "size": 8},
-                name=name,
-            )
-        )
+        x, y = leftover.t_s[mine] - first, 1e3 * leftover.residual_s[mine]
+        plot.add_trace(dots(x, y, name, None, 8, symbol=symbols))
     limit = max(
         4 * leftover.sigma_s, 1.2 * float(np.abs(leftover.residual_s[leftover.used]).max(initial=0.0))
     )
@@ -121,8 +114,8 @@ def beep_end(beep: Beep) -> go.Figure:
     t = 1e3 * (beep.t_s - beep.end_s)
     size = float(beep.fitted[0])
     for values, name, colour in ((beep.envelope, "heard", VISIBLE), (beep.fitted, "fitted", OCCLUDED)):
-        plot.add_trace(go.Scatter(x=t, y=values / size, mode="lines", name=name, line={"color": colour}))
-    plot.add_vline(0.0, line_dash="dash", line_color="#111111")
+        plot.add_trace(curve(t, values / size, name, colour))
+    plot.add_vline(0.0, line_dash="dash", line_color=TRUTH)
     plot.update_xaxes(title_text="time from the end, ms")
     plot.update_yaxes(title_text="level", rangemode="tozero")
     return dress(plot, 320)
@@ -132,19 +125,11 @@ def motion_line(motion: MotionClock) -> go.Figure:
     """Offsets of the parts and the line through them."""
     plot, link = go.Figure(), motion.link
     symbols = np.where(motion.used, "circle", "x").tolist()
-    plot.add_trace(
-        go.Scatter(
-            x=motion.t_s,
-            y=1e3 * motion.offset_s,
-            mode="markers",
-            name="part",
-            error_y={"array": 1e3 * motion.sigma_s},
-            marker={"symbol": symbols, "size": 9, "color": VISIBLE},
-        )
-    )
+    offsets = dots(motion.t_s, 1e3 * motion.offset_s, "part", VISIBLE, 9, symbol=symbols)
+    plot.add_trace(offsets.update(error_y={"array": 1e3 * motion.sigma_s}))
     ends = np.array([motion.t_s.min() - 5.0, motion.t_s.max() + 5.0])
     line = link.offset_s + 1e-6 * link.skew_ppm * (ends - link.at_s)
-    plot.add_trace(go.Scatter(x=ends, y=1e3 * line, mode="lines", name="line", line={"color": OCCLUDED}))
+    plot.add_trace(curve(ends, 1e3 * line, "line", OCCLUDED))
     plot.update_xaxes(title_text="time on the camera's clock, s")
     plot.update_yaxes(title_text="IMU minus camera, ms")
     return dress(plot, 340)

@@ -18,7 +18,7 @@ from calib.motion.evidence import Evidence
 from ..recording import JOINTS, Recording
 from .mount import mount
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, dress
+from .style import JOINT_COLOURS, OCCLUDED, VISIBLE, axis_names, curve, dots, dress
 
 
 def write_forearm_report(
@@ -100,43 +100,17 @@ def pose_views(recording: Recording, calibration: ForearmCalibration) -> go.Figu
     places = 100 * calibration.pose.position
     middle = 0.5 * (places[1] + places[2])
     for column, (across, upright) in enumerate(((0, 1), (2, 1)), start=1):
-        line = {"color": "#9a8f86", "width": 7}
-        plot.add_trace(
-            go.Scatter(
-                x=places[chain, across], y=places[chain, upright], mode="lines", line=line, showlegend=False
-            ),
-            row=1,
-            col=column,
-        )
+        bones = curve(places[chain, across], places[chain, upright], None, "#9a8f86", 7, showlegend=False)
+        plot.add_trace(bones, row=1, col=column)
         for k, joint in enumerate(JOINTS):
             if np.isfinite(places[k]).all():
-                dot = {"size": 10, "color": JOINT_COLOURS[joint]}
-                plot.add_trace(
-                    go.Scatter(
-                        x=places[k, [across]],
-                        y=places[k, [upright]],
-                        mode="markers",
-                        marker=dot,
-                        name=joint,
-                        showlegend=column == 1,
-                    ),
-                    row=1,
-                    col=column,
-                )
+                dot = dots(places[k, [across]], places[k, [upright]], joint, JOINT_COLOURS[joint], 10)
+                plot.add_trace(dot.update(showlegend=column == 1), row=1, col=column)
         for axis, name in enumerate("xyz"):
             tip = middle + 12 * calibration.R_K_F[:, axis]
-            plot.add_trace(
-                go.Scatter(
-                    x=[middle[across], tip[across]],
-                    y=[middle[upright], tip[upright]],
-                    mode="lines+text",
-                    text=["", name],
-                    line={"color": "#333333", "width": 2},
-                    showlegend=False,
-                ),
-                row=1,
-                col=column,
-            )
+            ends = np.array([middle, tip])
+            arrow = curve(ends[:, across], ends[:, upright], None, "#333333", 2, showlegend=False)
+            plot.add_trace(arrow.update(mode="lines+text", text=["", name]), row=1, col=column)
         plot.update_xaxes(title_text=f"{names[across]}, cm", row=1, col=column)
         plot.update_yaxes(
             title_text=f"{names[upright]}, cm",
@@ -154,9 +128,7 @@ def pose_residuals(recording: Recording, calibration: ForearmCalibration) -> go.
     for k, joint in enumerate(JOINTS):
         away = 1e3 * np.linalg.norm(recording.arm.joint(joint)[rows] - calibration.pose.position[k], axis=1)
         if np.isfinite(away).any():
-            plot.add_trace(
-                go.Scatter(x=t, y=away, mode="lines", name=joint, line={"color": JOINT_COLOURS[joint]})
-            )
+            plot.add_trace(curve(t, away, joint, JOINT_COLOURS[joint]))
     plot.update_xaxes(title_text="time, s")
     plot.update_yaxes(title_text="mm", rangemode="tozero")
     return dress(plot, 300)

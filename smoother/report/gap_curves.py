@@ -117,16 +117,8 @@ def curves(spreads: Spreads) -> go.Figure:
         if name == "graph":
             plot.add_trace(_band(x, low, high, name))
         else:
-            trace.update(
-                error_y={
-                    "type": "data",
-                    "symmetric": False,
-                    "array": high - median,
-                    "arrayminus": median - low,
-                    "thickness": 1,
-                    "width": 2,
-                }
-            )
+            bars = {"array": high - median, "arrayminus": median - low, "thickness": 1, "width": 2}
+            trace.update(error_y={"type": "data", "symmetric": False, **bars})
         plot.add_trace(trace)
     ticks = [f"{length:g}" for length in spreads]
     plot.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
@@ -138,15 +130,8 @@ def curves(spreads: Spreads) -> go.Figure:
 def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Scatter:
     colour, _ = STYLES.get(name, PLAIN)
     outline = {"x": np.concatenate([x, x[::-1]]), "y": np.concatenate([high, low[::-1]])}
-    return go.Scatter(
-        **outline,
-        mode="lines",
-        fill="toself",
-        fillcolor=faint(colour, 0.2),
-        line={"width": 0},
-        showlegend=False,
-        hoverinfo="skip",
-    )
+    trace = go.Scatter(**outline, mode="lines", fill="toself", fillcolor=faint(colour, 0.2))
+    return trace.update(line={"width": 0}, showlegend=False, hoverinfo="skip")
 
 
 def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:

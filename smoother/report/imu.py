@@ -13,9 +13,9 @@ from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
 from calib.imu.sensor_calibration import ImuCalibration
 from calib.imu.sphere_coverage import sphere_points
 
-from ..recording import FloatArray, ImuStream
+from ..recording import ImuStream
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import JOINT_COLOURS, OCCLUDED, SHADE, VISIBLE, dress
+from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dots_3d, dress, shade_times
 
 #: Samples of the recording that are drawn.
 MOST_POINTS = 6000
@@ -78,18 +78,15 @@ def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
             " stands out was not still.",
             residuals(calibration),
         )
+        sigmas = np.sqrt(np.diag(acc.covariance))
         rows = [
             (f"offset {axis}, m/s²", f"{value:+.4f} ± {sigma:.4f}")
-            for axis, value, sigma in zip(
-                "xyz", acc.offset, np.sqrt(np.diag(acc.covariance)[:3]), strict=True
-            )
+            for axis, value, sigma in zip("xyz", acc.offset, sigmas[:3], strict=True)
         ]
-        upper = acc.matrix[np.triu_indices(3)]
         names = ("scale x", "cross xy", "cross xz", "scale y", "cross yz", "scale z")
-        sigmas = np.sqrt(np.diag(acc.covariance)[3:])
         rows += [
             (name, f"{value:+.5f} ± {sigma:.5f}")
-            for name, value, sigma in zip(names, upper, sigmas, strict=True)
+            for name, value, sigma in zip(names, acc.matrix[np.triu_indices(3)], sigmas[3:], strict=True)
         ]
         yield tabulated(
             "The accelerometer's nine numbers",
@@ -125,21 +122,10 @@ def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     plot = go.Figure()
     step = max(len(imu) // MOST_POINTS, 1)
     for column, (axis, colour) in enumerate(LINE_COLOURS.items()):
-        plot.add_trace(
-            go.Scatter(
-                x=imu.t_s[::step].astype(np.float32),
-                y=imu.acc[::step, column].astype(np.float32),
-                name=axis,
-                mode="lines",
-                line={"color": colour, "width": 1},
-            )
-        )
-    plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
-    shapes = [
-        {**plain, "fillcolor": SHADE, "line": {"width": 0}, "x0": imu.t_s[a], "x1": imu.t_s[b - 1]}
-        for a, b in calibration.rests.ranges.tolist()
-    ]
-    return dress(plot, 340, shapes=shapes, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
+        t, values = imu.t_s[::step], imu.acc[::step, column]
+        plot.add_trace(curve(t.astype(np.float32), values.astype(np.float32), axis, colour, 1))
+    shade_times(plot, [(imu.t_s[a], imu.t_s[b - 1]) for a, b in calibration.rests.ranges.tolist()])
+    return dress(plot, 340, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 
 
 def coverage(calibration: ImuCalibration) -> go.Figure:
@@ -148,7 +134,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     assert acc is not None
     directions = sphere_points(900)
     plot = go.Figure(
-        dots(
+        dots_3d(
             0.97 * directions,
             "",
             size=6,
@@ -160,7 +146,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     )
     plot.data[0].showlegend = False
     up = acc.apply(calibration.rests.acc)
-    plot.add_trace(dots(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
+    plot.add_trace(dots_3d(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
     return sphere(plot)
 
 
@@ -180,33 +166,15 @@ def allan(noise: SensorNoise, unit: str) -> go.Figure:
     """Allan deviation over averaging time, both logarithmic."""
     plot = go.Figure()
     for column, (axis, colour) in enumerate(LINE_COLOURS.items()):
-        plot.add_trace(
-            go.Scatter(
-                x=noise.tau_s, y=noise.deviation[:, column], name=axis, mode="lines", line={"color": colour}
-            )
-        )
+        plot.add_trace(curve(noise.tau_s, noise.deviation[:, column], axis, colour))
     white = float(np.sqrt(np.mean(noise.density**2))) / np.sqrt(noise.tau_s)
-    plot.add_trace(
-        go.Scatter(
-            x=noise.tau_s,
-            y=white,
-            name="white noise",
-            mode="lines",
-            line={"color": "#111111", "dash": "dash"},
-        )
-    )
+    plot.add_trace(curve(noise.tau_s, white, "white noise", TRUTH, dash="dash"))
     return dress(
         plot,
         380,
         xaxis={"title": "averaging time, s", "type": "log"},
         yaxis={"title": f"Allan deviation, {unit}", "type": "log", "exponentformat": "power"},
     )
-
-
-def dots(points: FloatArray, name: str, **marker: object) -> go.Scatter3d:
-    """Points (n, 3) in space."""
-    x, y, z = points.T.astype(np.float32)
-    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
 
 
 def sphere(plot: go.Figure) -> go.Figure:

@@ -13,9 +13,9 @@ from calib.imu.magnetometer import MagnetometerCalibration
 from calib.imu.sphere_coverage import sphere_points
 
 from ..recording import FloatArray, ImuStream
-from .imu import dots, sphere
+from .imu import sphere
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import OCCLUDED, VISIBLE, dress
+from .style import OCCLUDED, TRUTH, VISIBLE, dots, dots_3d, dress
 
 #: Samples that are drawn.
 MOST_POINTS = 4000
@@ -81,7 +81,7 @@ def coverage(corrected: FloatArray) -> go.Figure:
     empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
     plot = go.Figure()
     plot.add_trace(
-        dots(
+        dots_3d(
             corrected,
             "samples",
             size=2.5,
@@ -92,26 +92,19 @@ def coverage(corrected: FloatArray) -> go.Figure:
         )
     )
     if len(empty):
-        plot.add_trace(dots(empty, "not covered", size=3, color="#9a9a9a"))
+        plot.add_trace(dots_3d(empty, "not covered", size=3, color="#9a9a9a"))
     return sphere(plot)
 
 
 def recorded(raw: FloatArray, calibration: MagnetometerCalibration) -> go.Figure:
     """Raw samples and the ellipsoid's middle."""
-    plot = go.Figure(dots(raw, "as recorded", size=2, color=VISIBLE))
-    plot.add_trace(dots(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
-    plot.add_trace(dots(np.zeros((1, 3)), "zero", size=5, color="#111111"))
+    plot = go.Figure(dots_3d(raw, "as recorded", size=2, color=VISIBLE))
+    plot.add_trace(dots_3d(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
+    plot.add_trace(dots_3d(np.zeros((1, 3)), "zero", size=5, color=TRUTH))
     return dress(plot, 520, scene={"aspectmode": "data"})
 
 
 def residuals(t: FloatArray, length: FloatArray) -> go.Figure:
     """Length of the corrected field over time."""
-    plot = go.Figure(
-        go.Scatter(
-            x=t.astype(np.float32),
-            y=length.astype(np.float32),
-            mode="markers",
-            marker={"size": 3, "color": VISIBLE},
-        )
-    )
+    plot = go.Figure(dots(t.astype(np.float32), length.astype(np.float32), None, VISIBLE, 3))
     return dress(plot, 300, xaxis={"title": "s"}, yaxis={"title": "length"})

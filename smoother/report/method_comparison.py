@@ -14,7 +14,7 @@ from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording
 from .method_styles import line_of
 from .sheet import figure, in_cm, listing, tabulated, write_sheet
-from .style import CAMERA, SHADE, TRUTH, axis_names, dress
+from .style import CAMERA, SHADE, TRUTH, axis_names, dots, dress
 
 #: Gaps drawn at most: half of them the longest, half those in which the best method is worst.
 MOST_GAPS = 6
@@ -200,12 +200,9 @@ def _camera(plot: go.Figure, comparison: Comparison, recording: Recording, t: Fl
     if not tracked.any():
         return
     for axis in range(3):
-        dots = {"color": CAMERA, "size": 4}
-        trace = go.Scatter(
-            x=at[tracked], y=recording.arm.joint(joint)[tracked, axis], name="camera", mode="markers"
-        )
-        trace.update(marker=dots, legendgroup="camera", showlegend=axis == 0)
-        plot.add_trace(trace, row=axis + 1, col=1)
+        samples = dots(at[tracked], recording.arm.joint(joint)[tracked, axis], "camera", CAMERA, 4)
+        samples.update(legendgroup="camera", showlegend=axis == 0)
+        plot.add_trace(samples, row=axis + 1, col=1)
 
 
 def _point(comparison: Comparison) -> str:

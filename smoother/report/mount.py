@@ -12,7 +12,7 @@ from calib.motion.estimates import ArmEstimates
 
 from ..calibration import LeverArm
 from ..recording import FloatArray
-from .style import AXIS_COLOURS, JOINT_COLOURS, dress
+from .style import AXIS_COLOURS, JOINT_COLOURS, curve, dots, dress
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.
 CUBE_CM, AXIS_CM = 2.0, 4.5
@@ -50,10 +50,8 @@ def mount(estimates: ArmEstimates | None) -> go.Figure | None:
     sides = np.concatenate([places @ up for _, up in views])
     widest = 100 * SIGMAS * max(float(np.max(lever.sigma_m)) for lever in levers.values())
     half = max(np.abs(sides).max() + max(2.5, widest + 0.5), 0.5 * AXIS_CM + 4.0)
-    low, high = (
-        min(reach.min(), -AXIS_CM) - max(5.0, widest + 1.0),
-        max(reach.max(), AXIS_CM) + max(5.0, widest + 1.0),
-    )
+    margin = max(5.0, widest + 1.0)
+    low, high = min(reach.min(), -AXIS_CM) - margin, max(reach.max(), AXIS_CM) + margin
     figure.update_xaxes(range=[low, high], constrain="domain")
     for row in (1, 2):
         figure.update_yaxes(
@@ -100,51 +98,18 @@ def _traces(estimates: ArmEstimates, onto: FloatArray) -> list[go.Scatter]:
     levers = estimates.calibration.lever_arms
     chain = [joint for joint in _CHAIN if joint in levers]
     bones = 100 * np.array([onto @ levers[joint].position_m for joint in chain]).reshape(-1, 2)
-    line = {"color": "#9a8f86", "width": 9}
-    traces = [
-        go.Scatter(x=bones[:, 0], y=bones[:, 1], mode="lines", line=line, opacity=0.5, hoverinfo="skip")
-    ]
+    traces = [curve(bones[:, 0], bones[:, 1], None, "#9a8f86", 9, opacity=0.5, hoverinfo="skip")]
     for joint, lever in levers.items():
         edge = ellipse(lever, onto)
         colour = JOINT_COLOURS[joint]
-        traces.append(
-            go.Scatter(
-                x=edge[:, 0],
-                y=edge[:, 1],
-                mode="lines",
-                line={"color": colour, "width": 1.2},
-                fill="toself",
-                opacity=0.5,
-                hoverinfo="skip",
-            )
-        )
+        outline = curve(edge[:, 0], edge[:, 1], None, colour, 1.2, fill="toself", opacity=0.5)
         place = 100 * onto @ lever.position_m
-        dot = {"size": 8, "color": colour}
-        traces.append(
-            go.Scatter(
-                x=place[:1],
-                y=place[1:],
-                mode="markers+text",
-                marker=dot,
-                text=[joint],
-                textposition="bottom center",
-                name=joint,
-            )
-        )
+        dot = dots(place[:1], place[1:], joint, colour, 8, text=[joint], textposition="bottom center")
+        traces += [outline.update(hoverinfo="skip"), dot.update(mode="markers+text")]
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * CUBE_CM @ onto.T
     hull = corners[_hull(corners)]
-    traces.append(
-        go.Scatter(
-            x=hull[:, 0],
-            y=hull[:, 1],
-            mode="lines",
-            fill="toself",
-            fillcolor="rgba(60, 60, 60, 0.35)",
-            line={"color": "#333333", "width": 1.5},
-            name="sensor",
-        )
-    )
-    return traces
+    cube = curve(hull[:, 0], hull[:, 1], "sensor", "#333333", 1.5)
+    return [*traces, cube.update(fill="toself", fillcolor="rgba(60, 60, 60, 0.35)")]
 
 
 def _hull(points: FloatArray) -> list[int]:
@@ -158,23 +123,10 @@ def _hull(points: FloatArray) -> list[int]:
 def _arrows(figure: go.Figure, onto: FloatArray, row: int) -> None:
     for axis, (name, colour) in enumerate(AXIS_COLOURS.items()):
         tip = AXIS_CM * onto[:, axis]
-        line = {"color": colour, "width": 3}
         label = ["", name] if np.linalg.norm(tip) > 0.2 * AXIS_CM else ["", ""]
-        figure.add_trace(
-            go.Scatter(
-                x=[0, tip[0]],
-                y=[0, tip[1]],
-                mode="lines+text",
-                line=line,
-                text=label,
-                textfont={"color": colour, "size": 15},
-                textposition=_beyond(tip),
-                showlegend=False,
-                hoverinfo="skip",
-            ),
-            row=row,
-            col=1,
-        )
+        arrow = curve([0, tip[0]], [0, tip[1]], None, colour, 3, showlegend=False, hoverinfo="skip")
+        arrow.update(text=label, textfont={"color": colour, "size": 15}, textposition=_beyond(tip))
+        figure.add_trace(arrow.update(mode="lines+text"), row=row, col=1)
 
 
 def _beyond(tip: FloatArray) -> str:
@@ -199,14 +151,8 @@ def _lengths(figure: go.Figure, estimates: ArmEstimates, onto: FloatArray, row: 
         along = frame.direction
         foot = levers["elbow"].position_m - along * (levers["elbow"].position_m @ along)
         end = 100 * onto @ foot
-        dotted = {"color": "#333333", "width": 1.5, "dash": "dot"}
-        figure.add_trace(
-            go.Scatter(
-                x=[0, end[0]], y=[0, end[1]], mode="lines", line=dotted, showlegend=False, hoverinfo="skip"
-            ),
-            row=row,
-            col=1,
-        )
+        line = curve([0, end[0]], [0, end[1]], None, "#333333", 1.5, "dot", showlegend=False)
+        figure.add_trace(line.update(hoverinfo="skip"), row=row, col=1)
         distance = f"{_cm(frame.distance_m, frame.distance_sigma_m)} from the forearm's axis"
         _label(figure, 0.55 * end, distance, row, 0, "right")
         if estimates.calibration.upper_arm is not None:

@@ -12,10 +12,10 @@ from calib.panel.drawing import drawn_depth, drawn_spots
 from calib.panel.images import View
 from calib.panel.panel_accuracy import accuracy, verdict
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
-from calib.panel.panel_table import pose_rows, transform_values
+from calib.panel.panel_table import pose_cells, pose_rows, transform_values
 
 from .sheet import figure, listing, picture, tabulated, write_sheet
-from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
+from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve_3d, dots_3d, dress
 
 #: Depth points drawn of all poses together.
 MOST_POINTS = 12_000
@@ -111,17 +111,7 @@ def _answer(calibration: PanelCalibration) -> str:
 def _poses(calibration: PanelCalibration) -> str:
     columns = ("pose", "markers", "distance, m", "tilt, deg", "pixels rms", "markers, mm", "plane, mm")
     rows = [
-        (
-            row["pose"],
-            ", ".join(row["markers"]),
-            f"{row['distance_m']:.2f}",
-            f"{row['tilt_deg']:.0f}",
-            f"{row['pixels_rms']:.3f}",
-            f"{1e3 * row['markers_rms_m']:.2f}",
-            f"{1e3 * row['plane_rms_m']:.2f}",
-            f"{1e3 * row['depth_noise_m']:.1f}",
-            row["depth_pixels"],
-        )
+        (row["pose"], ", ".join(row["markers"]), *pose_cells(row), row["depth_pixels"])
         for row in pose_rows(calibration)
     ]
     return tabulated(
@@ -162,19 +152,8 @@ def in_space(calibration: PanelCalibration) -> go.Figure:
     for number, panel in enumerate(calibration.seen):
         first = number == 0
         for name, colour, points in _clouds(panel, most):
-            plot.add_trace(
-                go.Scatter3d(
-                    x=points[:, 0],
-                    y=points[:, 1],
-                    z=points[:, 2],
-                    mode="markers",
-                    marker={"size": 1.5, "color": colour},
-                    name=name,
-                    legendgroup=name,
-                    showlegend=first,
-                    hoverinfo="skip",
-                )
-            )
+            cloud = dots_3d(points, name, size=1.5, color=colour)
+            plot.add_trace(cloud.update(legendgroup=name, showlegend=first, hoverinfo="skip"))
         plot.add_trace(_plane(calibration, panel, first))
         plot.add_trace(_dots(panel.points_K, "camera's markers", TRUTH, "circle", first))
         transform = calibration.solution.camera_from_mocap
@@ -254,31 +233,14 @@ def _plane(calibration: PanelCalibration, panel: SeenPanel, first: bool) -> go.M
 
 
 def _dots(points: np.ndarray, name: str, colour: str, symbol: str, first: bool) -> go.Scatter3d:
-    return go.Scatter3d(
-        x=points[:, 0],
-        y=points[:, 1],
-        z=points[:, 2],
-        mode="markers",
-        marker={"size": 4, "color": colour, "symbol": symbol},
-        name=name,
-        legendgroup=name,
-        showlegend=first,
-        hovertemplate="%{x:.4f}, %{y:.4f}, %{z:.4f} m",
-    )
+    trace = dots_3d(points, name, size=4, color=colour, symbol=symbol)
+    hover = "%{x:.4f}, %{y:.4f}, %{z:.4f} m"
+    return trace.update(legendgroup=name, showlegend=first, hovertemplate=hover)
 
 
 def _line(ends: np.ndarray, name: str, colour: str, first: bool, dash: str = "solid") -> go.Scatter3d:
-    return go.Scatter3d(
-        x=ends[:, 0],
-        y=ends[:, 1],
-        z=ends[:, 2],
-        mode="lines",
-        line={"color": colour, "width": 5, "dash": dash},
-        name=name,
-        legendgroup=name,
-        showlegend=first,
-        hoverinfo="name",
-    )
+    line = curve_3d(ends, name, colour, 5, dash)
+    return line.update(legendgroup=name, showlegend=first, hoverinfo="name")
 
 
 def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:

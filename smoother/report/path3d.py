@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 from ..recording import BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
-from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, dress
+from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, curve, curve_3d, dress
 
 #: How many arms are drawn.
 MOST_ARMS = 8
@@ -21,16 +21,15 @@ def path_in_space(recovery: Recovery, truth: Truth | None, frame: CameraFrame | 
     figure = go.Figure()
     index = decimate(recovery.occluded)
     visible, hidden = split_line(recovery.position[index], recovery.occluded[index])
-    line = {"width": 4}
     for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
-        figure.add_trace(_line3d(values, name, {**line, "color": colour}))
+        figure.add_trace(curve_3d(values, name, colour, 4))
     if truth is not None and len(truth):
         positions = truth.position[decimate(np.zeros(len(truth), bool))]
-        figure.add_trace(_line3d(positions, "reference", {"width": 3, "color": TRUTH, "dash": "dash"}))
+        figure.add_trace(curve_3d(positions, "reference", TRUTH, 3, "dash"))
     for name, occluded, colour in (("arm, seen", False, VISIBLE), ("arm, recovered", True, OCCLUDED)):
         chain = arm_lines(recovery, instants(recovery, occluded))
         if len(chain):
-            arm = _line3d(chain, name, {"width": 6, "color": colour})
+            arm = curve_3d(chain, name, colour, 6)
             arm.update(mode="lines+markers", marker={"size": 3, "color": colour}, opacity=0.45)
             figure.add_trace(arm)
     x, y, z = (f"{name}, m" for name in axis_names(frame))
@@ -70,19 +69,8 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
         lines.append(("reference", truth.position[decimate(np.zeros(len(truth), bool))], TRUTH, "dot"))
     for column, ((right, mirrored), (upward, flipped)) in enumerate(views, start=1):
         for name, values, colour, dash in lines:
-            figure.add_trace(
-                go.Scatter(
-                    x=values[:, right],
-                    y=values[:, upward],
-                    name=name,
-                    mode="lines",
-                    line={"color": colour, "dash": dash, "width": 1.6},
-                    legendgroup=name,
-                    showlegend=column == 1,
-                ),
-                row=1,
-                col=column,
-            )
+            line = curve(values[:, right], values[:, upward], name, colour, 1.6, dash, legendgroup=name)
+            figure.add_trace(line.update(showlegend=column == 1), row=1, col=column)
         figure.update_xaxes(
             title_text=names[right], autorange="reversed" if mirrored else True, row=1, col=column
         )
@@ -119,11 +107,6 @@ def arm_lines(recovery: Recovery, index: IntArray) -> FloatArray:
     arms = np.stack([recovery.joints[name][index] for name in joints], axis=1)
     gap = np.full((len(index), 1, 3), np.nan)
     return np.concatenate([arms, gap], axis=1).reshape(-1, 3)
-
-
-def _line3d(values: FloatArray, name: str, line: dict[str, object]) -> go.Scatter3d:
-    x, y, z = values.T
-    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line)
 
 
 def _up(recovery: Recovery, frame: CameraFrame | None) -> FloatArray:

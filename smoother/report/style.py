@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import ArrayLike
 
 from ..measurements.visibility import Gap
-from ..recording import CameraFrame
+from ..recording import BoolArray, CameraFrame, FloatArray
+from .decimate import split_line
 
 #: Told apart by readers with any colour vision.
 VISIBLE, OCCLUDED, TRUTH, CAMERA = "#0072B2", "#D55E00", "#111111", "#8a8a8a"
@@ -55,10 +59,63 @@ def dress(figure: go.Figure, height: int, head: int = 50, **layout: Any) -> go.F
     return figure
 
 
+def curve(
+    x: ArrayLike,
+    y: ArrayLike,
+    name: str | None,
+    colour: str,
+    width: float | None = None,
+    dash: str | None = None,
+    **more: Any,
+) -> go.Scatter:
+    """A line."""
+    line = {"color": colour, "width": width, "dash": dash}
+    return go.Scatter(x=x, y=y, name=name, mode="lines", line=line, **more)
+
+
+def dots(
+    x: ArrayLike, y: ArrayLike, name: str | None, colour: str | None, size: float, **more: Any
+) -> go.Scatter:
+    """Points, by default discs; `symbol` is another mark for all or for each of them."""
+    marker = {"color": colour, "size": size, "symbol": more.pop("symbol", None)}
+    return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker, **more)
+
+
+def dots_3d(points: FloatArray, name: str, **marker: Any) -> go.Scatter3d:
+    """Points (n, 3) in space."""
+    x, y, z = points.T.astype(np.float32)
+    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
+
+
+def curve_3d(
+    points: FloatArray, name: str, colour: str, width: float, dash: str | None = None
+) -> go.Scatter3d:
+    """A line (n, 3) in space."""
+    x, y, z = points.T
+    line = {"color": colour, "width": width, "dash": dash}
+    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line)
+
+
+def seen_and_recovered(
+    t: ArrayLike, values: FloatArray, occluded: BoolArray, width: float = 1.8, prefix: str = ""
+) -> list[go.Scatter]:
+    """The two lines of a value: where the camera saw the arm, and where it was recovered."""
+    visible, hidden = split_line(values, occluded)
+    return [
+        curve(t, visible, f"{prefix}seen", VISIBLE, width),
+        curve(t, hidden, f"{prefix}recovered", OCCLUDED, width),
+    ]
+
+
 def shade(figure: go.Figure, gaps: tuple[Gap, ...]) -> None:
     """Shade the gaps over the whole height; the longest ones if there are very many."""
     longest = sorted(gaps, key=lambda gap: -gap.length_s)[:MOST_SHADES]
+    shade_times(figure, [(gap.start_s, gap.end_s) for gap in longest])
+
+
+def shade_times(figure: go.Figure, times: Sequence[tuple[float, float]]) -> None:
+    """Shade times (start, end) over the whole height."""
     plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
     plain |= {"fillcolor": SHADE, "line": {"width": 0}}
     # all at once: plotly checks every shape again whenever one is added
-    figure.update_layout(shapes=[{**plain, "x0": gap.start_s, "x1": gap.end_s} for gap in longest])
+    figure.update_layout(shapes=[{**plain, "x0": start, "x1": end} for start, end in times])

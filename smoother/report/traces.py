@@ -11,9 +11,22 @@ from ..joint_angles import arm_angles
 from ..linalg import unit
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
-from .decimate import band, decimate, split_line
+from .decimate import band, decimate
 from .points import Point
-from .style import BAND, CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, axis_names, dress, shade
+from .style import (
+    BAND,
+    CAMERA,
+    JOINT_COLOURS,
+    OCCLUDED,
+    TRUTH,
+    VISIBLE,
+    axis_names,
+    curve,
+    dots,
+    dress,
+    seen_and_recovered,
+    shade,
+)
 
 _TIME = "time, s"
 
@@ -53,35 +66,17 @@ def _coordinate(
     """Band, camera samples, line seen, line recovered and truth of one coordinate."""
     value, sigma = point.position[index, axis], point.sigma[index, axis]
     x, y = band(t, value - 2 * sigma, value + 2 * sigma)
-    visible, hidden = split_line(value, occluded)
     traces = [
         go.Scatter(
             x=x, y=y, name="+- 2 sigma", fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip"
         )
     ]
     if len(point.camera):
-        dots = {"color": CAMERA, "size": 3}
-        traces.append(
-            go.Scatter(
-                x=point.camera_t_s, y=point.camera[:, axis], name="camera", mode="markers", marker=dots
-            )
-        )
-    for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
-        traces.append(
-            go.Scatter(x=t, y=values, name=name, mode="lines", line={"color": colour, "width": 1.8})
-        )
+        traces.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
+    traces += seen_and_recovered(t, value, occluded)
     if len(point.truth):
-        samples = decimate(np.zeros(len(point.truth), bool))
-        dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
-        traces.append(
-            go.Scatter(
-                x=point.truth_t_s[samples],
-                y=point.truth[samples, axis],
-                name="reference",
-                mode="lines",
-                line=dash,
-            )
-        )
+        rows = decimate(np.zeros(len(point.truth), bool))
+        traces.append(curve(point.truth_t_s[rows], point.truth[rows, axis], "reference", TRUTH, 1.2, "dash"))
     return traces
 
 
@@ -94,11 +89,8 @@ def angles(recovery: Recovery) -> go.Figure | None:
     index = decimate(recovery.occluded)
     t = recovery.t_s[index]
     for row, (name, value) in enumerate(rows, start=1):
-        visible, hidden = split_line(value[index], recovery.occluded[index])
-        for label, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
-            line = go.Scatter(x=t, y=values, name=label, mode="lines", line={"color": colour, "width": 1.8})
-            line.update(showlegend=row == 1)
-            figure.add_trace(line, row=row, col=1)
+        for line in seen_and_recovered(t, value[index], recovery.occluded[index]):
+            figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=f"{name}, degrees", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(rows), col=1)
     shade(figure, recovery.gaps)
@@ -130,16 +122,11 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
     error_deg = None if errors is None else errors.angle_deg
     rows = (("position, cm", sigma_cm, error_cm), ("orientation, degrees", sigma_deg, error_deg))
     for row, (name, sigma, error) in enumerate(rows, start=1):
-        colour = {"color": VISIBLE, "width": 1.8}
-        line = go.Scatter(x=t, y=sigma[index], name="sigma", mode="lines", line=colour, showlegend=row == 1)
-        figure.add_trace(line, row=row, col=1)
+        lines = [curve(t, sigma[index], "sigma", VISIBLE, 1.8)]
         if error is not None:
-            dash = {"color": TRUTH, "width": 1.1}
-            line = go.Scatter(
-                x=t, y=error[index], name="error against the reference", mode="lines", line=dash
-            )
-            line.update(showlegend=row == 1)
-            figure.add_trace(line, row=row, col=1)
+            lines.append(curve(t, error[index], "error against the reference", TRUTH, 1.1))
+        for line in lines:
+            figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=name, rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=2, col=1)
     shade(figure, recovery.gaps)
@@ -162,7 +149,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
             figure.add_trace(trace, row=row, col=1)
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
-    figure.add_trace(_cross("rejected", np.array([None]), np.array([None])), row=1, col=1)
+    figure.add_trace(_crosses(np.array([None]), np.array([None])), row=1, col=1)
     shade(figure, recovery.gaps)
     return dress(figure, 160 + 120 * len(drawn))
 
@@ -174,24 +161,17 @@ def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[
     aside = ~samples.used[:, joint] & answered & (samples.reason[:, joint] != 0)
     index = np.flatnonzero(samples.used[:, joint] & answered)
     index = index[decimate(np.zeros(len(index), bool), 3000)]
-    dots = {"size": 3, "color": JOINT_COLOURS[JOINTS[joint]]}
-    traces = [
-        go.Scatter(
-            x=samples.t_s[index], y=distance_cm(index), name=JOINTS[joint], mode="markers", marker=dots
-        )
-    ]
+    name = JOINTS[joint]
+    traces = [dots(samples.t_s[index], distance_cm(index), name, JOINT_COLOURS[name], 3)]
     index = np.flatnonzero(aside)
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
-        cross = _cross("rejected", samples.t_s[index], distance_cm(index))
-        cross.update(
-            text=np.array([reason.sentence for reason in samples.reasons])[samples.reason[index, joint]],
-            showlegend=False,
-        )
-        traces.append(cross)
+        crosses = _crosses(samples.t_s[index], distance_cm(index))
+        sentences = np.array([reason.sentence for reason in samples.reasons])
+        crosses.update(text=sentences[samples.reason[index, joint]], showlegend=False)
+        traces.append(crosses)
     return traces
 
 
-def _cross(name: str, x: np.ndarray, y: np.ndarray) -> go.Scatter:
-    marker = {"symbol": "x", "size": 6, "color": OCCLUDED}
-    return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker)
+def _crosses(x: np.ndarray, y: np.ndarray) -> go.Scatter:
+    return dots(x, y, "rejected", OCCLUDED, 6, symbol="x")

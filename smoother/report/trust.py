@@ -13,7 +13,7 @@ from ..measurements.rejection import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .decimate import decimate
-from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, dress, shade
+from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, curve, dots, dress, shade
 
 #: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
@@ -49,31 +49,20 @@ def calibration_curves(
     figure = make_subplots(
         rows=len(rows), cols=2, subplot_titles=titles, vertical_spacing=0.2, horizontal_spacing=0.1
     )
-    ideal = {"color": CAMERA, "width": 1.2, "dash": "dash"}
     for row, (_, parts) in enumerate(rows, start=1):
-        figure.add_trace(
-            go.Scatter(
-                x=[0, 100], y=[0, 100], mode="lines", line=ideal, name="consistent", showlegend=row == 1
-            ),
-            row=row,
-            col=1,
-        )
+        ideal = curve([0, 100], [0, 100], "consistent", CAMERA, 1.2, "dash", showlegend=row == 1)
+        figure.add_trace(ideal, row=row, col=1)
         largest = 0.0
         for name, errors in parts.items():
-            line = {"color": colours[name], "width": 2}
-            name = f"errors {name}" if name not in JOINT_COLOURS else name
-            curve = go.Scatter(x=100 * LEVELS, y=100 * errors.coverage(), mode="lines", line=line, name=name)
-            figure.add_trace(curve.update(legendgroup=name), row=row, col=1)
+            label = f"errors {name}" if name not in JOINT_COLOURS else name
             stated, actual = errors.binned()
-            dots = go.Scatter(
-                x=100 * stated, y=100 * actual, mode="lines+markers", line=line, name=name, showlegend=False
-            )
-            figure.add_trace(dots.update(legendgroup=name), row=row, col=2)
+            inside = curve(100 * LEVELS, 100 * errors.coverage(), label, colours[name], 2)
+            sizes = curve(100 * stated, 100 * actual, label, colours[name], 2, showlegend=False)
+            figure.add_trace(inside.update(legendgroup=label), row=row, col=1)
+            figure.add_trace(sizes.update(legendgroup=label, mode="lines+markers"), row=row, col=2)
             largest = max(largest, *(100 * stated), *(100 * actual)) if len(stated) else largest
         ends = [0, 1.08 * max(largest, 0.1)]
-        figure.add_trace(
-            go.Scatter(x=ends, y=ends, mode="lines", line=ideal, showlegend=False), row=row, col=2
-        )
+        figure.add_trace(curve(ends, ends, None, CAMERA, 1.2, "dash", showlegend=False), row=row, col=2)
         figure.update_xaxes(title_text="stated to lie inside, %", range=[0, 100], row=row, col=1)
         figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
         figure.update_xaxes(title_text="stated sigma, cm an axis", range=ends, row=row, col=2)
@@ -105,34 +94,24 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     for joint in joints:
         index = np.flatnonzero(samples.used[:, JOINTS.index(joint)])
         index = index[decimate(np.zeros(len(index), bool), 2000)]
-        tick = {"symbol": "line-ns-open", "size": 8, "color": "#c9d3da"}
-        figure.add_trace(
-            go.Scatter(
-                x=samples.t_s[index],
-                y=[joint] * len(index),
-                mode="markers",
-                marker=tick,
-                name="used",
-                legendgroup="used",
-                showlegend=joint == joints[0],
-                hoverinfo="skip",
-            )
-        )
+        ticks = dots(samples.t_s[index], [joint] * len(index), "used", "#c9d3da", 8, symbol="line-ns-open")
+        ticks.update(legendgroup="used", showlegend=joint == joints[0], hoverinfo="skip")
+        figure.add_trace(ticks)
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
         at, column = np.nonzero(samples.reason == samples.reasons.index(Reason(reason, why)))
         chosen = decimate(np.zeros(len(at), bool), 3000)
-        tick = {"symbol": "line-ns-open", "size": 20, "color": REASON_COLOURS[number % len(REASON_COLOURS)]}
-        figure.add_trace(
-            go.Scatter(
-                x=samples.t_s[at[chosen]],
-                y=[JOINTS[i] for i in column[chosen]],
-                mode="markers",
-                marker={**tick, "line": {"width": 1.6}},
-                name=reason,
-                text=Reason(reason, why).sentence,
-            )
+        colour, names = REASON_COLOURS[number % len(REASON_COLOURS)], [JOINTS[i] for i in column[chosen]]
+        ticks = dots(
+            samples.t_s[at[chosen]],
+            names,
+            reason,
+            colour,
+            20,
+            symbol="line-ns-open",
+            text=Reason(reason, why).sentence,
         )
+        figure.add_trace(ticks.update(marker_line_width=1.6))
     shade(figure, recovery.gaps)
     figure.update_yaxes(categoryorder="array", categoryarray=joints[::-1])
     figure.update_xaxes(title_text="time, s")

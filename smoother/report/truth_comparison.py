@@ -13,9 +13,20 @@ from ..evaluation.angle_figures import WORDS, AngleComparison
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import FloatArray, Truth
 from ..result import Recovery
-from .decimate import decimate, split_line
+from .decimate import decimate
 from .sheet import in_cm, table
-from .style import CAMERA, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress, shade
+from .style import (
+    CAMERA,
+    JOINT_COLOURS,
+    OCCLUDED,
+    TRUTH,
+    VISIBLE,
+    curve,
+    dots,
+    dress,
+    seen_and_recovered,
+    shade,
+)
 
 #: A heading, its caption and what to draw below it (None: nothing to draw), then HTML that follows.
 Section = tuple[str, str, go.Figure | None, str]
@@ -71,17 +82,11 @@ def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
     for row, values in ((1, 100 * errors.distance_m), (2, errors.angle_deg)):
         if not np.isfinite(values).any():
             continue
-        for name, part, colour in zip(
-            ("sensor, seen", "sensor, recovered"),
-            split_line(values[index], occluded),
-            (VISIBLE, OCCLUDED),
-            strict=True,
-        ):
-            line = _line(t, part, name, colour)
-            figure.add_trace(line.update(showlegend=row == 1, legendgroup=name), row=row, col=1)
+        for line in seen_and_recovered(t, values[index], occluded, 1.6, "sensor, "):
+            figure.add_trace(line.update(showlegend=row == 1, legendgroup=line.name), row=row, col=1)
     hidden = bool(np.isfinite(errors.distance_m).any())
     for joint, distance in errors.joint_distance_m.items():
-        line = _line(t, 100 * distance[index], joint, JOINT_COLOURS.get(joint, CAMERA))
+        line = curve(t, 100 * distance[index], joint, JOINT_COLOURS.get(joint, CAMERA), 1.6)
         figure.add_trace(line.update(visible="legendonly" if hidden else True), row=1, col=1)
     figure.update_yaxes(title_text="position error, cm", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="orientation error, degrees", rangemode="tozero", row=2, col=1)
@@ -98,13 +103,9 @@ def angle_curves(recovery: Recovery, angles: AngleComparison) -> go.Figure:
     t, occluded = recovery.t_s[index], recovery.occluded[index]
     for row, name in enumerate(names, start=1):
         answer, true = _unwound(angles, name)
-        for label, values, colour in zip(
-            ("seen", "recovered"), split_line(answer[index], occluded), (VISIBLE, OCCLUDED), strict=True
-        ):
-            figure.add_trace(_line(t, values, label, colour).update(showlegend=row == 1), row=row, col=1)
-        dash = {"color": TRUTH, "width": 1.2, "dash": "dash"}
-        line = go.Scatter(x=t, y=true[index], mode="lines", name="reference", line=dash, showlegend=row == 1)
-        figure.add_trace(line, row=row, col=1)
+        lines = seen_and_recovered(t, answer[index], occluded, 1.6)
+        for line in [*lines, curve(t, true[index], "reference", TRUTH, 1.2, "dash")]:
+            figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=_broken(WORDS[name]), row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=len(names), col=1)
     shade(figure, recovery.gaps)
@@ -133,16 +134,9 @@ def bland_altman(recovery: Recovery, angles: AngleComparison, figures: dict[str,
         ):
             chosen = np.flatnonzero(part & np.isfinite(difference))
             chosen = chosen[decimate(np.zeros(len(chosen), bool), 1500)]
-            dots = go.Scatter(
-                x=mean[chosen],
-                y=difference[chosen],
-                mode="markers",
-                name=label,
-                legendgroup=label,
-                showlegend=number == 0,
-                marker={"color": colour, "size": 4, "opacity": 0.5},
-            )
-            figure.add_trace(dots, row=row, col=column)
+            samples = dots(mean[chosen], difference[chosen], label, colour, 4, legendgroup=label)
+            samples.update(showlegend=number == 0, marker_opacity=0.5)
+            figure.add_trace(samples, row=row, col=column)
         agreement = figures[name]
         for value, dash in (
             (agreement.bias, "solid"),
@@ -165,10 +159,6 @@ def _unwound(angles: AngleComparison, name: str) -> tuple[FloatArray, FloatArray
     answer[both], true[both] = unwound_deg(answer[both], true[both])
     answer[~both], true[~both] = np.nan, np.nan
     return answer, true
-
-
-def _line(x: FloatArray, y: FloatArray, name: str, colour: str) -> go.Scatter:
-    return go.Scatter(x=x, y=y, mode="lines", name=name, line={"color": colour, "width": 1.6})
 
 
 def _broken(words: str) -> str:
@@ -205,14 +195,9 @@ def _angle_table(validation: Validation) -> str:
             if agreement.samples:
                 limits = f"{_number(agreement.limits_low)} to {_number(agreement.limits_high)}"
                 interval = f"{_number(agreement.icc_low, 3)} to {_number(agreement.icc_high, 3)}"
-                row = (
-                    _number(agreement.rmse),
-                    _number(agreement.bias),
-                    limits,
-                    _number(agreement.icc, 3),
-                    interval,
-                )
-                rows.append((WORDS[name], words, *row, agreement.samples))
+                figures = (_number(agreement.rmse), _number(agreement.bias), limits)
+                icc = (_number(agreement.icc, 3), interval)
+                rows.append((WORDS[name], words, *figures, *icc, agreement.samples))
     heads = ("angle", "", "RMSE, degrees", "bias", "limits of agreement", "ICC(A,1)", "95 % interval")
     carrying = validation.angles.carrying_truth_deg
     more = "" if carrying is None else f"<p>Carrying angle of the reference: {carrying:.1f} degrees.</p>"

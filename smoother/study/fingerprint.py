@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..config import Config
+from ..io.recording.choose import Selection
 
 _BLOCK = 1 << 20
 
@@ -22,6 +23,11 @@ class Fingerprint:
     side: str | None = None
     body: int | None = None
     passthrough_images: bool = False
+
+    @property
+    def selection(self) -> Selection:
+        """What to take, as readers want it."""
+        return Selection(imu=self.imu, skeleton=self.skeleton, side=self.side, body=self.body)
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:

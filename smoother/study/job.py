@@ -192,16 +192,8 @@ def _recover_in(
     from ..io.recording.read_arm import read_arm
     from ..smoothing import smooth
 
-    choice = job.choice
     recording, calibration = read_arm(
-        job.source,
-        job.calibration or None,
-        imu=choice.imu,
-        skeleton=choice.skeleton,
-        side=choice.side,
-        body=choice.body,
-        store=store,
-        truth=False,
+        job.source, job.calibration or None, store=store, truth=False, **job.choice.selection
     )
     windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = job.config.model_copy(update={"windows": windows})
@@ -209,12 +201,8 @@ def _recover_in(
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
-        write_recovery(
-            [recovery],
-            staged,
-            source=job.source,
-            passthrough_images=choice.passthrough_images,
-        )
+        images = job.choice.passthrough_images
+        write_recovery([recovery], staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
             DONE,

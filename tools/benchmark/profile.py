@@ -83,6 +83,12 @@ class Spent:
     missing: list[str] = field(default_factory=list)
 
 
+def smooth_arguments(source: Path, result: Path, processes: int) -> list[str]:
+    """What `unocclude` is called with; 0 processes leave the number to it."""
+    some = ["--processes", str(processes)] if processes else []
+    return ["smooth", str(source), "-o", str(result), "--force", *some]
+
+
 def profile(source: Path, result: Path, processes: int, inside_gtsam: bool) -> Spent:
     """Run the command here and say where its time went; call it in a process of its own.
 
@@ -92,9 +98,7 @@ def profile(source: Path, result: Path, processes: int, inside_gtsam: bool) -> S
         Also what GTSAM takes, and which functions; with `processes` 1 only, since workers are
         not listened to.
     """
-    arguments = ["smooth", str(source), "-o", str(result), "--force"]
-    if processes:
-        arguments += ["--processes", str(processes)]
+    arguments = smooth_arguments(source, result, processes)
     spent, said, began = Spent(), io.StringIO(), time.process_time()
     clock = Clock(spent)
     clock.now(START)

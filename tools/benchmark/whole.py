@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .memory import PrivatePeak
+from .profile import smooth_arguments
 
 COMMAND = "from smoother.cli import main; main()"
 
@@ -47,14 +48,11 @@ def end_to_end(source: Path, result: Path, processes: int, python: str = sys.exe
     RuntimeError
         It failed; the text is what it said.
     """
-    arguments = ["smooth", str(source), "-o", str(result), "--force"]
-    if processes:
-        arguments += ["--processes", str(processes)]
     with tempfile.TemporaryFile() as said:
         began = time.perf_counter()
         command = subprocess.Popen(
             # -P: not what lies in the folder where this runs
-            [python, "-P", "-c", COMMAND, *arguments],
+            [python, "-P", "-c", COMMAND, *smooth_arguments(source, result, processes)],
             stdout=subprocess.DEVNULL,
             stderr=said,
         )

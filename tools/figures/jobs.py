@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
 from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.methods import METHODS, make_methods
-from smoother.config import Config
 from smoother.evaluation import evaluate_gaps
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 
+from ..shared import ONE_PROCESS, datasets
 from .without import WITHOUT
 
 LENGTHS_S = (1.0, 3.0, 2.0, 5.0, 0.5, 0.25)
@@ -30,7 +28,6 @@ INGREDIENT_LENGTHS_S = (1.0, 3.0)
 DURATION_S, BROAD_S = 60.0, 40.0
 #: Not used while the methods were made.
 FIRST_SEED = 500
-ALONE = Config.model_validate({"windows": {"processes": 1}})
 
 TITLES = {
     "clean": "simulated arm, no errors",
@@ -82,7 +79,7 @@ def jobs(data: list[str], seeds: int) -> Iterator[Job]:
 def recordings_of(data: str, seeds: int) -> list[str]:
     """The recordings of a data set."""
     if data == "broad":
-        return sorted(path.name for path in (datasets() / "broad").glob("*.mat"))
+        return sorted(path.name for path in datasets("broad").glob("*.mat"))
     if data == "utd":
         return [f"{subject}/2" for subject in range(1, 5)]
     # recordings without errors differ in nothing but the motion: one of them will do
@@ -115,17 +112,17 @@ def run_job(job: Job) -> list[dict[str, object]]:
 def _methods(job: Job, calibration: ArmCalibration | None) -> dict[str, Callable]:
     if job.data == "ingredients":
         return {name: partial_graph(WITHOUT[name]) for name in job.methods}
-    return dict(make_methods(job.methods, calibration, ALONE))
+    return dict(make_methods(job.methods, calibration, ONE_PROCESS))
 
 
 def partial_graph(without: Callable) -> Callable:
     """The graph on a recording from which something was taken."""
-    return lambda recording: without(recording, ALONE)
+    return lambda recording: without(recording, ONE_PROCESS)
 
 
 def _recordings(job: Job) -> Iterator[tuple[Recording, ArmCalibration | None]]:
     if job.data == "broad":
-        yield _moving(import_broad(datasets() / "broad" / job.recording)), None
+        yield _moving(import_broad(datasets("broad") / job.recording)), None
     elif job.data == "utd":
         subject, trial = (int(part) for part in job.recording.split("/"))
         calibration = _calibrated(subject)
@@ -152,7 +149,7 @@ def _moving(recording: Recording) -> Recording:
 
 
 def _utd(subject: int, trial: int) -> list[Recording]:
-    folder = datasets() / "utd_mhad"
+    folder = datasets("utd_mhad")
     names = [f"a{action}_s{subject}_t{trial}" for action in range(1, 22)]
     files = [
         (folder / "Inertial" / f"{name}_inertial.mat", folder / "Skeleton" / f"{name}_skeleton.mat")
@@ -164,12 +161,4 @@ def _utd(subject: int, trial: int) -> list[Recording]:
 @lru_cache(maxsize=4)
 def _calibrated(subject: int) -> ArmCalibration:
     """From the subject's first trials, none of which is scored."""
-    return calibrate_motion(_utd(subject, 1), None, ALONE).calibration
-
-
-def datasets() -> Path:
-    """The folder of recordings that others made."""
-    folder = os.environ.get("UNOCCLUDE_DATASETS")
-    if not folder:
-        raise SystemExit("set UNOCCLUDE_DATASETS to the folder of BROAD and UTD-MHAD")
-    return Path(folder)
+    return calibrate_motion(_utd(subject, 1), None, ONE_PROCESS).calibration

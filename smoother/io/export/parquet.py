@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 
 import numpy as np
 
 from ...result import Recovery
 from ...runtime.atomic import writing
+from ...runtime.plain_values import plain
 from ..mcap.stamps import nanoseconds
 from ..result.metadata import recovery_values
 from ..result.usable import usable
@@ -62,24 +64,11 @@ def export_parquet(
         pa.field(name, array.type, metadata={"unit": unit, "description": description})
         for name, array, unit, description in columns
     ]
-    rest = (
-        "{" + ", ".join(f'"{key}": {text}' for key, text in recovery_values(recovery, version).items()) + "}"
-    )
-    # NaN is no JSON, and others read this.
-    schema = pa.schema(fields, metadata={METADATA_KEY: _strict(rest).encode()})
+    rest = {key: json.loads(text) for key, text in recovery_values(recovery, version).items()}
+    text = json.dumps(
+        plain(rest), ensure_ascii=False, allow_nan=False
+    )  # NaN is no JSON, and others read this
+    schema = pa.schema(fields, metadata={METADATA_KEY: text.encode()})
     table = pa.Table.from_arrays([array for _, array, _, _ in columns], schema=schema)
     with writing(path, force) as temporary:
         parquet.write_table(table, temporary, compression="zstd", row_group_size=_GROUP)
-
-
-def _strict(text: str) -> str:
-    import json
-
-    def plain(value: object) -> object:
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [plain(item) for item in value]
-        return None if isinstance(value, float) and not np.isfinite(value) else value
-
-    return json.dumps(plain(json.loads(text)), ensure_ascii=False, allow_nan=False)

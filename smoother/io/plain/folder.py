@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -15,11 +15,13 @@ from ...linalg import unit
 from ...recording import CameraFrame, FloatArray, IntArray, JointState, Recording
 from ...units import STANDARD_GRAVITY
 from ..mcap.stamps import nanoseconds
+from ..recording.choose import Selection
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
-from .table import read_table
+from .imu_table import imu_columns
+from .table import read_table, vectors
 
 _STATES = {
     "tracked": JointState.TRACKED,
@@ -57,18 +59,10 @@ class _Description(_Section):
 
 
 def import_csv(
-    folder: str | os.PathLike[str],
-    *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
-    prefer_side: str | None = None,
+    folder: str | os.PathLike[str], *, prefer_side: str | None = None, **selection: Unpack[Selection]
 ) -> Recording:
     """Read one arm from a folder of plain files; options and errors as in `read_recording`."""
-    return select_recording(
-        open_csv(folder), imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side
-    )
+    return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
 
 
 def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
@@ -137,20 +131,12 @@ def _describe(folder: Path) -> _Description:
 
 
 def _imu(path: Path, name: str, section: _Imu) -> ImuSamples:
-    magnetometer = ("mx", "my", "mz")
-    columns, _ = read_table(
-        path, ("t_s", "ax", "ay", "az", "gx", "gy", "gz"), magnetometer, empty=magnetometer
-    )
-    acc = np.stack([columns[c] for c in ("ax", "ay", "az")], axis=1)
-    gyro = np.stack([columns[c] for c in ("gx", "gy", "gz")], axis=1)
+    t_s, acc, gyro, mag = imu_columns(path)
     if section.accelerometer_unit == "g":
         acc *= STANDARD_GRAVITY
     if section.gyroscope_unit == "deg/s":
         gyro = np.radians(gyro)
-    mag = None
-    if all(c in columns for c in magnetometer):
-        mag = np.stack([columns[c] for c in magnetometer], axis=1)
-    return ImuSamples(f"/imu/{name}", name, _stamps(columns["t_s"], path), acc, gyro, mag)
+    return ImuSamples(f"/imu/{name}", name, _stamps(t_s, path), acc, gyro, mag)
 
 
 def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
@@ -171,7 +157,7 @@ def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
     body = numbers.get("body", np.zeros(len(stamp)))
     if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
         raise RecordingError(f"{path}: column body must hold whole numbers from 0; mend it.")
-    position = np.stack([numbers[axis] for axis in "xyz"], axis=1) * metres
+    position = vectors(numbers, *"xyz") * metres
     bare = (state != JointState.NOT_TRACKED) & ~np.isfinite(position).all(axis=1)
     frames, frame = frames_of(stamp)
     rows = JointRows()
@@ -205,10 +191,10 @@ def _refuse_unknown(path: Path, column: str, cells: list[str], unknown: list[str
 def _truth(path: Path) -> PoseSamples:
     turn = ("qw", "qx", "qy", "qz")
     columns, _ = read_table(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
-    position = np.stack([columns[axis] for axis in "xyz"], axis=1)
+    position = vectors(columns, *"xyz")
     quaternion = np.full((len(position), 4), np.nan)
     if all(name in columns for name in turn):
-        quaternion = np.stack([columns[name] for name in turn], axis=1)
+        quaternion = vectors(columns, *turn)
     return PoseSamples("/truth", "camera", _stamps(columns["t_s"], path), position, quaternion)
 
 

@@ -70,6 +70,11 @@ def read_table(
         raise RecordingError(f"{path} cannot be read as comma-separated text: {reason}.") from error
 
 
+def vectors(columns: dict[str, FloatArray], *names: str) -> FloatArray:
+    """Columns side by side, (n, number of names)."""
+    return np.stack([columns[name] for name in names], axis=1)
+
+
 def _check_header(header: list[str], path: Path, required: Sequence[str]) -> None:
     if not any(header):
         raise RecordingError(f"{path} is empty; its first line must be the header {', '.join(required)}.")

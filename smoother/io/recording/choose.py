@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from typing import TypedDict
 
 import numpy as np
 
@@ -24,6 +25,25 @@ _LAG_S = 1.0
 _MOTION_FRAMES = 20_000
 #: Where no two joints tell a direction, the one seen most; of equals the first.
 _POINTS = ("wrist", "strap", "hand", "elbow")
+
+
+class Selection(TypedDict, total=False):
+    """What to take of a file that holds several: keywords that readers hand on to `choose`.
+
+    Attributes
+    ----------
+    imu, skeleton : str, optional
+        Topic (or a part of it, or its frame_id).
+    side : str, optional
+        "left" or "right".
+    body : int, optional
+        The camera's number of the body.
+    """
+
+    imu: str | None
+    skeleton: str | None
+    side: str | None
+    body: int | None
 
 
 @dataclass

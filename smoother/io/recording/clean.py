@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ...recording import BoolArray, FloatArray, IntArray, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
 from ...units import STANDARD_GRAVITY
@@ -227,8 +227,3 @@ def _check_units(stream: ImuSamples, source: str) -> None:
         f"{source}: the accelerometer of {stream.topic} reads {rest:.4g} at rest instead of 9.81 m/s^2 "
         f"({why}); record the raw specific force in m/s^2."
     )
-
-
-def joint_counts(arm: ArmFrames) -> dict[str, int]:
-    """Tracked frames by joint."""
-    return {joint: int((arm.state[:, i] == JointState.TRACKED).sum()) for i, joint in enumerate(JOINTS)}

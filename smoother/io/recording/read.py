@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection
+from typing import Unpack
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..mcap.stamps import SECOND_NS, seconds
-from .choose import choose
+from .choose import Selection, choose
 from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
@@ -112,13 +113,10 @@ def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecod
 def read_recording(
     path: str | os.PathLike[str],
     *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
     prefer_side: str | None = None,
     store: Store | None = None,
     truth: bool = True,
+    **selection: Unpack[Selection],
 ) -> Recording:
     """Read one arm and the IMU on it from an MCAP file.
 
@@ -126,18 +124,18 @@ def read_recording(
     ----------
     path : path-like
         The file.
-    imu, skeleton : str, optional
-        Topic (or a part of it, or its frame_id) to take.
-    side : str, optional
-        "left" or "right".
-    body : int, optional
-        The camera's number of the body.
     prefer_side : str, optional
         Side to take where the file leaves it open (a calibration's).
     store : Store, optional
         Where samples and frames are to lie: memory stays flat with a `DiskStore`. None = in memory.
     truth : bool
         False passes over the reference motion; the recording has none.
+    imu, skeleton : str, optional
+        Topic (or a part of it, or its frame_id) to take.
+    side : str, optional
+        "left" or "right".
+    body : int, optional
+        The camera's number of the body.
 
     Returns
     -------
@@ -150,26 +148,19 @@ def read_recording(
         The file cannot be read or used as it is, or leaves open what is meant.
     """
     file = open_recording(path, store=store, truth=truth)
-    return select_recording(
-        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, store=store
-    )
+    return select_recording(file, prefer_side=prefer_side, store=store, **selection)
 
 
 def select_recording(
     file: RecordingFile,
     *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
     prefer_side: str | None = None,
     store: Store | None = None,
+    **selection: Unpack[Selection],
 ) -> Recording:
     """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
     store = store or Store()
-    choice = choose(
-        file, imu=imu, skeleton=skeleton, side=side, body=body, prefer_side=prefer_side, store=store
-    )
+    choice = choose(file, prefer_side=prefer_side, store=store, **selection)
     source = str(file.path)
     notes = [*file.notes, *choice.notes]
     forearm, dropped = clean_imu(choice.imu, source, store)
@@ -186,7 +177,7 @@ def select_recording(
     first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
     origin = min(first) // SECOND_NS * SECOND_NS
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
-    recording = Recording(
+    return Recording(
         imu=_imu_stream(forearm, origin, store),
         arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
         side=choice.side,
@@ -198,7 +189,6 @@ def select_recording(
         name=file.name,
         notes=tuple(notes),
     )
-    return recording
 
 
 def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:

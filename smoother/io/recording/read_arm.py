@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
+from .choose import Selection
 from .read import read_recording
 
 if TYPE_CHECKING:
@@ -20,12 +21,9 @@ def read_arm(
     path: str | os.PathLike[str],
     calibration_file: str | os.PathLike[str] | None = None,
     *,
-    imu: str | None = None,
-    skeleton: str | None = None,
-    side: str | None = None,
-    body: int | None = None,
     store: Store | None = None,
     truth: bool = True,
+    **selection: Unpack[Selection],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by what a calibration file knows of its sensors.
 
@@ -37,12 +35,12 @@ def read_arm(
         The recording, MCAP.
     calibration_file : path-like, optional
         TOML; None where everything is to be found.
-    imu, skeleton, side : str, optional
-    body : int, optional
-        What to take where the recording has several, see `read_recording`.
     store : Store, optional
     truth : bool
-        Where samples lie, and whether the reference motion is read: see there as well.
+        Where samples lie, and whether the reference motion is read: see `read_recording`.
+    imu, skeleton, side : str, optional
+    body : int, optional
+        What to take where the recording has several: see there as well.
 
     Returns
     -------
@@ -57,10 +55,7 @@ def read_arm(
         A file cannot be used, or the two do not fit.
     """
     if calibration_file is None:
-        return (
-            read_recording(path, imu=imu, skeleton=skeleton, side=side, body=body, store=store, truth=truth),
-            None,
-        )
+        return read_recording(path, store=store, truth=truth, **selection), None
     from calib.file import read_calibration
     from calib.imu.correction import corrected
     from calib.world.gravity_from_base import with_gravity
@@ -68,16 +63,7 @@ def read_arm(
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
     prefer = sides[0] if len(sides) == 1 else None
-    recording = read_recording(
-        path,
-        imu=imu,
-        skeleton=skeleton,
-        side=side,
-        body=body,
-        prefer_side=prefer,
-        store=store,
-        truth=truth,
-    )
+    recording = read_recording(path, prefer_side=prefer, store=store, truth=truth, **selection)
     recording = with_gravity(corrected(recording, calibration, store), calibration)
     if not calibration.arms and _OF_SENSORS & set(calibration.tables):
         return recording, None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -34,15 +34,7 @@ class RenderLens:
 
     def to_toml(self) -> dict[str, Any]:
         """Plain values under the names that `intrinsics.toml` has."""
-        return {
-            "width": self.width,
-            "height": self.height,
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "distortion": list(self.distortion),
-        }
+        return asdict(self) | {"distortion": list(self.distortion)}
 
     @property
     def matrix(self) -> FloatArray:
