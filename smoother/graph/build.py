@@ -289,15 +289,33 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
         graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), np.zeros(3), walk))
     if not np.isfinite(shoulder.position[:, 0]).any():
         graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
+    if window.priors.layout.has_upper_arm:
+        for k in range(len(shoulder.node)):
+            graph.add(upper_arm_factor(window, k, noise.upper_arm_sigma_m))
+
+
+def upper_arm_factor(window: Window, knot: int, sigma_m: float) -> gtsam.RangeFactorWithTransformBias3D:
+    """The elbow's distance from a shoulder knot; the length's correction is the variable U.
+
+    Parameters
+    ----------
+    window : Window
+        With a shoulder, and an upper arm among the shared quantities.
+    knot : int
+        Of the shoulder.
+    sigma_m : float, m
+        How far from constant the length is.
+
+    Returns
+    -------
+    factor : gtsam.RangeFactorWithTransformBias3D
+    """
+    assert window.shoulder is not None
     layout, mean = window.priors.layout, window.priors.shared.mean
-    if not layout.has_upper_arm:
-        return
-    # `RangeFactorWithTransformBias3D`: the length's correction is the variable U
-    length = float(mean[layout.upper_arm][0])
-    at_elbow = Pose3(Rot3(), mean[layout.lever("elbow")])
-    length_model = isotropic(1, noise.upper_arm_sigma_m)
-    for k, node in enumerate(shoulder.node):
-        graph.add(gtsam.RangeFactorWithTransformBias3D(X(node), S(k), U(0), length, length_model, at_elbow))
+    length, at_elbow = float(mean[layout.upper_arm][0]), Pose3(Rot3(), mean[layout.lever("elbow")])
+    model = isotropic(1, sigma_m)
+    node = int(window.shoulder.node[knot])
+    return gtsam.RangeFactorWithTransformBias3D(X(node), S(knot), U(0), length, model, at_elbow)
 
 
 def _add_constant_velocity(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:

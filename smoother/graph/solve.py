@@ -16,10 +16,10 @@ from ..window.shared import Gaussian
 from .build import bias_of_intervals, build, shared_jacobian, shared_keys
 from .clock_information import offset_information
 from .marginals import Marginals, marginals_of
+from .optimise import optimise
 
 #: Where `solve` stops by default.
 RELATIVE_TOLERANCE = 1e-4
-MAX_ITERATIONS = 12
 #: Sigmas of the attitude prior that are tried one after the other, as shares of it: the solver calls a
 #: direction free once its square-root information is 4096 times weaker than its neighbour's.
 TIGHTEN = (1.0, 0.3, 0.1, 0.03)
@@ -37,7 +37,7 @@ def solve(
     with_message: bool = True,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Solution:
-    """Optimise a window (`LevenbergMarquardtOptimizer`) and read its answer.
+    """Optimise a window (see `optimise`) and read its answer.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def _solved(
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
         graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
         try:
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters(tolerance))
-            values = optimizer.optimize()
+            optimum = optimise(graph, values, window, tolerance)
+            graph, values = optimum.graph, optimum.values
             marginals = marginals_of(graph, values)
             biases = bias_of_intervals(window)
             states = _states(values, len(window.t))
@@ -104,9 +104,10 @@ def _solved(
             message=message,
             bias=_bias(values, biases),
             residuals=_residuals(values, window, states),
-            iterations=optimizer.iterations(),
-            error=graph.error(values),
+            iterations=optimum.iterations,
+            error=optimum.error,
             offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
+            accepted=optimum.accepted,
         )
     raise np.linalg.LinAlgError
 
@@ -117,14 +118,6 @@ def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) ->
     stated = np.einsum("ia,ij,ja->a", axes, rotation[window.attitude_node], axes)
     missing = np.where(stated > 0.5 * used, used / tighten**2 - used, 0.0)
     return (axes * missing) @ axes.T
-
-
-def _parameters(tolerance: float) -> gtsam.LevenbergMarquardtParams:
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(MAX_ITERATIONS)
-    params.setRelativeErrorTol(tolerance)
-    params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
-    return params
 
 
 def _states(values: gtsam.Values, count: int) -> States:

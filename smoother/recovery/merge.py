@@ -55,8 +55,10 @@ def merge(
         Where the columns live.
     """
     columns = _Columns(recording, task.joints, store)
+    unexplained: list[Gap] = []
     for answer in answers:
         columns.add(answer.answer, answer.messages)
+        unexplained = merged_gaps(unexplained, answer.unexplained)
     model = task.model
     clock = model.clock.after(coarse_clock)
     arm = replace(recording.arm, t_s=model.clock.to_imu(recording.arm.t_s))
@@ -79,7 +81,7 @@ def merge(
         origin_ns=recording.origin_ns,
         side=recording.side,
         name=recording.name,
-        notes=notes_on(recording, timeline, model, clock, residuals, gaps),
+        notes=notes_on(recording, timeline, model, clock, residuals, gaps, unexplained),
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -28,8 +29,9 @@ def notes_on(
     clock: Clock,
     residuals: FrameResiduals,
     gaps: tuple[Gap, ...],
+    unexplained: Sequence[Gap],
 ) -> tuple[str, ...]:
-    """Sentences on pauses, clocks, mounting, rejected samples and open gaps.
+    """Sentences on pauses, clocks, mounting, rejected samples, open gaps and unexplained ones.
 
     Parameters
     ----------
@@ -41,6 +43,8 @@ def notes_on(
         Of the camera's stamps as they were recorded.
     residuals : FrameResiduals
     gaps : tuple of Gap
+    unexplained : sequence of Gap
+        Long gaps that were solved without the upper arm's length, because the motion contradicts it.
     """
     return (
         *recording.notes,
@@ -49,6 +53,7 @@ def notes_on(
         *_mounting(model),
         *_rejected(residuals),
         *_open_gaps(gaps),
+        *_unexplained(unexplained),
     )
 
 
@@ -108,4 +113,12 @@ def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:
         f" {'start' if gap.open_start else 'end'}: it is recovered from one side, and soon not to be trusted"
         for gap in gaps
         if (gap.open_start or gap.open_end) and gap.length_s > OPEN_GAP_S
+    ]
+
+
+def _unexplained(gaps: Sequence[Gap]) -> list[str]:
+    return [
+        f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s: IMU, shoulder and upper arm do not fit"
+        " together there; it is recovered without the upper arm's length, and its sigma covers what is open"
+        for gap in gaps
     ]

@@ -6,7 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..graph.optimise import LONG_S
 from ..graph.solve import solve
+from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
 from ..window.problem import Message
 from ..window.trajectory import merge_windows
@@ -19,10 +21,21 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class SecondAnswer:
-    """The section's answer at its samples, and its windows' messages."""
+    """A section's second pass.
+
+    Attributes
+    ----------
+    answer : SectionAnswer
+        At its samples.
+    messages : list of Message
+        One a window.
+    unexplained : tuple of Gap
+        Long gaps whose motion the model does not explain.
+    """
 
     answer: SectionAnswer
     messages: list[Message]
+    unexplained: tuple[Gap, ...]
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
@@ -57,7 +70,14 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         task.model,
         task.joints,
     )
-    return SecondAnswer(answer, [solution.message for solution in solutions])
+    refused = [window for window, solution in zip(windows, solutions, strict=True) if not solution.accepted]
+    unexplained = tuple(
+        gap
+        for gap in answer.gaps
+        if gap.length_s >= LONG_S
+        and any(gap.start_s < window.t[-1] and gap.end_s > window.t[0] for window in refused)
+    )
+    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained)
 
 
 def second_pass(jobs: Iterable[SecondJob], task: Task, workers: Pool) -> Iterator[SecondAnswer]:

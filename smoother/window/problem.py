@@ -284,6 +284,9 @@ class Solution:
         Half the weighted squared sum.
     offset_information : float, 1/s^2
         On a clock offset of the window's own; 0 where not asked for.
+    accepted : bool
+        The model explains the motion in the window's long gaps; where False the upper arm is left out
+        there, so that the covariance covers what is open.
     """
 
     index: int
@@ -298,3 +301,4 @@ class Solution:
     iterations: int
     error: float
     offset_information: float = 0.0
+    accepted: bool = True
