@@ -29,8 +29,9 @@ SEEDS = (0, 1)
 GAP_RMS_M, GAP_MAX_M = 0.008, 0.016
 #: A point has one sample a frame instead of three, and gaps of up to 3 s: 0.6 and 1.3 cm at worst.
 POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
-#: Mean squared error in sigmas: 1 is honest. One gap is one draw, so the bounds are wide.
-SHYEST, BOLDEST = 0.1, 3.0
+#: Mean squared error in sigmas of one recording: 1 is consistent. A gap is one draw, so these are wide;
+#: tests/core/test_sigmas.py bounds both sides closely over several recordings.
+UNDER_CONFIDENT, OVER_CONFIDENT = 0.1, 3.0
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,12 @@ class Job:
 
 def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
     """Every window that `smooth` solves, pass by pass, by listening at the solver."""
-    heard: list[Job] = []
+    solved: list[Job] = []
     solve = smoother.graph.solve.solve
 
     def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
         solution = solve(window, with_covariance, **more)
-        heard.append(Job(window, with_covariance, solution))
+        solved.append(Job(window, with_covariance, solution))
         return solution
 
     places = ("recovery.first_pass", "recovery.second_pass", "selfcal.rounds")
@@ -100,7 +101,7 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
         for place in places:
             patches.enter_context(patch(f"smoother.{place}.solve", listen))
         smooth(replace(recording, truth=None), calibration, config)
-    return heard
+    return solved
 
 
 def last_pass(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
@@ -109,7 +110,7 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:
-    """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
+    """The window with white noise only: no robust loss, no impacts, no noise that grows with the motion."""
     increments = replace(window.increments, velocity_error=np.zeros(len(window.t) - 1))
     noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
     return replace(window, noise=noise, increments=increments)
