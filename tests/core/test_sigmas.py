@@ -21,7 +21,7 @@ FACTOR = 1.5
 #: Joint biases are drawn once a recording, and six of them decide: a small change weighs more.
 REALISTIC_FACTOR = 1.8
 
-#: Measured over six seeds with the true calibration; in white noise the position has sigmas 1.8 times too wide.
+#: Measured over six seeds, true calibration; in white noise the position has sigmas 1.8 times too wide.
 WHITE = {
     "visible": 0.306,
     "gaps": 0.296,

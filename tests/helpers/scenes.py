@@ -11,12 +11,13 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
 
 import smoother.graph.solve
 from smoother import Config, Recovery, smooth
 from smoother.calibration import ArmCalibration
 from smoother.evaluation import Validation, validate
-from smoother.recording import BoolArray, Recording
+from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Solution, Window
 
@@ -32,6 +33,9 @@ POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
 #: Mean squared error in sigmas of one recording: 1 is consistent. A gap is one draw, so these are wide;
 #: tests/core/test_sigmas.py bounds both sides closely over several recordings.
 UNDER_CONFIDENT, OVER_CONFIDENT = 0.1, 3.0
+#: The field of middle Europe in a frame with z up: 65 degrees down.
+FIELD_K = np.array([np.cos(np.radians(65.0)) * np.sin(0.4), 0.0, -np.sin(np.radians(65.0))])
+FIELD_K[1] = np.sqrt(1.0 - FIELD_K @ FIELD_K)
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,17 @@ def blind(made: SimulatedArm, recording: Recording | None = None) -> Scene:
 def without_frames(recording: Recording, hidden: BoolArray) -> Recording:
     """The same recording, the forearm not tracked in the hidden frames (F,)."""
     return replace(recording, arm=recording.arm.hide(hidden))
+
+
+def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:
+    """The recording with a calibrated magnetometer that reads the field and something near it."""
+    assert recording.truth is not None
+    truth = recording.truth
+    turn = Slerp(truth.t_s, Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]))
+    t = np.clip(recording.imu.t_s, truth.t_s[0], truth.t_s[-1])
+    mag = turn(t).inv().apply(FIELD_K) + extra_A
+    mag += np.random.default_rng(0).normal(0.0, noise, mag.shape)
+    return replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
 
 
 @dataclass(frozen=True)
