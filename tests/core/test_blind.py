@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import ALONE, SEEDS, Scene, arm, blind, point
+from scenes import ALONE, OVER_CONFIDENT, SEEDS, UNDER_CONFIDENT, Scene, arm, blind, point
 
 from smoother import smooth
 from smoother.evaluation.validate import sample_errors
@@ -53,7 +53,7 @@ def test_white_noise(white_arms: list[Scene]) -> None:
     assert rms <= WHITE_RMS_M
     assert worst <= WHITE_MAX_M
     assert degrees <= WHITE_DEG
-    assert 0.1 < nees < 3.0
+    assert UNDER_CONFIDENT < nees < OVER_CONFIDENT
 
 
 def test_what_it_found_in_white_noise(white_arms: list[Scene]) -> None:
@@ -81,7 +81,7 @@ def test_realistic_noise(realistic_arms: list[Scene]) -> None:
     assert rms <= REALISTIC_RMS_M
     assert worst <= REALISTIC_MAX_M
     assert degrees <= REALISTIC_DEG
-    assert 0.3 < nees < 3.0
+    assert 0.3 < nees < OVER_CONFIDENT
     for scene in realistic_arms:
         assert scene.recovery.clock_offset_s == pytest.approx(-0.020, abs=0.003)
 
@@ -96,24 +96,24 @@ def test_a_camera_that_lies(
     preset: str, lie: dict[str, float], white_arms: list[Scene], realistic_arms: list[Scene]
 ) -> None:
     """Half of the occlusions frozen or with the arms swapped, or outliers: 1.5 times the error at most."""
-    honest = pooled(white_arms if preset == "white" else realistic_arms)
+    undisturbed = pooled(white_arms if preset == "white" else realistic_arms)
     scenes = again(preset, **lie)
     lies = [scene.made.parameters for scene in scenes]
     assert sum(len(each["frozen"]) + len(each["swapped"]) + each["outliers"] for each in lies) > 0
     rms, worst, _, nees = pooled(scenes)
-    assert rms <= 1.5 * honest[0]
+    assert rms <= 1.5 * undisturbed[0]
     assert worst <= 1.5 * (WHITE_MAX_M if preset == "white" else REALISTIC_MAX_M)
-    assert nees < 3.0
+    assert nees < OVER_CONFIDENT
     for scene in scenes:
         kept = scene.recovery.residuals
         assert kept is not None
-        # what a lie is told of is set aside with a reason; nothing that was used has one
+        # what was rejected has a reason; nothing that was used has one
         assert not (kept.used & (kept.reason != 0)).any()
 
 
-def test_outliers_are_set_aside_and_the_rest_is_kept() -> None:
-    honest, lying = arm(0), arm(0, outliers=0.1, outlier_m=0.5)
-    wrong = np.linalg.norm(honest.recording.arm.position - lying.recording.arm.position, axis=2) > 0.4
+def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
+    undisturbed, lying = arm(0), arm(0, outliers=0.1, outlier_m=0.5)
+    wrong = np.linalg.norm(undisturbed.recording.arm.position - lying.recording.arm.position, axis=2) > 0.4
     kept = blind(lying).recovery.residuals
     assert kept is not None
     forearm = slice(1, 4)

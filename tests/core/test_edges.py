@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ALONE, BOLDEST, Scene, arm, assert_accurate, point, recovered, without_frames
+from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, recovered, without_frames
 from scipy.spatial.transform import Rotation
 
 from smoother import smooth
@@ -55,7 +55,7 @@ def test_sigma_covers_the_error_of_open_gaps(open_ended: Scene) -> None:
     for gap in (recovery.gaps[0], recovery.gaps[-1]):
         inside = (recovery.t_s >= gap.start_s) & (recovery.t_s <= gap.end_s)
         assert np.isfinite(errors.distance_m[inside]).all()
-        assert np.mean(errors.squared_sigmas[inside]) / 3 < BOLDEST
+        assert np.mean(errors.squared_sigmas[inside]) / 3 < OVER_CONFIDENT
         # free integration from one side: 2 s cost up to 12 cm here, 17 to 33 on real data
         assert errors.distance_m[inside].max() < 0.30
 
@@ -94,7 +94,7 @@ def test_a_pause_inside_a_gap_leaves_two_open_gaps() -> None:
     assert before.end_s < middle < after.start_s
     assert np.isfinite(scene.recovery.position).all()
     assert scene.validation.all.nees is not None
-    assert scene.validation.all.nees < BOLDEST
+    assert scene.validation.all.nees < OVER_CONFIDENT
 
 
 def test_an_arm_that_hangs_still_at_first() -> None:

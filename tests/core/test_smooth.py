@@ -1,4 +1,4 @@
-"""`smooth` from end to end on simulated recordings: accuracy, honesty, definitions."""
+"""`smooth` from end to end on simulated recordings: accuracy, definitions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ import pytest
 from curve import G
 from scenes import (
     ALONE,
-    BOLDEST,
     POINT_MAX_M,
     POINT_RMS_M,
-    SHYEST,
     Scene,
     arm,
     assert_accurate,
@@ -24,7 +22,6 @@ from scenes import (
 
 from smoother import smooth
 from smoother.calibration import ArmCalibration
-from smoother.evaluation.validate import sample_errors
 from smoother.measurements.visibility import MISSING_FRAMES, MISSING_S
 from smoother.recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
 
@@ -34,26 +31,8 @@ def test_gaps_are_recovered(white_arm: Scene) -> None:
     assert_accurate(white_arm)
 
 
-def test_covariances_are_honest(white_arm: Scene) -> None:
-    found = white_arm.validation
-    for figures in (found.all, found.occluded, found.visible):
-        assert figures.nees is not None
-        assert SHYEST < figures.nees < BOLDEST
-
-
-def test_orientation_covariance_is_honest(white_arm: Scene) -> None:
-    truth = white_arm.recording.truth
-    assert truth is not None
-    angle = np.radians(sample_errors(white_arm.recovery, truth).angle_deg)
-    ratio = np.mean(angle**2 / np.radians(white_arm.recovery.sigma_deg) ** 2)
-    assert 0.02 < ratio < BOLDEST  # the default gyroscope density allows for scale errors that are not here
-
-
 def test_a_point_alone(white_point: Scene) -> None:
     assert_accurate(white_point, POINT_RMS_M, POINT_MAX_M)
-    nees = white_point.validation.all.nees
-    assert nees is not None
-    assert SHYEST < nees < BOLDEST
     assert white_point.recovery.joints == {} or set(white_point.recovery.joints) <= {"strap"}
 
 
@@ -110,16 +89,13 @@ def test_times_and_quaternions(white_arm: Scene) -> None:
     assert all(len(values) == len(recovery) for values in arrays.values())
 
 
-def test_joints_and_their_sigmas(white_arm: Scene) -> None:
-    """Elbow, wrist and shoulder against truth, in the gaps too, and covered by their own covariance."""
+def test_joints_in_the_gaps(white_arm: Scene) -> None:
+    """Elbow, wrist and shoulder against truth; their sigmas are in test_sigmas.py."""
     truth, recovery = white_arm.recording.truth, white_arm.recovery
     assert truth is not None
     for joint, limit in (("elbow", 0.012), ("wrist", 0.010), ("shoulder", 0.020)):
         error = recovery.joints[joint] - truth.joints[joint]
         assert np.sqrt((error**2).sum(axis=1)[recovery.occluded].mean()) < limit
-        C = recovery.joint_covariance[joint]
-        nees = np.einsum("ni,ni->n", error, np.linalg.solve(C, error[..., None])[..., 0]).mean() / 3
-        assert 0.02 < nees < BOLDEST
 
 
 def test_velocity_is_in_the_camera_frame(white_arm: Scene) -> None:

@@ -11,12 +11,13 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
 
 import smoother.graph.solve
 from smoother import Config, Recovery, smooth
 from smoother.calibration import ArmCalibration
 from smoother.evaluation import Validation, validate
-from smoother.recording import BoolArray, Recording
+from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Solution, Window
 
@@ -29,8 +30,12 @@ SEEDS = (0, 1)
 GAP_RMS_M, GAP_MAX_M = 0.008, 0.016
 #: A point has one sample a frame instead of three, and gaps of up to 3 s: 0.6 and 1.3 cm at worst.
 POINT_RMS_M, POINT_MAX_M = 0.010, 0.020
-#: Mean squared error in sigmas: 1 is honest. One gap is one draw, so the bounds are wide.
-SHYEST, BOLDEST = 0.1, 3.0
+#: Mean squared error in sigmas of one recording: 1 is consistent. A gap is one draw, so these are wide;
+#: tests/core/test_sigmas.py bounds both sides closely over several recordings.
+UNDER_CONFIDENT, OVER_CONFIDENT = 0.1, 3.0
+#: The field of middle Europe in a frame with z up: 65 degrees down.
+FIELD_K = np.array([np.cos(np.radians(65.0)) * np.sin(0.4), 0.0, -np.sin(np.radians(65.0))])
+FIELD_K[1] = np.sqrt(1.0 - FIELD_K @ FIELD_K)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,17 @@ def without_frames(recording: Recording, hidden: BoolArray) -> Recording:
     return replace(recording, arm=recording.arm.hide(hidden))
 
 
+def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:
+    """The recording with a calibrated magnetometer that reads the field and something near it."""
+    assert recording.truth is not None
+    truth = recording.truth
+    turn = Slerp(truth.t_s, Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]))
+    t = np.clip(recording.imu.t_s, truth.t_s[0], truth.t_s[-1])
+    mag = turn(t).inv().apply(FIELD_K) + extra_A
+    mag += np.random.default_rng(0).normal(0.0, noise, mag.shape)
+    return replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
+
+
 @dataclass(frozen=True)
 class Job:
     """One window that was solved on the way, with its answer."""
@@ -87,12 +103,12 @@ class Job:
 
 def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
     """Every window that `smooth` solves, pass by pass, by listening at the solver."""
-    heard: list[Job] = []
+    solved: list[Job] = []
     solve = smoother.graph.solve.solve
 
     def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
         solution = solve(window, with_covariance, **more)
-        heard.append(Job(window, with_covariance, solution))
+        solved.append(Job(window, with_covariance, solution))
         return solution
 
     places = ("recovery.first_pass", "recovery.second_pass", "selfcal.rounds")
@@ -100,7 +116,7 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
         for place in places:
             patches.enter_context(patch(f"smoother.{place}.solve", listen))
         smooth(replace(recording, truth=None), calibration, config)
-    return heard
+    return solved
 
 
 def last_pass(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
@@ -109,7 +125,7 @@ def last_pass(recording: Recording, calibration: ArmCalibration, config: Config 
 
 
 def plain(window: Window, cauchy: float = 1e6) -> Window:
-    """The window with white noise only: no robust loss, no knocks, no noise that grows with the motion."""
+    """The window with white noise only: no robust loss, no impacts, no noise that grows with the motion."""
     increments = replace(window.increments, velocity_error=np.zeros(len(window.t) - 1))
     noise = replace(window.noise, cauchy=cauchy, accelerometer_share=0.0, gyroscope_share=0.0)
     return replace(window, noise=noise, increments=increments)

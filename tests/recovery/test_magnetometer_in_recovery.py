@@ -6,33 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Scene, last_pass, point, recovered
+from scenes import FIELD_K, Scene, last_pass, point, recovered, with_field
 
 from smoother.graph.build import build
-from smoother.recording import FloatArray, Recording
 from smoother.recovery.magnetometer import middle_direction
 
-#: The field of middle Europe in a frame with z up: 65 degrees down.
-FIELD_K = np.array([np.cos(np.radians(65.0)) * np.sin(0.4), 0.0, -np.sin(np.radians(65.0))])
-FIELD_K[1] = np.sqrt(1.0 - FIELD_K @ FIELD_K)
 SEED = 3
 
 
-def with_field(recording: Recording, extra_A: FloatArray | float = 0.0, noise: float = 0.01) -> Recording:
-    """The recording with a calibrated magnetometer that reads the field and something near it."""
-    assert recording.truth is not None
-    from scipy.spatial.transform import Rotation, Slerp
-
-    truth = recording.truth
-    turn = Slerp(truth.t_s, Rotation.from_quat(truth.quaternion[:, [1, 2, 3, 0]]))
-    t = np.clip(recording.imu.t_s, truth.t_s[0], truth.t_s[-1])
-    mag = turn(t).inv().apply(FIELD_K) + extra_A
-    mag += np.random.default_rng(0).normal(0.0, noise, mag.shape)
-    return replace(recording, imu=replace(recording.imu, mag=mag, mag_calibrated=True))
-
-
 def note(scene: Scene) -> str:
-    return " ".join(each for each in scene.recovery.notes if "magnetometer" in each)
+    return " ".join(line for line in scene.recovery.notes if "magnetometer" in line)
 
 
 def orientation_deg(scene: Scene) -> float:
@@ -89,7 +72,7 @@ def test_without_a_calibration_it_is_not_looked_at(made, plain):
     assert np.array_equal(scene.recovery.position, plain.recovery.position, equal_nan=True)
 
 
-def test_a_short_recording_and_an_empty_magnetometer_are_told():
+def test_a_short_recording_and_an_empty_magnetometer_are_noted():
     made = point(SEED, "white", duration_s=9.0)
     scene = recovered(made, with_field(made.recording))
     assert "too short" in note(scene)
@@ -109,9 +92,9 @@ def test_the_middle_of_directions_is_not_pulled_by_a_few():
 def test_the_factors_are_the_angle_under_cauchys_loss(made):
     """The graph's error with and without the field, against the formula."""
     windows = [job.window for job in last_pass(with_field(made.recording), made.calibration)]
-    told = [window for window in windows if window.field is not None]
-    assert told
-    for window in told:
+    with_measurements = [window for window in windows if window.field is not None]
+    assert with_measurements
+    for window in with_measurements:
         field, k = window.field, window.noise.cauchy
         graph, values = build(window)
         less, _ = build(replace(window, field=None))

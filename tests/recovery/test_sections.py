@@ -1,4 +1,4 @@
-"""Sections of about a minute: the same answer as the whole in one piece, and no seam to be seen."""
+"""Sections of about a minute: the same answer as the whole in one section, and no seam to be seen."""
 
 from __future__ import annotations
 
@@ -7,62 +7,47 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scenes import ALONE
 
-from smoother import Config, Recovery, smooth
-from smoother.config import Windows
+from smoother import Recovery, smooth
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.timeline import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS
 from smoother.recovery.merge import merged_gaps
-from smoother.recovery.sections import SECTION_S, Sections, section_borders
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-
-ALONE = Config(windows=Windows(processes=1))
+from smoother.recovery.sections import SECTION_S, Section, Sections, section_borders
+from smoother.simulation import SimulatedArm
 
 
 @pytest.fixture(scope="module")
-def made() -> SimulatedArm:
-    """Three minutes with an occlusion of 2 s every 10 s: three sections."""
-    return simulate_arm(
-        ArmSimulation.preset(
-            "white",
-            protocol="random",
-            duration_s=180.0,
-            imu_rate_hz=80.0,
-            occlusion_lengths_s=(2.0,),
-            occlusion_every_s=10.0,
-        ),
-        seed=8,
-    )
-
-
-@pytest.fixture(scope="module")
-def sectioned(made: SimulatedArm) -> Recovery:
-    return smooth(replace(made.recording, truth=None), made.calibration, ALONE)
-
-
-@pytest.fixture(scope="module")
-def whole(made: SimulatedArm) -> Recovery:
+def whole(three_minutes: SimulatedArm) -> Recovery:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smoother.recovery.sections.SECTION_S", 1e6)
-        return smooth(replace(made.recording, truth=None), made.calibration, ALONE)
+        return smooth(replace(three_minutes.recording, truth=None), three_minutes.calibration, ALONE)
 
 
-def test_every_sample_and_frame_is_in_one_section(made: SimulatedArm) -> None:
-    sections = Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all
+def sections_of(made: SimulatedArm) -> list[Section]:
+    return Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all
+
+
+def test_every_sample_and_frame_is_in_one_section(three_minutes: SimulatedArm) -> None:
+    sections = Sections(
+        three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
+    ).all
     assert len(sections) == 3
     assert sections[0].start_s == -np.inf and sections[-1].end_s == np.inf
     for a, b in pairwise(sections):
         assert a.end_s == b.start_s
-        t = made.recording.imu.t_s
+        t = three_minutes.recording.imu.t_s
         assert t[a.samples.stop - 1] > a.end_s + 11 and t[b.samples.start] < b.start_s - 11  # context
 
 
-def test_borders_lie_in_visible_time(made: SimulatedArm, sectioned: Recovery) -> None:
+def test_borders_lie_in_visible_time(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     borders = [
         section.start_s
-        for section in Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1:]
+        for section in Sections(
+            three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
+        ).all[1:]
     ]
     for border in borders:
         assert all(not gap.start_s - 1.0 < border < gap.end_s + 1.0 for gap in sectioned.gaps)
@@ -76,7 +61,7 @@ def test_no_border_where_nothing_is_seen() -> None:
 
 
 def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> None:
-    """Windows differ (their borders do), and what each is told of the others: far below a sigma."""
+    """Windows differ (their borders do), and their priors from the others: far below a sigma."""
     away = np.linalg.norm(sectioned.position - whole.position, axis=1)
     sigma = np.sqrt(np.trace(whole.pose_covariance[:, :3, :3], axis1=1, axis2=2))
     assert np.isfinite(sectioned.position).all()
@@ -88,8 +73,8 @@ def test_sections_answer_as_the_whole(sectioned: Recovery, whole: Recovery) -> N
     np.testing.assert_array_equal(sectioned.residuals.used, whole.residuals.used)
 
 
-def test_accuracy_is_the_whole_one(made: SimulatedArm, sectioned: Recovery, whole: Recovery) -> None:
-    truth = made.recording.truth
+def test_accuracy_is_the_whole_one(three_minutes: SimulatedArm, sectioned: Recovery, whole: Recovery) -> None:
+    truth = three_minutes.recording.truth
     assert truth is not None
 
     def rms(recovery: Recovery) -> float:
@@ -99,30 +84,36 @@ def test_accuracy_is_the_whole_one(made: SimulatedArm, sectioned: Recovery, whol
     assert rms(sectioned) < 1.05 * rms(whole)  # 4.0 against 4.0 mm
 
 
-def test_no_seam_at_thesection_borders(made: SimulatedArm, sectioned: Recovery) -> None:
+def test_no_seam_at_the_section_borders(three_minutes: SimulatedArm, sectioned: Recovery) -> None:
     """Second differences at the borders are no larger than elsewhere."""
     jump = np.linalg.norm(np.diff(sectioned.position, n=2, axis=0), axis=1)
     t = sectioned.t_s[1:-1]
     near = np.zeros(len(t), dtype=bool)
-    for section in Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1:]:
+    for section in Sections(
+        three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0)
+    ).all[1:]:
         near |= np.abs(t - section.start_s) < 1.0
     assert near.sum() > 300
     assert jump[near].max() <= jump[~near].max()
 
 
-def test_a_border_in_a_gap_that_only_screening_finds(made: SimulatedArm) -> None:
+def test_a_border_in_a_gap_that_only_rejection_finds(three_minutes: SimulatedArm) -> None:
     """A camera that freezes for 6 s where the border was going to be: both sides bridge it, and agree."""
-    border = Sections(made.recording, Timeline.of(made.recording), constant_clock(0.0)).all[1].start_s
-    arm = made.recording.arm
+    border = (
+        Sections(three_minutes.recording, Timeline.of(three_minutes.recording), constant_clock(0.0))
+        .all[1]
+        .start_s
+    )
+    arm = three_minutes.recording.arm
     rows = np.flatnonzero((arm.t_s > border - 3.0) & (arm.t_s < border + 3.0))
     position = arm.position.copy()
     for joint in FOREARM_JOINTS:
         position[rows, JOINTS.index(joint)] = position[rows[0], JOINTS.index(joint)]
-    recording = replace(made.recording, arm=replace(arm, position=position), truth=None)
-    recovery = smooth(recording, made.calibration, ALONE)
+    recording = replace(three_minutes.recording, arm=replace(arm, position=position), truth=None)
+    recovery = smooth(recording, three_minutes.calibration, ALONE)
     inside = [gap for gap in recovery.gaps if gap.start_s < border < gap.end_s]
     assert len(inside) == 1 and not inside[0].open_start and not inside[0].open_end
-    truth = made.recording.truth
+    truth = three_minutes.recording.truth
     assert truth is not None
     rows = np.flatnonzero((truth.t_s > inside[0].start_s) & (truth.t_s < inside[0].end_s))
     error = np.linalg.norm(recovery.position - truth.position, axis=1)[rows]

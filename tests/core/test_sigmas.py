@@ -1,0 +1,93 @@
+"""Sigmas from both sides: the mean squared error in sigmas (NEES) over several recordings, where it is today.
+
+1 is consistent, less is under-confident (sigmas too wide), more is over-confident. Twice the sigmas are a
+quarter of the NEES, so limits closer than a factor of 4 about what was measured notice it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from scenes import Scene, arm, point, recovered
+
+from smoother.evaluation.validate import sample_errors
+from smoother.recording import FloatArray
+
+SEEDS = range(6)
+#: The seeds are fixed, so nothing scatters: what is left is room for changes of the method that are meant.
+FACTOR = 1.5
+#: Joint biases are drawn once a recording, and six of them decide: a small change weighs more.
+REALISTIC_FACTOR = 1.8
+
+#: Measured over six seeds, true calibration; in white noise the position has sigmas 1.8 times too wide.
+WHITE = {
+    "visible": 0.306,
+    "gaps": 0.296,
+    "orientation": 0.539,
+    "velocity": 0.259,
+    "elbow": 0.206,
+    "wrist": 0.205,
+    "shoulder": 0.621,
+}
+POINT = {"visible": 0.590, "gaps": 0.380, "orientation": 1.027, "velocity": 0.353}
+REALISTIC = {
+    "visible": 0.747,
+    "gaps": 1.024,
+    "orientation": 2.665,
+    "velocity": 0.726,
+    "elbow": 0.545,
+    "wrist": 0.551,
+    "shoulder": 1.013,
+}
+#: Nothing calibrated, two seeds.
+WHITE_BLIND = {"visible": 0.456, "gaps": 0.405, "orientation": 0.761, "velocity": 0.299}
+REALISTIC_BLIND = {"visible": 0.440, "gaps": 1.134, "orientation": 3.848, "velocity": 1.235}
+
+
+def squares(scene: Scene) -> dict[str, FloatArray]:
+    """Squared error in sigmas an axis, sample by sample, of all that the answer states a covariance of."""
+    truth, recovery = scene.recording.truth, scene.recovery
+    assert truth is not None
+    errors, inner = sample_errors(recovery, truth), slice(5, -5)
+    off = (recovery.velocity - np.gradient(truth.position, truth.t_s, axis=0))[inner, :, None]
+    speed = np.swapaxes(off, 1, 2) @ np.linalg.solve(recovery.velocity_covariance[inner], off)
+    values = {
+        "visible": errors.squared_sigmas[~recovery.occluded],
+        "gaps": errors.squared_sigmas[recovery.occluded],
+        "orientation": errors.turn_squared_sigmas,
+        "velocity": speed.ravel(),
+        **errors.joint_squared_sigmas,
+    }
+    return {name: squared / 3 for name, squared in values.items()}
+
+
+def nees(scenes: Iterable[Scene]) -> dict[str, float]:
+    """By quantity, over all samples of all scenes."""
+    values = [squares(scene) for scene in scenes]
+    return {name: float(np.nanmean(np.concatenate([own[name] for own in values]))) for name in values[0]}
+
+
+def assert_near(actual: dict[str, float], measured: dict[str, float], factor: float) -> None:
+    off = {name: actual[name] / value for name, value in measured.items()}
+    assert all(1 / factor < ratio < factor for ratio in off.values()), off
+
+
+def test_white_noise() -> None:
+    assert_near(nees(recovered(arm(seed)) for seed in SEEDS), WHITE, FACTOR)
+
+
+def test_a_point_alone() -> None:
+    assert_near(nees(recovered(point(seed)) for seed in SEEDS), POINT, FACTOR)
+
+
+def test_realistic_noise() -> None:
+    assert_near(nees(recovered(arm(seed, "realistic")) for seed in SEEDS), REALISTIC, REALISTIC_FACTOR)
+
+
+@pytest.mark.parametrize(
+    ("scenes", "measured"), [("white_arms", WHITE_BLIND), ("realistic_arms", REALISTIC_BLIND)]
+)
+def test_nothing_calibrated(scenes: str, measured: dict[str, float], request: pytest.FixtureRequest) -> None:
+    assert_near(nees(request.getfixturevalue(scenes)), measured, REALISTIC_FACTOR)

@@ -1,0 +1,191 @@
+"""Excerpts: what of a recording the self-calibration reads, and that it reads no more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_segments import forearm
+
+from smoother.measurements.clock import LARGEST_OFFSET_S
+from smoother.measurements.segment import Segment, split_into_segments
+from smoother.measurements.timeline import Timeline
+from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
+from smoother.selfcal.excerpts import (
+    CONTEXT_S,
+    EXCERPT_S,
+    EXCERPTS_S,
+    WANTED,
+    choose_excerpts,
+    informative_excerpts,
+    spread_excerpts,
+)
+
+IMU_HZ, FRAME_HZ = 50.0, 25.0
+FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+Times = Sequence[tuple[float, float]]
+
+
+class Watched(np.ndarray):
+    """An array that notes which of its rows are taken out; what is taken out is a plain array."""
+
+    rows: np.ndarray
+
+    def __getitem__(self, key: Any) -> Any:
+        self.rows[key[0] if isinstance(key, tuple) else key] = True
+        return np.asarray(self)[key]
+
+
+def watched(values: np.ndarray) -> Watched:
+    view = values.view(Watched)
+    view.rows = np.zeros(len(values), bool)
+    return view
+
+
+def within(t: np.ndarray, times: Times) -> np.ndarray:
+    return np.any([(t >= a) & (t < b) for a, b in times], axis=0) if times else np.zeros(len(t), bool)
+
+
+def recording(
+    length_s: float, visible: Times | None = None, moving: Times | None = None, pauses: Times = ()
+) -> Recording:
+    """A forearm that turns at 1 rad/s and is seen, everywhere or at some times only; the IMU may pause."""
+    everywhere = [(-1.0, length_s + 1.0)]
+    t = np.arange(0.0, length_s, 1 / IMU_HZ)
+    t = t[~within(t, pauses)]
+    frame_t = np.arange(0.003, length_s, 1 / FRAME_HZ)
+    gyro = np.zeros((len(t), 3))
+    gyro[within(t, everywhere if moving is None else moving), 2] = 1.0
+    position = np.full((len(frame_t), len(JOINTS), 3), np.nan)
+    state = np.full((len(frame_t), len(JOINTS)), JointState.NOT_TRACKED, np.int8)
+    seen = np.flatnonzero(within(frame_t, everywhere if visible is None else visible))
+    for place, column in enumerate(FOREARM):
+        position[seen, column] = [0.1 * place, 0.0, 2.0]
+        state[seen, column] = JointState.TRACKED
+    acc = np.tile([0.0, 9.81, 0.0], (len(t), 1))
+    return Recording(ImuStream("imu", t, acc, gyro), JointTracks("camera", frame_t, position, state))
+
+
+def spans(segments: list[Segment]) -> Times:
+    return [(segment.start_s, segment.end_s) for segment in segments]
+
+
+def test_what_moves_in_sight_is_chosen() -> None:
+    """Of each minute of four, one third moves in sight; the others move hidden or rest in sight."""
+    best = [(20.0, 40.0), (60.0, 80.0), (160.0, 180.0), (200.0, 220.0)]
+    hidden = [(0.0, 20.0), (80.0, 100.0), (140.0, 160.0), (220.0, 240.0)]
+    visible = [(a, b) for a, b in pairwise(np.arange(0.0, 241.0, 20.0)) if (a, b) not in hidden]
+    made = recording(240.0, visible=visible, moving=[*best, *hidden])
+    excerpts = spread_excerpts(made, Timeline.of(made), WANTED, CONTEXT_S)
+    # excerpts divide the time between the first and the last sample evenly: a sample's time of 20 s
+    np.testing.assert_allclose([(each.start_s, each.end_s) for each in excerpts], best, atol=0.03)
+    np.testing.assert_allclose(spans(informative_excerpts(made, Timeline.of(made))), best, atol=0.03)
+
+
+def test_only_the_excerpts_of_a_long_recording_are_read() -> None:
+    """Ten minutes: four excerpts of 20 s with 12 s around them; all else may be anything."""
+    made = recording(600.0)
+    expected = informative_excerpts(made, Timeline.of(made))
+    assert len(expected) == WANTED
+    kept = [(a - CONTEXT_S - 0.1, b + CONTEXT_S + 0.1) for a, b in spans(expected)]
+    acc, position = made.imu.acc.copy(), made.arm.position.copy()
+    acc[~within(made.imu.t_s, kept)], position[~within(made.arm.t_s, kept)] = np.inf, np.inf
+    acc, position = watched(acc), watched(position)
+    partly = replace(made, imu=replace(made.imu, acc=acc), arm=replace(made.arm, position=position))
+    actual = informative_excerpts(partly, Timeline.of(partly))
+    for watch, t in ((acc, made.imu.t_s), (position, made.arm.t_s)):
+        assert not watch.rows[~within(t, kept)].any()
+        assert watch.rows.mean() == pytest.approx(WANTED * (EXCERPT_S + 2 * CONTEXT_S) / 600.0, rel=0.01)
+    assert spans(actual) == spans(expected)
+    for a, b in zip(actual, expected, strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+        edges = np.linspace(a.start_s, a.end_s, 50)
+        np.testing.assert_array_equal(
+            a.signal.mean(edges[:-1], edges[1:]), b.signal.mean(edges[:-1], edges[1:])
+        )
+
+
+def test_all_of_a_short_recording() -> None:
+    made = recording(1.5 * EXCERPTS_S, pauses=[(50.0, 51.0)])
+    expected = split_into_segments(made, LARGEST_OFFSET_S)
+    actual = informative_excerpts(made, Timeline.of(made))
+    assert spans(actual) == spans(expected)
+    assert len(actual) == 2
+    for a, b in zip(actual, expected, strict=True):
+        np.testing.assert_array_equal(a.frame_t_camera, b.frame_t_camera)
+        np.testing.assert_array_equal(a.accepted, b.accepted)
+
+
+def test_excerpts_hold_the_frames_of_their_time() -> None:
+    """Rows of the segments are the recording's, so that answers find back to their frames."""
+    made = recording(300.0, pauses=[(140.0, 150.0)])
+    for segment in informative_excerpts(made, Timeline.of(made)):
+        np.testing.assert_array_equal(segment.frame_t_camera, made.arm.t_s[segment.frames])
+        inside = (made.arm.t_s >= segment.start_s) & (made.arm.t_s <= segment.end_s)
+        rows = np.flatnonzero(inside)
+        assert segment.frames.start <= rows[0] and rows[-1] < segment.frames.stop
+
+
+def segments_of(count: int, length_s: float) -> Iterator[Segment]:
+    """Segments of equal length, turning at 1 rad/s, the forearm accepted in the middle third."""
+    segment = forearm(int(30 * length_s), rate=np.array([0.0, 0.0, 1.0]))
+    t = segment.frame_t_camera
+    seen = (t > length_s / 3) & (t < 2 * length_s / 3)
+    for number in range(count):
+        yield replace(segment, recording=number, accepted=segment.accepted & seen[:, None])
+
+
+def test_of_segments_what_is_visible_is_chosen() -> None:
+    chosen = choose_excerpts(list(segments_of(WANTED, 60.0)))
+    assert [segment.recording for segment in chosen] == list(range(WANTED))
+    # a segment made by hand is half a second longer than its frames
+    np.testing.assert_allclose(spans(chosen), [(20.0, 40.0)] * WANTED, atol=1.0)
+
+
+def test_few_segments_are_all_chosen() -> None:
+    segments = list(segments_of(2, 50.0))
+    assert choose_excerpts(segments) is segments
+
+
+@st.composite
+def recordings_with_pauses(draw: st.DrawFn) -> Recording:
+    lengths = draw(st.lists(st.floats(1.0, 70.0), min_size=1, max_size=5))
+    pause_s = draw(st.floats(0.5, 15.0))
+    starts = np.cumsum([0.0, *(length + pause_s for length in lengths)])
+    pauses = [(start - pause_s, start) for start in starts[1:-1]]
+    away = sorted(draw(st.tuples(st.floats(0.0, 100.0), st.floats(0.0, 100.0))))
+    end_s = float(starts[-1]) - pause_s
+    return recording(end_s, visible=[(0.0, away[0]), (away[1], end_s)], pauses=pauses)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(recordings_with_pauses(), st.integers(1, 12), st.floats(0.0, 15.0), st.floats(0.0, 30.0))
+def test_spread_excerpts_with_pauses(made: Recording, count: int, around_s: float, more_s: float) -> None:
+    """In order, apart, each inside its segment, with the context that the segment has; as many as wanted."""
+    timeline, t = Timeline.of(made), made.imu.t_s
+    excerpts = spread_excerpts(made, timeline, count, around_s, around_s + more_s)
+    lengths = [float(t[segment.stop - 1] - t[segment.start]) for segment in timeline.segments]
+    candidates = sum(max(round(length / EXCERPT_S), 1) for length in lengths)
+    assert len(excerpts) == min(count, candidates)
+    assert all(a.end_s <= b.start_s for a, b in pairwise(excerpts))
+    for excerpt in excerpts:
+        assert excerpt.end_s - excerpt.start_s <= 1.5 * EXCERPT_S + 1e-9  # half an excerpt is rounded away
+        (segment,) = (
+            rows
+            for rows in timeline.segments
+            if t[rows.start] <= excerpt.start_s and excerpt.end_s <= t[rows.stop - 1]
+        )
+        reach_s = around_s + more_s
+        near = (t >= excerpt.start_s - reach_s) & (t < excerpt.end_s + reach_s)
+        own = np.arange(len(t))
+        own = own[near & (own >= segment.start) & (own < segment.stop)]
+        np.testing.assert_array_equal(np.arange(len(t))[excerpt.samples], own)
+        arm_t = made.arm.t_s
+        seen = (arm_t >= excerpt.start_s - around_s) & (arm_t < excerpt.end_s + around_s)
+        np.testing.assert_array_equal(np.flatnonzero(seen), np.arange(len(arm_t))[excerpt.frames])
