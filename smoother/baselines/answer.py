@@ -15,7 +15,15 @@ from ..result import Estimates, Recovery
 from .scene import Path, Scene
 
 #: What of the graph's figures a baseline gets, and its result repeats.
-GRAPH_ESTIMATES = ("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m")
+GRAPH_ESTIMATES = (
+    "camera_sigma_m",
+    "camera_effective_sigma_m",
+    "joint_bias_m",
+    "joint_bias_sigma_m",
+    "trusted",
+    "reasons",
+    "cautions",
+)
 #: The note of every baseline's result.
 GRAPH_NOTE = (
     "calibration, clock, gravity and what is occluded are the graph's, which every method to compare with is"

@@ -45,7 +45,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class Estimates:
+class FilterEstimates:
     """What is known of a chain's states.
 
     Attributes
@@ -66,7 +66,7 @@ def constant_acceleration(dt: FloatArray) -> FloatArray:
     return F
 
 
-def kalman_filter(chain: Chain) -> tuple[Estimates, Estimates]:
+def kalman_filter(chain: Chain) -> tuple[FilterEstimates, FilterEstimates]:
     """Each state from the measurements so far (Kalman, J. Basic Engineering 82:35-45, 1960).
 
     Parameters
@@ -101,10 +101,10 @@ def kalman_filter(chain: Chain) -> tuple[Estimates, Estimates]:
             P = 0.5 * (P + np.swapaxes(P, -1, -2))
             x = x + P @ (chain.vector[k] - A @ x)
         mean[k], covariance[k] = x, P
-    return Estimates(mean, covariance), Estimates(mean_before, covariance_before)
+    return FilterEstimates(mean, covariance), FilterEstimates(mean_before, covariance_before)
 
 
-def rts_smoother(chain: Chain) -> Estimates:
+def rts_smoother(chain: Chain) -> FilterEstimates:
     """Each state from all measurements (Rauch, Tung and Striebel, AIAA Journal 3:1445-1450, 1965).
 
     Parameters
@@ -122,4 +122,4 @@ def rts_smoother(chain: Chain) -> Estimates:
         gain = np.swapaxes(back, -1, -2)
         mean[k] += gain @ (mean[k + 1] - predicted.mean[k + 1])
         covariance[k] += gain @ (covariance[k + 1] - predicted.covariance[k + 1]) @ back
-    return Estimates(mean, covariance)
+    return FilterEstimates(mean, covariance)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recording import BoolArray, FloatArray
-from .linear import Chain, Estimates, constant_acceleration, kalman_filter
+from .linear import Chain, FilterEstimates, constant_acceleration, kalman_filter
 from .scene import Path, Scene, no_answer
 
 #: Published values in SI units.
@@ -119,7 +119,7 @@ def merge(frame_t: FloatArray, point: FloatArray, t: FloatArray, acceleration: F
     )
 
 
-def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[float, Estimates]:
+def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[float, FilterEstimates]:
     """The process noise of a moving hand under which the camera's samples are likeliest, and its filter."""
     candidates = np.array(Q_MOVING)
     filtered, predicted = kalman_filter(state_model(events, moving, noise, candidates))
@@ -128,7 +128,7 @@ def likeliest(events: Events, moving: BoolArray, noise: FilterNoise) -> tuple[fl
     innovation = events.position[is_frame, None] - predicted.mean[is_frame, :, 0]
     loss = np.sum(3.0 * np.log(variance) + np.sum(innovation**2, axis=2) / variance, axis=0)
     best = int(np.argmin(loss))
-    return float(candidates[best]), Estimates(filtered.mean[:, best], filtered.covariance[:, best])
+    return float(candidates[best]), FilterEstimates(filtered.mean[:, best], filtered.covariance[:, best])
 
 
 def state_model(events: Events, moving: BoolArray, noise: FilterNoise, q_moving: FloatArray | float) -> Chain:

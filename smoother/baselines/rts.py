@@ -23,7 +23,7 @@ from ..window.nodes import decimate, insert_nodes
 from ..window.prepare import states_from_camera
 from . import error_state as es
 from .error_state import InertialTrajectory
-from .linear import Chain, Estimates, rts_smoother
+from .linear import Chain, FilterEstimates, rts_smoother
 from .scene import Path, Scene, no_answer
 
 #: Rounds end when no node moved more than this, m, and at the latest after so many.
@@ -264,7 +264,7 @@ def _measured(states: InertialTrajectory, camera: CameraAtNodes) -> tuple[FloatA
     return information, vector
 
 
-def _path(scene: Scene, states: InertialTrajectory, signal: InertialSignal, error: Estimates) -> Path:
+def _path(scene: Scene, states: InertialTrajectory, signal: InertialSignal, error: FilterEstimates) -> Path:
     """The answer at the IMU's samples."""
     answer = es.at_samples(states, signal, scene.t)
     return Path(

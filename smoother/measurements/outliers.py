@@ -18,6 +18,8 @@ from .joint_noise import JointNoise
 from .rejection import Rejection
 from .segment import Segment
 
+#: No depth camera sees a person farther away, m.
+FARTHEST_M = 20.0
 #: A value that repeats exactly so often is frozen, if the sensor turns or is moved meanwhile.
 FROZEN_REPEATS = 2
 FROZEN_RATE = 0.15
@@ -40,7 +42,7 @@ _FOREARM = [ELBOW, WRIST, HAND]
 
 
 def reject_by_camera(segment: Segment) -> Segment:
-    """Reject what is wrong by the camera's samples alone: frozen, jump, bone length, strap.
+    """Reject what is wrong by the camera's samples alone: far away, frozen, jump, bone length, strap.
 
     Parameters
     ----------
@@ -51,6 +53,8 @@ def reject_by_camera(segment: Segment) -> Segment:
     segment : Segment
         With fewer accepted samples, their reasons noted.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        segment = _reject(segment, np.linalg.norm(segment.position, axis=2) > FARTHEST_M, Rejection.FAR)
     for column in range(len(JOINTS)):
         segment = _reject(segment, _only(_frozen(segment, column), column), Rejection.FROZEN)
     for column in range(len(JOINTS)):

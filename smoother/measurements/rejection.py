@@ -35,6 +35,7 @@ class Rejection(IntEnum):
     RAY = 5
     STRAP = 6
     RESIDUAL = 7
+    FAR = 8
 
 
 #: The reasons by their code.
@@ -47,4 +48,5 @@ REASONS = (
     Reason("viewing ray", "the forearm points at the camera and is misjudged"),
     Reason("strap", "off the elbow-wrist line or nearer the elbow"),
     Reason("residual", "does not agree with the recovered motion"),
+    Reason("far away", "farther from the camera than it can see"),
 )

@@ -217,3 +217,11 @@ def test_rejecting_only_ever_takes_away(
         assert (after.reason[lost] != 0).all()
         np.testing.assert_array_equal(after.reason[~lost], before.reason[~lost])
         assert after.position is segment.position
+
+
+def test_a_joint_out_of_the_cameras_reach_is_rejected() -> None:
+    segment = forearm()
+    off = with_position(segment, slice(20, 24), WRIST, np.array([1e6, 0.0, 0.0]))
+    checked = reject_by_camera(off)
+    assert frames_of(rejected_for(off, checked, Rejection.FAR), WRIST) == [20, 21, 22, 23]
+    assert checked.accepted[:, ELBOW].all()
