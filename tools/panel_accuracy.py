@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
-from shared import datasets
 
 from calib.intrinsics import Intrinsics
 from calib.panel.definition import Panel
@@ -145,6 +144,8 @@ def _show(title: str, rows: list[dict[str, Any]]) -> None:
 
 
 def real() -> None:
+    from shared import datasets  # beside this script; tests load it without
+
     for corrected in (False, True):
         rows = real_planes(datasets("kinect_calib"), corrected)
         print(f"disparity distortion {'taken off' if corrected else 'left in'}")

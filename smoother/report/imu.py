@@ -13,6 +13,7 @@ from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
 from calib.imu.sensor_calibration import ImuCalibration
 from calib.imu.sphere_coverage import sphere_points
 
+from ..linalg import unit
 from ..recording import ImuStream
 from .sheet import figure, listing, tabulated, write_sheet
 from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dots_3d, dress, shade_times
@@ -135,7 +136,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     directions = sphere_points(900)
     plot = go.Figure(
         dots_3d(
-            0.97 * directions,
+            (0.97 * directions).astype(np.float32),
             "",
             size=6,
             color=1e3 * acc.sigma_towards(directions, calibration.gravity),
@@ -146,7 +147,7 @@ def coverage(calibration: ImuCalibration) -> go.Figure:
     )
     plot.data[0].showlegend = False
     up = acc.apply(calibration.rests.acc)
-    plot.add_trace(dots_3d(up / np.linalg.norm(up, axis=1)[:, None], "rests", size=8, color=OCCLUDED))
+    plot.add_trace(dots_3d(unit(up).astype(np.float32), "rests", size=8, color=OCCLUDED))
     return sphere(plot)
 
 

@@ -82,7 +82,7 @@ def coverage(corrected: FloatArray) -> go.Figure:
     plot = go.Figure()
     plot.add_trace(
         dots_3d(
-            corrected,
+            corrected.astype(np.float32),
             "samples",
             size=2.5,
             color=100.0 * (length - 1.0),
@@ -92,15 +92,17 @@ def coverage(corrected: FloatArray) -> go.Figure:
         )
     )
     if len(empty):
-        plot.add_trace(dots_3d(empty, "not covered", size=3, color="#9a9a9a"))
+        plot.add_trace(dots_3d(empty.astype(np.float32), "not covered", size=3, color="#9a9a9a"))
     return sphere(plot)
 
 
 def recorded(raw: FloatArray, calibration: MagnetometerCalibration) -> go.Figure:
     """Raw samples and the ellipsoid's middle."""
-    plot = go.Figure(dots_3d(raw, "as recorded", size=2, color=VISIBLE))
-    plot.add_trace(dots_3d(calibration.offset[None], "middle", size=7, color=OCCLUDED, symbol="cross"))
-    plot.add_trace(dots_3d(np.zeros((1, 3)), "zero", size=5, color=TRUTH))
+    plot = go.Figure(dots_3d(raw.astype(np.float32), "as recorded", size=2, color=VISIBLE))
+    plot.add_trace(
+        dots_3d(calibration.offset[None].astype(np.float32), "middle", size=7, color=OCCLUDED, symbol="cross")
+    )
+    plot.add_trace(dots_3d(np.zeros((1, 3), np.float32), "zero", size=5, color=TRUTH))
     return dress(plot, 520, scene={"aspectmode": "data"})
 
 

@@ -81,9 +81,9 @@ def dots(
     return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker, **more)
 
 
-def dots_3d(points: FloatArray, name: str, **marker: Any) -> go.Scatter3d:
+def dots_3d(points: np.ndarray, name: str, **marker: Any) -> go.Scatter3d:
     """Points (n, 3) in space."""
-    x, y, z = points.T.astype(np.float32)
+    x, y, z = points.T
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
 
 
