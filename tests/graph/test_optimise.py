@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
     window, straight = first_window.window, straight_down(first_window.window)
     descend = smoother.graph.optimise._descend
 
-    def misled(graph: object, values: object, iterations: int, tolerance: float) -> object:
+    def misled(graph: Any, values: Any, iterations: int, tolerance: float) -> Any:
         if graph is whole:
             return straight
         return descend(graph, values, iterations, tolerance)
