@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_wrong_minimum_is_refused(first_window: Job) -> None:
     window, straight = first_window.window, straight_down(first_window.window)
     descend = smoother.graph.optimise._descend
 
-    def misled(graph: object, values: object, iterations: int, tolerance: float) -> object:
+    def misled(graph: Any, values: Any, iterations: int, tolerance: float) -> Any:
         if graph is whole:
             return straight
         return descend(graph, values, iterations, tolerance)
@@ -138,7 +139,7 @@ def errors_in_gaps(recovery: Recovery, recording: Recording) -> list[tuple[float
 
 @pytest.mark.parametrize(
     ("seed", "preset", "gap_s"),
-    [(0, "white", 10.0), (5, "realistic", 10.0), (0, "realistic", 20.0), (1, "realistic", 30.0)],
+    [(0, "white", 10.0), (5, "realistic", 10.0), (0, "realistic", 20.0), (5, "realistic", 30.0)],
 )
 def test_long_gaps_are_recovered(seed: int, preset: str, gap_s: float) -> None:
     scene = blind(long_gaps(seed, gap_s, preset, max(60.0, 2.5 * gap_s)))
