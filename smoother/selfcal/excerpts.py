@@ -103,8 +103,11 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
         imu, arm = recording.imu.select(excerpt.samples), recording.arm.select(excerpt.frames)
         even_t = timeline.even_t_imu[excerpt.samples]
         segment = make_segment(imu, even_t, arm, excerpt.frames, timeline.traits)
-        if segment is not None:
-            segments.append(segment.between(excerpt.start_s, excerpt.end_s))
+        if segment is None:
+            continue
+        segment = segment.between(excerpt.start_s, excerpt.end_s)
+        if len(_visible_t(segment)) > 1:  # what the camera saw may lie in the context alone
+            segments.append(segment)
     return segments
 
 
@@ -135,13 +138,16 @@ def _best(
 
 
 def _information_of(segment: Segment) -> float:
-    t = segment.frame_t_camera
-    inside = (t >= segment.start_s) & (t <= segment.end_s)
     edges = np.arange(segment.start_s, segment.end_s, TURN_S)
     turning = np.linalg.norm(segment.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return _information(
-        segment.frame_t_camera[enough_joints(segment.accepted, segment.needed) & inside], turning
-    )
+    return _information(_visible_t(segment), turning)
+
+
+def _visible_t(segment: Segment) -> FloatArray:
+    """Times of the frames that it looks at and that see the forearm, s on the camera's clock."""
+    t = segment.frame_t_camera
+    inside = (t >= segment.start_s) & (t <= segment.end_s)
+    return t[enough_joints(segment.accepted, segment.needed) & inside]
 
 
 def _information(visible_t: FloatArray, turning: FloatArray) -> float:

@@ -176,11 +176,6 @@ def test_a_minute_without_the_camera_is_one_gap(three_minutes: SimulatedArm, sec
     assert off_in_sigmas(recovery.rows(away), sectioned.rows(away)).max() < 0.3
 
 
-@pytest.mark.xfail(
-    raises=(ValueError, IndexError),
-    strict=True,
-    reason="an excerpt without any frame of its own, but with some in its context, cannot be aligned",
-)
 def test_a_segment_without_the_camera_that_sees_it_again_right_after(three_minutes: SimulatedArm) -> None:
     start_s, end_s = MIDDLE
     hidden = without_camera(three_minutes.recording, start_s - 2.0, end_s + 2.0)

@@ -170,7 +170,7 @@ def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.Monk
     """Each job with its own answer, taken from the store no earlier than it is asked for."""
 
     def solve_again(job: SecondJob, task: None) -> SecondAnswer:
-        return SecondAnswer(cast(Any, job.state.first_sample), [])
+        return SecondAnswer(cast(Any, job.state.first_sample), [], ())
 
     monkeypatch.setattr("smoother.recovery.second_pass.solve_again", solve_again)
     first = first_pass((2,), store, monkeypatch)
