@@ -14,6 +14,8 @@ from .inertial import InertialSignal
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
 from .visibility import accepted_samples, enough_joints, joints_needed
 
+#: A single sample of the gyroscope that jumps by more than this and back is an error, rad/s.
+SPIKE_RAD_S = 15.0
 #: The inertial filter runs no faster than this, Hz.
 FILTER_RATE_HZ = 120.0
 #: A segment shorter than this is not worth a filter, samples.
@@ -185,7 +187,7 @@ def make_segment(
     accepted = accepted_samples(arm)
     if enough_joints(accepted, 1).sum() < 2:
         return None
-    signal = InertialSignal(replace(imu, t_s=even_t))
+    signal = InertialSignal(without_spikes(replace(imu, t_s=even_t)))
     return Segment(
         signal=signal,
         attitude=inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ)),
@@ -211,3 +213,29 @@ def down_hint(recording: Recording) -> FloatArray:
     if recording.camera_frame is not None:
         return recording.camera_frame.down
     return np.zeros(3)
+
+
+def spikes(gyro: FloatArray) -> BoolArray:
+    """Single samples (N,) that jump away from both neighbours, which agree: no arm turns like that.
+
+    Parameters
+    ----------
+    gyro : ndarray, shape (N, 3), rad/s
+    """
+    wrong = np.zeros(len(gyro), dtype=bool)
+    if len(gyro) > 2:
+        before = np.linalg.norm(gyro[1:-1] - gyro[:-2], axis=1)
+        after = np.linalg.norm(gyro[1:-1] - gyro[2:], axis=1)
+        across = np.linalg.norm(gyro[2:] - gyro[:-2], axis=1)
+        wrong[1:-1] = (np.minimum(before, after) > SPIKE_RAD_S) & (across < 0.3 * np.minimum(before, after))
+    return wrong
+
+
+def without_spikes(imu: ImuStream) -> ImuStream:
+    """The samples with spikes of the gyroscope replaced by the mean of their neighbours."""
+    rows = np.flatnonzero(spikes(imu.gyro))
+    if not len(rows):
+        return imu
+    gyro = imu.gyro.copy()
+    gyro[rows] = 0.5 * (imu.gyro[rows - 1] + imu.gyro[rows + 1])
+    return replace(imu, gyro=gyro)

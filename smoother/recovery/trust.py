@@ -16,6 +16,7 @@ from ..calibration import ArmCalibration
 from ..config import Anatomy
 from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S
+from ..measurements.segment import spikes
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
 from ..result import Recovery
 
@@ -68,6 +69,7 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         *_camera(recovery, NEAR_M),
         *_rate(recording.imu, SLOW_HZ),
         *_clipped(recording.imu),
+        *_spikes(recording.imu),
     )
     cautions = tuple(caution for caution in cautions if caution not in reasons)
     estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
@@ -164,6 +166,12 @@ def _clipped(imu: ImuStream) -> Iterator[str]:
         limits = [limit for axis in np.asarray(values).T for limit in _plateaus(axis)]
         if limits:
             yield f"the {name} was clipped at about {max(limits):.0f} {unit}: fast movement is less certain"
+
+
+def _spikes(imu: ImuStream) -> Iterator[str]:
+    count = int(np.count_nonzero(spikes(np.asarray(imu.gyro))))
+    if count:
+        yield f"samples of the gyroscope that jump away and back were replaced ({count})"
 
 
 def _plateaus(axis: FloatArray) -> list[float]:

@@ -123,6 +123,16 @@ def test_a_slow_sensor_and_a_clipped_one() -> None:
     )
 
 
+def test_one_wild_sample_of_the_gyroscope_is_replaced_and_said() -> None:
+    recording = sound(0)
+    gyro = recording.imu.gyro.copy()
+    gyro[len(gyro) // 2] = [34.0, -34.0, 34.0]
+    wild = smooth(replace(recording, imu=replace(recording.imu, gyro=gyro)), None, ALONE)
+    away = np.linalg.norm(wild.position - smooth(recording, None, ALONE).position, axis=1)
+    assert np.nanmax(away) < 0.003  # one sample of 100 a second is missing
+    assert wild.estimates.cautions == ("samples of the gyroscope that jump away and back were replaced (1)",)
+
+
 def test_nobody_judged() -> None:
     assert Estimates().verdict == "" and Estimates().trusted is None
 
