@@ -41,6 +41,8 @@ REJECTED_SHARE = 0.30
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
 #: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
 PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
+#: So many samples in a row without any force are no measurement.
+SILENT_SAMPLES = 3
 #: Of frames, at most so many are looked at.
 MOST_FRAMES = 20_000
 
@@ -63,6 +65,7 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         *_clock(recovery, recording),
         *_camera(recovery, FAR_M),
         *_rate(recording.imu, TOO_SLOW_HZ),
+        *_zeros(recording.imu),
     )
     cautions = (
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
@@ -158,6 +161,18 @@ def _camera(recovery: Recovery, far_m: float) -> Iterator[str]:
 def _rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
     if imu.rate_hz < least_hz:
         yield f"the IMU has {imu.rate_hz:.0f} samples a second, where 40 are needed and 80 are better"
+
+
+def _zeros(imu: ImuStream) -> Iterator[str]:
+    """Samples without any force: a sensor that falls freely is a sensor that sends nothing."""
+    silent = [
+        rows
+        for rows in runs(np.asarray(~np.asarray(imu.acc).any(axis=1)))
+        if rows.stop - rows.start >= SILENT_SAMPLES
+    ]
+    if silent:
+        count, first_s = sum(rows.stop - rows.start for rows in silent), float(imu.t_s[silent[0].start])
+        yield f"the IMU sends zeros ({count} samples, from {first_s:.1f} s on): take them out"
 
 
 def _clipped(imu: ImuStream) -> Iterator[str]:

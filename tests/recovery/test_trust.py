@@ -133,6 +133,16 @@ def test_one_wild_sample_of_the_gyroscope_is_replaced_and_said() -> None:
     assert wild.estimates.cautions == ("samples of the gyroscope that jump away and back were replaced (1)",)
 
 
+def test_a_sensor_that_sends_zeros_is_said() -> None:
+    recording = sound(0)
+    acc = recording.imu.acc.copy()
+    acc[800:880] = 0.0
+    silent = replace(recording, imu=replace(recording.imu, acc=acc))
+    estimates = judged(smooth(recording, None, ALONE), silent, ALONE.arm.anatomy).estimates
+    assert estimates.trusted is False
+    assert "the IMU sends zeros (80 samples" in estimates.reasons[-1]
+
+
 def test_nobody_judged() -> None:
     assert Estimates().verdict == "" and Estimates().trusted is None
 
