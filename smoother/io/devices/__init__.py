@@ -1,0 +1,1 @@
+"""Recordings as devices and camera programs write them: one importer, one file."""
