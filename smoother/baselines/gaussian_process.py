@@ -21,9 +21,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import minimize
 
+from ..measurements.position_process import PUBLISHED, Kernel, Measurements, log_likelihood
 from ..recording import FloatArray
 from .error_state import white_sigma
-from .kernel import PUBLISHED, Kernel, Measurements, Posterior, log_likelihood
+from .kernel import Posterior
 from .scene import Path, Scene, no_answer
 
 #: Accelerations are averaged to at most this rate, Hz.

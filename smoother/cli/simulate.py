@@ -37,7 +37,7 @@ class SimulateGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of the commands."""
-        return ["arm", "panel"]
+        return ["arm", "panel", "people"]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, or None."""
@@ -53,6 +53,13 @@ class SimulateGroup(TyperGroup):
             example = "Example: unocclude simulate panel -o session --poses 8 --seed 7 --mcap session.mcap"
             app.command("panel", epilog=example)(
                 with_settings(simulate_panel.panel, simulate_panel.settings())
+            )
+        elif cmd_name == "people":
+            from . import simulate_people
+
+            example = "Example: unocclude simulate people -o people.mcap --people 2 --sensors 4 --seed 7"
+            app.command("people", epilog=example)(
+                with_settings(simulate_people.people, simulate_people.settings())
             )
         else:
             return None
@@ -83,9 +90,9 @@ def arm(
     names = preset_names()
     if preset not in names:
         raise typer.BadParameter(f"there is no preset '{preset}'; presets: {', '.join(names)}")
-    changes = {name: _parsed(name, value) for name, value in settings.items() if value is not None}
+    changes = {name: parsed_setting(name, value) for name, value in settings.items() if value is not None}
     try:
-        mocap_config = MocapSimulation(**_taken(changes, MocapSimulation))
+        mocap_config = MocapSimulation(**taken(changes, MocapSimulation))
         config = ArmSimulation.preset(preset, **changes)
     except ValidationError as error:
         raise typer.BadParameter(f"setting {describe(error)}") from error
@@ -126,7 +133,7 @@ def preset_names() -> list[str]:
     return [preset.value for preset in Preset]
 
 
-def _taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
+def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
     """The settings of a model, taken out of `changes`."""
     return {name: changes.pop(name) for name in list(changes) if name in model.model_fields}
 
@@ -203,7 +210,7 @@ def _shown(default: Any) -> str:
     return str(default.value if hasattr(default, "value") else default).lower()
 
 
-def _parsed(name: str, value: Any) -> Any:
+def parsed_setting(name: str, value: Any) -> Any:
     """A list of numbers for the settings that are one, the value as it is for the others."""
     if not isinstance(_settings()[name].get_default(), tuple):
         return value

@@ -3,17 +3,21 @@
 from .arm import SimulatedArm, simulate_arm
 from .config import ArmSimulation, PointSimulation, Preset, SensorErrors
 from .mocap import MarkerCapture, MocapSimulation, capture
+from .people import PeopleSimulation, SimulatedPeople, simulate_people
 from .point import simulate_point
 
 __all__ = [
     "ArmSimulation",
     "MarkerCapture",
     "MocapSimulation",
+    "PeopleSimulation",
     "PointSimulation",
     "Preset",
     "SensorErrors",
     "SimulatedArm",
+    "SimulatedPeople",
     "capture",
     "simulate_arm",
+    "simulate_people",
     "simulate_point",
 ]

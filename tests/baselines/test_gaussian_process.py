@@ -10,17 +10,16 @@ from scipy.stats import multivariate_normal
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements
-from smoother.baselines.kernel import (
+from smoother.baselines.kernel import Posterior, predict
+from smoother.evaluation.lag import lag_s
+from smoother.measurements.position_process import (
     PUBLISHED,
     STEP_S,
     Kernel,
     Measurements,
-    Posterior,
     joint_covariance,
     log_likelihood,
-    predict,
 )
-from smoother.evaluation.lag import lag_s
 from smoother.recording import FloatArray
 
 

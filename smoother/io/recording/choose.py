@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from ...runtime.column import batches
 from ...runtime.store import Store
 from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+
+if TYPE_CHECKING:
+    from ...matching import Limb
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
@@ -144,7 +147,7 @@ def choose(
         preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
         pairs = preferred or pairs
     if len(pairs) > 1:
-        pair, why = _by_motion(file, pairs)
+        pair, why = _by_motion(file, pairs, store)
         notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")
     else:
         pair = pairs[0]
@@ -250,8 +253,13 @@ def _side(imu: ImuSamples, arm: ArmFrames) -> str:
 
 
 def _by_motion(
-    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]]
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
 ) -> tuple[tuple[ImuSamples, ArmFrames], str]:
+    matched = _matched(file, pairs, store)
+    if len(matched) == 1:
+        pair, probability = matched[0]
+        return pair, f"their motion agrees best (probability {probability:.2f} among all limbs in view)"
+    pairs = [pair for pair, _ in matched] or pairs
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1]], 0.0)
@@ -266,6 +274,31 @@ def _by_motion(
             f"choose with {needed}."
         )
     return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
+
+
+def _matched(
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
+) -> list[tuple[tuple[ImuSamples, ArmFrames], float]]:
+    """Pairs that one assignment of all these IMUs puts on a forearm, and how probable each is."""
+    from .match_streams import match_streams  # what it imports is not needed where names settle it
+
+    imus = list({id(imu): imu for imu, _ in pairs}.values())
+    arms = list({id(arm): arm for _, arm in pairs}.values())
+    pair_of = {(imu.topic, arm.topic, arm.body, arm.side): (imu, arm) for imu, arm in pairs}
+
+    def may_be(row: int, limb: Limb) -> bool:
+        worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
+        return worn_as_named and (imus[row].topic, limb.skeleton, limb.body, limb.side) in pair_of
+
+    try:
+        matches, _ = match_streams(file, imus, arms, store=store, may_be=may_be)
+    except RecordingError:
+        return []  # what cannot be used is said when it is read, if it is what is meant
+    return [
+        (pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side], match.probability)
+        for match in matches
+        if match.limb is not None and match.limb.segment == "wrist"
+    ]
 
 
 def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:

@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...linalg import runs
-from ...recording import JOINTS, FloatArray, IntArray, JointState, Recording
+from ...recording import (
+    JOINTS,
+    CameraFrame,
+    FloatArray,
+    ImuStream,
+    IntArray,
+    JointState,
+    JointTracks,
+    Recording,
+)
 from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds
@@ -114,6 +123,47 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             file.poses.append(
                 PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
             )
+    return file
+
+
+def as_session(
+    name: str,
+    imus: Sequence[ImuStream],
+    arms: Sequence[tuple[int, str, JointTracks]],
+    camera_frame: CameraFrame | None = None,
+) -> RecordingFile:
+    """Arms of several bodies before one camera, and IMUs that belong to no arm yet, as a file's streams.
+
+    Parameters
+    ----------
+    name : str
+        Of the recording.
+    imus : sequence of ImuStream
+        Their names become topics.
+    arms : sequence of (int, str, JointTracks)
+        Body, side, and what the camera saw.
+    camera_frame : CameraFrame, optional
+
+    Returns
+    -------
+    RecordingFile
+        Ready for `write_recording`.
+    """
+    from pathlib import Path
+
+    file = RecordingFile(Path(name), camera_frame=camera_frame)
+    topics: set[str] = set()
+    # stamps are not negative: a clock that is behind starts later
+    times = [*(imu.t_s for imu in imus), *(arm.t_s for *_, arm in arms)]
+    early = min((float(t[0]) for t in times if len(t)), default=0.0)
+    origin_ns = int(np.ceil(max(-early, 0.0))) * 1_000_000_000
+    for imu in imus:
+        topic = _free(imu_topic(imu.name), topics)
+        stamp = nanoseconds(imu.t_s, origin_ns)
+        file.imus.append(ImuSamples(topic, topic.rpartition("/")[2], stamp, imu.acc, imu.gyro, imu.mag))
+    for body, side, arm in arms:
+        stamp = nanoseconds(arm.t_s, origin_ns)
+        file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
     return file
 
 

@@ -1,0 +1,250 @@
+"""What camera and IMUs say of the same seconds, low-passed alike on one grid, free of mounting and heading.
+
+An excerpt is up to 10 s of the recording. A limb gives its direction and the acceleration of a point on it,
+in {K}. An IMU gives its orientation `R_E_A` and its acceleration in a frame {E} of its own, with z up and a
+heading that nobody knows, by an offline inertial filter (VQF; Laidig and Seel, Information Fusion 2023).
+The IMU's samples reach farther on both sides, so that clocks may be apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import RecordingError
+from ..linalg import unit
+from ..measurements.timestamps import split_at_pauses
+from ..recording import BoolArray, FloatArray, ImuStream
+from ..units import GRAVITY
+from .limbs import Limb
+
+#: Both sides are compared on this grid, below this frequency, Hz: above it a camera's joints are noise.
+GRID_HZ, LOW_PASS_HZ = 25.0, 2.0
+#: Length of an excerpt and how many are read of a longer recording, s.
+EXCERPT_S, EXCERPTS = 10.0, 12
+#: Data read around an excerpt, s, so that filters have settled.
+CONTEXT_S = 1.5
+#: Frames or samples farther apart than this are not bridged, s.
+BRIDGED_S = 0.25
+#: So much at the edge of what was seen has no acceleration, s.
+EDGE_S = 0.12
+#: Camera and IMU must share so much, s.
+SHORTEST_S = 1.0
+
+
+@dataclass(frozen=True)
+class LimbMotion:
+    """A limb in an excerpt, low-passed, in {K}.
+
+    Attributes
+    ----------
+    direction : ndarray, shape (n, 3)
+        Along the segment; 0 where not seen.
+    acceleration : ndarray, shape (n, 3), m/s^2
+        Of the point nearest to an IMU; 0 where not seen.
+    measured : ndarray, shape (n, 3), m
+        That point as the camera measured it, not low-passed.
+    has_direction, has_point : ndarray of bool, shape (n,)
+        Where they are known.
+    """
+
+    direction: FloatArray
+    acceleration: FloatArray
+    measured: FloatArray
+    has_direction: BoolArray
+    has_point: BoolArray
+
+
+@dataclass(frozen=True)
+class ImuMotion:
+    """An IMU in an excerpt and `reach` grid steps beyond on both sides, low-passed; N = n + 2 reach.
+
+    Attributes
+    ----------
+    R_E_A : ndarray, shape (N, 3, 3)
+        Low-passed entry by entry; 0 where there are no samples.
+    acceleration : ndarray, shape (N, 3), m/s^2
+        In {E}, without gravity.
+    force, rate : ndarray, shape (N,), m/s^2 and rad/s
+        Lengths of specific force and angular rate.
+    there : ndarray of bool, shape (N,)
+        Where the sensor has samples.
+    """
+
+    R_E_A: FloatArray
+    acceleration: FloatArray
+    force: FloatArray
+    rate: FloatArray
+    there: BoolArray
+
+
+@dataclass(frozen=True)
+class MatchExcerpt:
+    """Some seconds of all limbs and all IMUs.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,), s
+        Grid of `GRID_HZ` on the camera's clock; on an IMU's it counts the same before any shift.
+    limbs : list of LimbMotion
+    imus : list of ImuMotion
+    reach : int
+        Grid steps that the IMUs reach beyond both ends.
+    """
+
+    t: FloatArray
+    limbs: list[LimbMotion]
+    imus: list[ImuMotion]
+    reach: int
+
+
+def read_excerpts(imus: Sequence[ImuStream], limbs: Sequence[Limb], reach_s: float) -> list[MatchExcerpt]:
+    """All of a short recording, or the liveliest 10 s of every twelfth of a long one.
+
+    Parameters
+    ----------
+    imus : sequence of ImuStream
+    limbs : sequence of Limb
+    reach_s : float, s
+        Clocks may be this far apart.
+
+    Returns
+    -------
+    excerpts : list of MatchExcerpt
+        In order of time.
+
+    Raises
+    ------
+    RecordingError
+        The limbs are seen for less than a second.
+    """
+    seen = [limb.seen_from_to() for limb in limbs]
+    first, last = min(start for start, _ in seen), max(end for _, end in seen)
+    if last - first < SHORTEST_S:
+        raise RecordingError(
+            f"the camera shows the arms for {last - first:.1f} s, too short to match IMUs to them; "
+            "record some seconds of motion"
+        )
+    count = max(math.ceil((last - first) / EXCERPT_S), 1)
+    if count <= EXCERPTS:
+        edges = np.linspace(first, last, count + 1)
+        chosen = list(pairwise(edges))
+    else:
+        starts: FloatArray = first + EXCERPT_S * np.arange(count - 1, dtype=np.float64)
+        merit = _liveliness(limbs, starts)
+        parts = np.array_split(np.arange(len(starts)), EXCERPTS)
+        best = [rows[np.argmax(merit[rows])] for rows in parts]
+        chosen = [(starts[row], starts[row] + EXCERPT_S) for row in best]
+    reach = round(reach_s * GRID_HZ)
+    excerpts = []
+    for start, end in chosen:
+        t = start + np.arange(max(math.floor((end - start) * GRID_HZ), 2)) / GRID_HZ
+        wide = start + np.arange(-reach, len(t) + reach) / GRID_HZ
+        excerpts.append(
+            MatchExcerpt(
+                t, [limb_motion(limb, t) for limb in limbs], [imu_motion(imu, wide) for imu in imus], reach
+            )
+        )
+    return excerpts
+
+
+def _liveliness(limbs: Sequence[Limb], starts: FloatArray) -> FloatArray:
+    """How much the limbs move in the time after each start, all together, m."""
+    merit = np.zeros(len(starts))
+    for limb in limbs:
+        for k, start in enumerate(starts.tolist()):
+            point, seen = limb.between(start, start + EXCERPT_S).point()
+            if seen.sum() > 10:
+                merit[k] += float(np.linalg.norm(point[seen].std(axis=0)) * seen.mean())
+    return merit
+
+
+def limb_motion(limb: Limb, t: FloatArray) -> LimbMotion:
+    """A limb's motion at grid times (n,)."""
+    limb = limb.between(t[0] - CONTEXT_S, t[-1] + CONTEXT_S)
+    frame_t = limb.tracks.t_s
+    first, second, both = limb.ends()
+    along, has_direction = _low_passed(frame_t, unit(second - first), both, t)
+    point, seen = limb.point()
+    position, has_point = _low_passed(frame_t, point, seen, t, edge_s=EDGE_S)
+    acceleration = _second_derivative(position)
+    measured = np.zeros_like(position)
+    if seen.any():
+        measured = np.stack([np.interp(t, frame_t[seen], column) for column in point[seen].T], axis=1)
+    for values, known in ((along, has_direction), (acceleration, has_point), (measured, has_point)):
+        values[~known] = 0.0
+    return LimbMotion(along, acceleration, measured, has_direction, has_point)
+
+
+def imu_motion(imu: ImuStream, t: FloatArray) -> ImuMotion:
+    """An IMU's motion at grid times (N,)."""
+    n = len(t)
+    R, acceleration = np.zeros((n, 9)), np.zeros((n, 3))
+    sizes, there = np.zeros((n, 2)), np.zeros(n, bool)
+    near = slice(*np.searchsorted(imu.t_s, [t[0] - CONTEXT_S, t[-1] + CONTEXT_S]))
+    samples = imu.select(near)
+    # heading and tilt start anew after a pause: the longest part without one is read
+    runs_ = split_at_pauses(samples) if len(samples) > 2 else []
+    rows = max(runs_, key=lambda rows: rows.stop - rows.start, default=slice(0, 0))
+    samples = samples.select(rows)
+    if len(samples) > 2 and samples.t_s[-1] - samples.t_s[0] >= SHORTEST_S:
+        values = _levelled(samples)
+        passed, there = _low_passed(samples.t_s, values, np.ones(len(samples), bool), t)
+        passed[~there] = 0.0
+        R, acceleration, sizes = passed[:, :9], passed[:, 9:12], passed[:, 12:]
+    return ImuMotion(R.reshape(n, 3, 3), acceleration, sizes[:, 0], sizes[:, 1], there)
+
+
+def _levelled(imu: ImuStream) -> FloatArray:
+    """(N, 14): `R_E_A`, acceleration in {E} without gravity, |specific force|, |rate|."""
+    from vqf import offlineVQF
+
+    step = float(imu.t_s[-1] - imu.t_s[0]) / (len(imu) - 1)
+    acc, gyro = np.ascontiguousarray(imu.acc), np.ascontiguousarray(imu.gyro)
+    answer = offlineVQF(gyro, acc, None, step)
+    R = Rotation.from_quat(answer["quat6D"][:, [1, 2, 3, 0]]).as_matrix()
+    level = np.einsum("nij,nj->ni", R, acc) - [0.0, 0.0, GRAVITY]
+    sizes = [np.linalg.norm(values, axis=1)[:, None] for values in (acc, gyro)]
+    return np.hstack([R.reshape(-1, 9), level, *sizes])
+
+
+def _low_passed(
+    times: FloatArray, values: FloatArray, usable: BoolArray, t: FloatArray, edge_s: float = 0.0
+) -> tuple[FloatArray, BoolArray]:
+    """Values (N, c) below `LOW_PASS_HZ` at grid times, and where they were known."""
+    from scipy.signal import butter, sosfiltfilt
+
+    usable = usable & np.isfinite(values).all(axis=1)
+    times, values = times[usable], values[usable]
+    known = np.zeros(len(t), bool)
+    if len(times) < 3:
+        return np.zeros((len(t), values.shape[1])), known
+    rate = max(GRID_HZ, min(100.0, 1.0 / float(np.median(np.diff(times)))))
+    count = max(int(np.ceil((times[-1] - times[0]) * rate)), 2)
+    even = np.linspace(times[0], times[-1], count)
+    on_grid = np.stack([np.interp(even, times, column) for column in values.T], axis=1)
+    rate = (count - 1) / (times[-1] - times[0])
+    sos = butter(2, LOW_PASS_HZ / (rate / 2), output="sos")
+    passed = sosfiltfilt(sos, on_grid, axis=0, padlen=min(count - 1, int(2 * rate)))
+    after = np.clip(np.searchsorted(times, t, side="right"), 1, len(times) - 1)
+    before, behind = times[after - 1], times[after]
+    inside = (t >= times[0]) & (t <= times[-1])
+    known = inside & ((behind - before <= BRIDGED_S) | (t == before))
+    if edge_s:
+        gaps = np.flatnonzero(np.diff(times) > BRIDGED_S)
+        borders = np.concatenate([times[[0, -1]], times[gaps], times[gaps + 1]])
+        known &= np.abs(t[:, None] - borders).min(axis=1) >= edge_s
+    return np.stack([np.interp(t, even, column) for column in passed.T], axis=1), known
+
+
+def _second_derivative(position: FloatArray) -> FloatArray:
+    """(n, 3) m/s^2 by central differences on the grid."""
+    if len(position) < 3:
+        return np.zeros_like(position)
+    inner = (position[2:] - 2 * position[1:-1] + position[:-2]) * GRID_HZ**2
+    return np.concatenate([inner[:1], inner, inner[-1:]])

@@ -1,0 +1,197 @@
+"""Which IMU is on which body and limb: `match_imus`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import UnoccludeError
+from ..recording import BoolArray, FloatArray, ImuStream
+from .acceleration_distance import accumulated_distance, shakeid
+from .assignment import assign, probabilities
+from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, read_excerpts
+from .joint_likelihood import joint_likelihood
+from .limbs import Limb
+from .magnitudes import magnitudes
+from .rigid_fit import rigid_evidence
+
+#: An IMU is `unknown` where nothing is more probable than this.
+NAMED_FROM = 0.6
+#: Above this a pair is sure.
+SURE_FROM = 0.95
+#: Clocks: most are within the first of each other, s; so many are anywhere within reach.
+CLOCKS_NEAR_S, CLOCKS_FAR = 0.1, 0.2
+#: Before anything is seen: an IMU is on no limb in view; worn on a forearm rather than an upper arm.
+PRIOR_NONE, PRIOR_WRIST = 0.2, 0.75
+#: Below this rate, rad/s, a sensor is not on a living limb; how long a limb keeps so still by chance, s.
+STILL_RATE, STILL_CHANCE_S, MOST_STILL = 0.005, 2.0, 8.0
+
+#: Evidence (m,) that an IMU is on each limb, and its clock's shift there (m,), s.
+Measure = Callable[[list[MatchExcerpt], int, "FloatArray | None", FloatArray], tuple[FloatArray, FloatArray]]
+#: All methods by name; ours first.
+METHODS: dict[str, Measure] = {
+    "motion": rigid_evidence,
+    "magnitudes": magnitudes,
+    "joint-likelihood": joint_likelihood,
+    "shakeid": shakeid,
+    "acceleration-distance": accumulated_distance,
+}
+
+
+@dataclass(frozen=True)
+class ImuMatch:
+    """What was decided of one IMU.
+
+    Attributes
+    ----------
+    imu : str
+        Its name in the recording.
+    limb : Limb, optional
+        What it is on; None for none of the limbs, and where nothing is probable enough.
+    is_known : bool
+        False = `unknown`: neither a limb nor `none` is probable enough.
+    probability : float
+        Of the limb, or of `none`; of the most probable where it is unknown.
+    clock_offset_s : float, s
+        t_imu - t_camera to some 0.1 s, at the limb; nan without.
+    others : tuple of str, float
+        Further candidates with a probability of 1 % and more, the best first.
+    """
+
+    imu: str
+    limb: Limb | None
+    is_known: bool
+    probability: float
+    clock_offset_s: float
+    others: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def is_sure(self) -> bool:
+        """The pair can be relied upon."""
+        return self.limb is not None and self.probability > SURE_FROM
+
+    @property
+    def joint(self) -> str:
+        """What a match says: "wrist_right", ..; "none" on no limb in view; "unknown"."""
+        if self.limb is not None:
+            return self.limb.joint
+        return "none" if self.is_known else "unknown"
+
+    def to_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "imu": self.imu,
+            "body": None if self.limb is None else self.limb.body,
+            "joint": self.joint,
+            "probability": self.probability,
+            "sure": self.is_sure,
+            "clock_offset_s": self.clock_offset_s,
+            "others": [{"where": where, "probability": p} for where, p in self.others],
+        }
+
+
+def match_imus(
+    imus: Sequence[ImuStream],
+    limbs: Sequence[Limb],
+    down: FloatArray | None = None,
+    method: str = "motion",
+    reach_s: float = 5.0,
+    allowed: BoolArray | None = None,
+) -> list[ImuMatch]:
+    """Settle for all IMUs together which limb each is on, by motion alone.
+
+    Neither calibration nor common orientation nor common clock is needed. The evidence of every pair is a
+    log-likelihood ratio against `on none` (see the method); with the priors of this module it becomes the
+    weight of a pair in one assignment, and the weights of all assignments the probability of a pair. The
+    noise model behind the probabilities is a theoretical one (Gaussian errors of unknown size, with floors,
+    half as many independent samples as the band has); its one free number, `rigid_fit.INDEPENDENT`, was set
+    on half of UTD-MHAD's trials and on simulated scenes, and `tools/match_accuracy.py` checks on the others
+    that pairs of a probability p are right in about p of the cases.
+
+    Parameters
+    ----------
+    imus : sequence of ImuStream
+        Times on clocks that may be some seconds from the camera's.
+    limbs : sequence of Limb
+    down : ndarray, shape (3,), optional
+        Rough direction of gravity in {K}; None where nothing is known of it.
+    method : str
+        A name in `METHODS`.
+    reach_s : float, s
+        Clocks may be this far apart.
+    allowed : ndarray of bool, shape (k, m), optional
+        Which IMU may be on which limb; None where any may be on any.
+
+    Returns
+    -------
+    matches : list of ImuMatch
+        In the order of the IMUs.
+
+    Raises
+    ------
+    RecordingError
+        There is too little to compare.
+    UnoccludeError
+        There is no method of that name.
+    """
+    if method not in METHODS:
+        raise UnoccludeError(f"there is no method '{method}' to match with; methods: {', '.join(METHODS)}")
+    if not imus or not limbs:
+        return [ImuMatch(imu.name, None, False, float("nan"), float("nan")) for imu in imus]
+    excerpts = read_excerpts(imus, limbs, reach_s)
+    cost = shift_cost(excerpts[0].reach)
+    evidence, shift = np.zeros((len(imus), len(limbs))), np.zeros((len(imus), len(limbs)))
+    for i in range(len(imus)):
+        evidence[i], shift[i] = METHODS[method](excerpts, i, down, cost)
+    weight = evidence + _limb_prior(limbs)
+    if allowed is not None:
+        weight[~allowed] = -np.inf
+    none = np.log(PRIOR_NONE) + np.array([stillness(excerpts, i) for i in range(len(imus))])
+    chosen, share = assign(weight, none), probabilities(weight, none)
+    return [_decided(imu, limbs, chosen[i], share[i], shift[i]) for i, imu in enumerate(imus)]
+
+
+def shift_cost(reach: int) -> FloatArray:
+    """Minus the log-prior of each shift from -reach to reach, 0 for the likeliest."""
+    shift = np.arange(-reach, reach + 1) / GRID_HZ
+    near = np.exp(-0.5 * (shift / CLOCKS_NEAR_S) ** 2)
+    prior = (1 - CLOCKS_FAR) * near / near.sum() + CLOCKS_FAR / len(shift)
+    return np.asarray(-np.log(prior / prior.max()))
+
+
+def stillness(excerpts: list[MatchExcerpt], imu: int) -> float:
+    """Evidence that a sensor is on nothing that lives: the time in which it does not turn at all."""
+    still_s = 0.0
+    step = int(SHORTEST_S * GRID_HZ)
+    for excerpt in excerpts:
+        motion = excerpt.imus[imu]
+        rate, there = (
+            x[excerpt.reach : len(motion.rate) - excerpt.reach] for x in (motion.rate, motion.there)
+        )
+        for k in range(0, len(rate) - step + 1, step):
+            second = rate[k : k + step]
+            if there[k : k + step].all() and float(np.ptp(second)) < STILL_RATE:
+                still_s += SHORTEST_S
+    return min(still_s / STILL_CHANCE_S, MOST_STILL)
+
+
+def _limb_prior(limbs: Sequence[Limb]) -> FloatArray:
+    share = np.array([PRIOR_WRIST if limb.segment == "wrist" else 1 - PRIOR_WRIST for limb in limbs])
+    return np.asarray(np.log((1 - PRIOR_NONE) * share / share.sum()))
+
+
+def _decided(
+    imu: ImuStream, limbs: Sequence[Limb], chosen: int, share: FloatArray, shift: FloatArray
+) -> ImuMatch:
+    best = float(share[chosen])  # -1 is the last column, `none`
+    names = [*(limb.label for limb in limbs), "none"]
+    known = best >= NAMED_FROM
+    order = [k for k in np.argsort(-share) if share[k] >= 0.01 and not (known and k == chosen % len(names))]
+    others = tuple((names[k], float(share[k])) for k in order)
+    if not known:
+        return ImuMatch(imu.name, None, False, float(share.max()), float("nan"), others)
+    limb = limbs[chosen] if chosen >= 0 else None
+    offset = float(shift[chosen]) if limb is not None else float("nan")
+    return ImuMatch(imu.name, limb, True, best, offset, others)

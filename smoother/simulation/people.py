@@ -1,0 +1,295 @@
+"""Several people before one camera, both arms of each, and a box of IMUs that nobody labelled.
+
+Every person has measures of their own and two arms that move by a protocol of their own; IMUs lie on
+forearms, upper arms or the table, on clocks of their own, and the recording's names say nothing. The truth
+is kept beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from ..linalg import unit
+from ..recording import CameraFrame, FloatArray, ImuStream, JointTracks
+from .body import Measures, draw_measures
+from .camera import add_noise, add_outliers, deliver, exposures, film
+from .config import ArmSimulation
+from .gaps import lose_forearm, settle
+from .inertial import ideal_imu, measure
+from .motion import ArmMotion, Stage, draw_stage, draw_wobble
+from .path import band_noise
+from .protocol import perform
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SIDES: tuple[Literal["right", "left"], ...] = ("right", "left")
+#: People stand side by side this far apart, m.
+APART_M = 0.9
+#: Who moves in time with others is early or late by this, rms, s.
+ASTRAY_S = 0.12
+
+
+class PeopleSimulation(BaseModel):
+    """Who is before the camera, and what they wear; the arms and sensors themselves are an
+    `ArmSimulation`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    people: int = Field(default=2, ge=1, le=6, description="persons before the camera, both arms of each")
+    sensors: int = Field(default=4, ge=1, le=24, description="IMUs in the recording")
+    on_table: int = Field(default=1, ge=0, description="how many of them lie on the table")
+    hanging: float = Field(default=0.25, ge=0, le=1, description="chance that an arm hangs while others move")
+    in_time: float = Field(
+        default=0.5, ge=0, le=1, description="chance that all do the same movements at the same time"
+    )
+    clocks_apart_s: float = Field(
+        default=1.0, ge=0, description="each IMU's clock is off by up to this, s, either way"
+    )
+    tissue_deg: float = Field(
+        default=2.0, ge=0, description="rms of an upper arm's IMU against the bone, degrees"
+    )
+
+
+@dataclass(frozen=True)
+class WornImu:
+    """An IMU with everything that is known of it.
+
+    Attributes
+    ----------
+    stream : ImuStream
+        Its samples, on its own clock; the name says nothing of where it is.
+    body : int, optional
+        Who wears it; None on the table.
+    joint : str
+        "wrist_right", "upper_arm_left", ..; "none" on the table.
+    clock_offset_s : float, s
+        Its clock minus the true time.
+    """
+
+    stream: ImuStream
+    body: int | None
+    joint: str
+    clock_offset_s: float
+
+
+@dataclass(frozen=True)
+class SimulatedPeople:
+    """A recording of several people, and its truth.
+
+    Attributes
+    ----------
+    arms : list of tuple of int, str, JointTracks
+        Body, side, and the arm as the camera saw it.
+    worn : list of WornImu
+        In the order of their names.
+    camera_frame : CameraFrame
+    name : str
+    """
+
+    arms: list[tuple[int, str, JointTracks]]
+    worn: list[WornImu]
+    camera_frame: CameraFrame
+    name: str
+
+    @property
+    def truth(self) -> dict[str, tuple[int | None, str]]:
+        """Body and joint by the IMU's name."""
+        return {one.stream.name: (one.body, one.joint) for one in self.worn}
+
+
+class _UpperArmMount:
+    """An IMU on an upper arm, on soft tissue: a `MotionModel` made of the arm's joints and its flexion
+    axis.
+    """
+
+    def __init__(self, motion: ArmMotion, tissue_deg: float, rng: np.random.Generator) -> None:
+        self._motion = motion
+        self._along = rng.uniform(0.5, 0.8)
+        self._off = 0.045 * unit(rng.normal(size=3) * [1.0, 0.0, 1.0])
+        self._R_U_A = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+        # soft tissue follows the motion: a few slow sines turn the sensor against the bone
+        self._rate = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 3))
+        self._phase = rng.uniform(0, 2 * np.pi, (4, 3))
+        self._size = np.radians(tissue_deg) / np.sqrt(6.0)
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `MotionModel.imu_pose`."""
+        joints = self._motion.joints(t_s)
+        shoulder, elbow = joints["shoulder"], joints["elbow"]
+        lateral, _ = self._motion.bone_axes(t_s)
+        down = unit(elbow - shoulder)
+        front = unit(np.cross(down, lateral))
+        R_K_U = np.stack([front, down, np.cross(front, down)], axis=2)
+        angle = t_s[:, None, None] * self._rate + self._phase
+        slip = Rotation.from_rotvec(self._size * np.sin(angle).sum(axis=1)).as_matrix()
+        position = shoulder + self._along * (elbow - shoulder) + R_K_U @ self._off
+        return R_K_U @ slip @ self._R_U_A, position
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """See `MotionModel.joints`."""
+        return self._motion.joints(t_s)
+
+
+class _OnTable:
+    """An IMU that lies where it was laid."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._R = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `MotionModel.imu_pose`."""
+        return np.tile(self._R, (len(t_s), 1, 1)), np.tile([0.6, -0.4, 1.5], (len(t_s), 1))
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """No joints."""
+        return {}
+
+
+def simulate_people(
+    people: PeopleSimulation | None = None, arm: ArmSimulation | None = None, seed: int = 0
+) -> SimulatedPeople:
+    """Simulate people with shuffled, nameless IMUs before one depth camera.
+
+    The true time is the camera's, but for its latency. The seed decides everything: the same seed and
+    settings give the same recording.
+
+    Parameters
+    ----------
+    people : PeopleSimulation, optional
+        Who and what; None for two people with four IMUs, one of which lies on the table.
+    arm : ArmSimulation, optional
+        Motion, camera and sensors of every arm; None for 20 s of random motion with realistic errors.
+    seed : int
+        Non-negative.
+
+    Returns
+    -------
+    simulated : SimulatedPeople
+
+    Raises
+    ------
+    ValueError
+        More IMUs are worn than there are places.
+    """
+    people = people or PeopleSimulation()
+    arm = arm or ArmSimulation.preset("realistic", protocol="random", duration_s=20.0)
+    worn_count = people.sensors - people.on_table
+    if not 0 <= worn_count <= 4 * people.people:
+        raise ValueError(
+            f"{people.people} people have {4 * people.people} places for IMUs; {worn_count} are to be worn"
+        )
+    rng, noise_rng, imu_rng, stamp_rng = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
+    )
+    motions, duration_s, gravity = _motions(people, arm, rng)
+    times = exposures(duration_s, arm.frame_rate_hz, stamp_rng)
+    imus = list(_worn(people, arm, motions, duration_s, gravity, rng, imu_rng))
+    order = rng.permutation(len(imus))
+    worn = [
+        replace(imus[k], stream=replace(imus[k].stream, name=f"/imu/sensor_{place + 1}"))
+        for place, k in enumerate(order)
+    ]
+    arms = []
+    stamp_seed = int(stamp_rng.integers(2**31))
+    for (body, side), motion in motions.items():
+        footage = film(times, motion.joints(times))
+        true = footage.position.copy()
+        add_noise(footage, arm, noise_rng)
+        hidden = settle(motion.hidden(times), arm.frame_rate_hz)
+        lose_forearm(footage, hidden, true, arm, noise_rng)
+        add_outliers(footage, arm, noise_rng)
+        # one camera: all arms have the same frames
+        tracks, _ = deliver(footage, "/skeleton", arm, np.random.default_rng(stamp_seed))
+        arms.append((body, side, tracks))
+    return SimulatedPeople(arms, worn, arm.camera_frame, f"simulated people, seed {seed}")
+
+
+def _motions(
+    people: PeopleSimulation, arm: ArmSimulation, rng: np.random.Generator
+) -> tuple[dict[tuple[int, str], ArmMotion], float, FloatArray]:
+    """Every arm's motion by body and side, how long all of them last, and gravity in {K}."""
+    stage = draw_stage(arm.distance_m, arm.camera_frame, rng)
+    in_time = rng.random() < people.in_time
+    shared_seed = int(rng.integers(2**31))
+    motions: dict[tuple[int, str], ArmMotion] = {}
+    durations = []
+    for body in range(people.people):
+        measures = draw_measures(rng)
+        aside = stage.R_K_T @ [APART_M * (body - 0.5 * (people.people - 1)), 0.0, rng.normal(0, 0.1)]
+        place = Stage(stage.R_K_T, stage.origin_K + aside)
+        moving = rng.random(len(SIDES)) >= people.hanging
+        sway: FloatArray | None = None
+        for side, moves in zip(SIDES, moving, strict=True):
+            config = arm.model_copy(update={"side": side} | ({} if moves else {"protocol": "hang"}))
+            # who moves in time follows one leader, each in their own way: the same seed, other measures
+            own = np.random.default_rng(shared_seed) if in_time and moves else rng
+            performance = perform(config, own)
+            if sway is None:
+                sway = performance.sway
+            n = min(len(sway), len(performance.sway))
+            mirrored = sway[:n] * ([-1.0, 1.0, 1.0] if side == "left" else [1.0, 1.0, 1.0])
+            performance = replace(
+                performance,
+                t_s=performance.t_s[:n],
+                posture=_varied(performance.posture[:n], performance.t_s[:n], rng),
+                sway=mirrored,
+            )
+            wobble = draw_wobble(performance, arm.wobble_deg, rng)
+            motions[body, side] = ArmMotion(performance, _mounted(measures, rng), place, wobble, side)
+            durations.append(min(performance.duration_s, float(performance.t_s[-1]) - 0.4))
+    return motions, min(durations), stage.gravity
+
+
+def _varied(posture: FloatArray, t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """The same movements by another person: other sizes, and now earlier, now later by `ASTRAY_S` rms."""
+    size = 1 + rng.normal(0, 0.1, posture.shape[1])
+    astray = ASTRAY_S * band_noise(t_s, 0.03, 0.3, 1, rng)[:, 0]
+    moved = make_interp_spline(t_s, posture, k=5)(np.clip(t_s + astray, t_s[0], t_s[-1]))
+    mean = posture.mean(axis=0)
+    return np.asarray(mean + size * (moved - mean))
+
+
+def _mounted(measures: Measures, rng: np.random.Generator) -> Measures:
+    """The same person's other arm: the strap is put on anew."""
+    other = draw_measures(rng)
+    return replace(
+        measures,
+        strap_to_wrist=other.strap_to_wrist,
+        imu_in_forearm=other.imu_in_forearm,
+        R_F_A=other.R_F_A,
+    )
+
+
+def _worn(
+    people: PeopleSimulation,
+    arm: ArmSimulation,
+    motions: dict[tuple[int, str], ArmMotion],
+    duration_s: float,
+    gravity: FloatArray,
+    rng: np.random.Generator,
+    imu_rng: np.random.Generator,
+) -> Iterator[WornImu]:
+    """The IMUs before they are shuffled."""
+    places = [(body, side, segment) for body, side in motions for segment in ("wrist", "upper_arm")]
+    count = people.sensors - people.on_table
+    chosen = [places[k] for k in rng.choice(len(places), count, replace=False)]
+    for place in [*chosen, *[None] * people.on_table]:
+        offset = rng.uniform(-1, 1) * people.clocks_apart_s
+        model: ArmMotion | _UpperArmMount | _OnTable = _OnTable(rng)
+        if place is not None:
+            motion = motions[place[:2]]
+            model = motion if place[2] == "wrist" else _UpperArmMount(motion, people.tissue_deg, rng)
+        ideal = ideal_imu(model, duration_s, arm.imu_rate_hz, gravity)
+        stream, _ = measure(ideal, arm, imu_rng)
+        joint = "none" if place is None else f"{place[2]}_{place[1]}"
+        yield WornImu(
+            replace(stream, t_s=stream.t_s + offset), None if place is None else place[0], joint, offset
+        )

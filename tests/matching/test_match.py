@@ -1,0 +1,153 @@
+"""Which IMU is on whom: without names, calibration or a common clock, and left open where it must be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from smoother.errors import RecordingError, UnoccludeError
+from smoother.matching import METHODS, Limb, limbs_of, match_imus
+from smoother.recording import CameraFrame, ImuStream, JointState
+from smoother.simulation import ArmSimulation, PeopleSimulation, SimulatedPeople, simulate_people
+
+DOWN = CameraFrame.KINECT.down
+
+
+@cache
+def scene(
+    seed: int = 3, in_time: float = 0.0, hanging: float = 0.0, seconds: float = 12.0
+) -> SimulatedPeople:
+    arm = ArmSimulation.preset("realistic", protocol="random", duration_s=seconds, imu_rate_hz=50)
+    return simulate_people(PeopleSimulation(in_time=in_time, hanging=hanging), arm, seed)
+
+
+def limbs(people: SimulatedPeople) -> list[Limb]:
+    return [limb for body, side, arm in people.arms for limb in limbs_of(arm, body, side)]
+
+
+def imus(people: SimulatedPeople) -> list[ImuStream]:
+    return [one.stream for one in people.worn]
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_every_imu_is_where_it_is(seed: int) -> None:
+    people = scene(seed)
+    for worn, match in zip(people.worn, match_imus(imus(people), limbs(people), DOWN), strict=True):
+        body = None if match.limb is None else match.limb.body
+        assert (match.imu, body, match.joint) == (worn.stream.name, worn.body, worn.joint)
+        assert match.is_sure == (worn.body is not None)
+        if match.limb is not None:  # the grid is 0.04 s, the camera's latency 0.02 s
+            assert match.clock_offset_s == pytest.approx(worn.clock_offset_s, abs=0.1)
+
+
+def test_mounting_and_order_do_not_matter() -> None:
+    """Another mounting is a rotation of all samples; another order changes no answer."""
+    people = scene()
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    turned = [replace(one, acc=one.acc @ turn.T, gyro=one.gyro @ turn.T) for one in imus(people)]
+    usual = {m.imu: (m.joint, m.probability) for m in match_imus(imus(people), limbs(people), DOWN)}
+    for match in match_imus(turned[::-1], limbs(people)[::-1], DOWN):
+        joint, probability = usual[match.imu]
+        assert match.joint == joint and match.probability == pytest.approx(probability, abs=0.02)
+
+
+def test_the_direction_of_gravity_is_not_needed() -> None:
+    people = scene()
+    for worn, match in zip(people.worn, match_imus(imus(people), limbs(people), None), strict=True):
+        assert match.joint == worn.joint
+
+
+def test_clocks_that_are_seconds_apart() -> None:
+    people = scene()
+    late = [replace(one, t_s=one.t_s + 3.0) for one in imus(people)]
+    for worn, match in zip(people.worn, match_imus(late, limbs(people), DOWN), strict=True):
+        assert match.joint == worn.joint
+        if match.limb is not None:
+            assert match.clock_offset_s == pytest.approx(worn.clock_offset_s + 3.0, abs=0.1)
+    too_late = [replace(one, t_s=one.t_s + 100.0) for one in imus(people)]
+    assert not any(match.is_known and match.limb for match in match_imus(too_late, limbs(people), DOWN))
+
+
+def test_the_true_limb_out_of_view_is_not_replaced_by_another() -> None:
+    """The wearer's limbs are cut from the list: nobody else's is named for sure."""
+    people = scene()
+    for worn in people.worn:
+        others = [limb for limb in limbs(people) if limb.body != worn.body or worn.body is None]
+        (match,) = match_imus([worn.stream], others, DOWN)
+        assert not match.is_sure
+
+
+def test_arms_that_hang_are_unknown() -> None:
+    people = scene(7, hanging=1.0)
+    for worn, match in zip(people.worn, match_imus(imus(people), limbs(people), DOWN), strict=True):
+        assert not match.is_sure
+        if worn.body is None:
+            assert match.joint == "none" and match.probability > 0.95
+
+
+def test_two_people_who_share_one_motion_cannot_be_told_apart() -> None:
+    """The same arm under two numbers: half and half, so unknown, whatever one IMU's noise says."""
+    people = scene()
+    worn = next(one for one in people.worn if one.body is not None)
+    twice = [limb for limb in limbs(people) if limb.body == worn.body]
+    twice += [replace(limb, body=9) for limb in twice]
+    (match,) = match_imus([worn.stream], twice, DOWN)
+    assert match.joint == "unknown" and match.probability == pytest.approx(0.5, abs=0.01)
+    assert {where for where, _ in match.others[:2]} == {f"{worn.joint} of body {b}" for b in (worn.body, 9)}
+
+
+def test_what_names_exclude_is_never_taken() -> None:
+    people = scene()
+    places = limbs(people)
+    allowed = np.array([[limb.joint != worn.joint for limb in places] for worn in people.worn])
+    for worn, match in zip(people.worn, match_imus(imus(people), places, DOWN, allowed=allowed), strict=True):
+        assert match.limb is None or match.limb.joint != worn.joint
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "motion"])
+def test_the_other_methods_answer_too(method: str) -> None:
+    """They are there to compare with: of the moving limbs each finds most in an easy scene."""
+    people = scene(3)
+    places = [limb for limb in limbs(people) if limb.segment == "wrist"]
+    chosen = [one for one in people.worn if one.joint.startswith("wrist")]
+    assert chosen
+    near = [replace(one.stream, t_s=one.stream.t_s - one.clock_offset_s) for one in chosen]
+    matches = match_imus(near, places, DOWN, method)
+    assert all(0 < match.probability <= 1 for match in matches)
+    right = [
+        match.limb is not None and (match.limb.body, match.joint) == (one.body, one.joint)
+        for one, match in zip(chosen, matches, strict=True)
+    ]
+    assert sum(right) >= len(chosen) - 1
+
+
+def test_what_cannot_be_used() -> None:
+    people = scene()
+    places, streams = limbs(people), imus(people)
+    with pytest.raises(UnoccludeError, match="no method 'best'"):
+        match_imus(streams, places, DOWN, "best")
+    with pytest.raises(UnoccludeError, match="state the camera's frame"):
+        match_imus(streams, places, None, "joint-likelihood")
+    short = [replace(limb, tracks=limb.tracks.select(slice(0, 10))) for limb in places]
+    with pytest.raises(RecordingError, match="too short"):
+        match_imus(streams, short, DOWN)
+    empty = ImuStream("/imu/empty", np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+    *rest, last = match_imus([*streams, empty], places, DOWN)
+    assert last.limb is None and [m.joint for m in rest] == [one.joint for one in people.worn]
+    assert [match.joint for match in match_imus(streams, [], DOWN)] == ["unknown"] * 4
+
+
+def test_frames_that_are_missing_are_not_made_up() -> None:
+    """A third of the frames gone in gaps: fewer seconds, the same answer."""
+    people = scene()
+    places = []
+    for limb in limbs(people):
+        hidden = (limb.tracks.t_s % 3.0) < 1.0
+        places.append(replace(limb, tracks=limb.tracks.hide(hidden, ("shoulder", "elbow", "wrist", "hand"))))
+        assert (places[-1].tracks.state[hidden] == JointState.NOT_TRACKED).all()
+    for worn, match in zip(people.worn, match_imus(imus(people), places, DOWN), strict=True):
+        assert match.joint == worn.joint

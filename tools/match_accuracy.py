@@ -1,0 +1,147 @@
+"""Which IMU is on whom: `python tools/match_accuracy.py [utd] [scenes] [--methods motion,..] [--develop]`.
+
+`utd`: all trials of an action in UTD-MHAD at once (four people who do the same, one IMU on each right
+wrist; needs UNOCCLUDE_DATASETS), whole trials and their first 2 s, with four wrists and four upper arms to
+choose from. `scenes`: simulated scenes of two people with four nameless IMUs, one of them on the table;
+half of the scenes random motion, half a clinical protocol; in half of them everybody moves in time. Both
+print a table of methods, and how often pairs of a stated probability are right. Reported are trials 3 and 4
+and seeds from 0 on; `--develop` takes those that the constants were set on: trials 1 and 2, seeds from 1000
+on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from shared import datasets
+
+from smoother.io import import_utd_mhad
+from smoother.matching import METHODS, SURE_FROM, ImuMatch, limbs_of, match_imus
+from smoother.recording import CameraFrame, Recording
+from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_people
+
+ACTIONS, SUBJECTS = range(1, 22), range(1, 5)
+PROBABILITIES = (0.6, 0.8, 0.95, 0.99, 1.0 + 1e-9)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One IMU: what was said, and whether it is so."""
+
+    match: ImuMatch
+    is_right: bool
+
+    @property
+    def is_pair(self) -> bool:
+        """A limb was named."""
+        return self.match.limb is not None
+
+
+def utd_groups(trials: tuple[int, ...], first_s: float | None) -> Iterator[list[Recording]]:
+    """Trials of one action and number, one a subject."""
+    folder = datasets("utd_mhad")
+    for action in ACTIONS:
+        for trial in trials:
+            group = []
+            for subject in SUBJECTS:
+                name = f"a{action}_s{subject}_t{trial}"
+                inertial = folder / "Inertial" / f"{name}_inertial.mat"
+                if inertial.exists():
+                    made = import_utd_mhad(inertial, folder / "Skeleton" / f"{name}_skeleton.mat")
+                    if first_s is not None:
+                        imu = made.imu.select(made.imu.t_s <= first_s)
+                        made = replace(made, imu=imu, arm=made.arm.select(made.arm.t_s <= first_s))
+                    group.append(made)
+            yield group
+
+
+def utd(method: str, trials: tuple[int, ...], first_s: float | None) -> list[Answer]:
+    """Every IMU of all groups."""
+    answers = []
+    for group in utd_groups(trials, first_s):
+        limbs = [limb for body, one in enumerate(group) for limb in limbs_of(one.arm, body, one.side)]
+        matches = match_imus([one.imu for one in group], limbs, CameraFrame.KINECT.down, method)
+        for body, match in enumerate(matches):
+            where = match.limb
+            answers.append(
+                Answer(match, where is not None and (where.body, where.segment) == (body, "wrist"))
+            )
+    return answers
+
+
+def scene_settings(seed: int) -> ArmSimulation:
+    """Even seeds move at random for 20 s, odd ones perform the clinical protocol once."""
+    if seed % 2:
+        return ArmSimulation.preset("realistic", protocol="behind", repetitions=1)
+    return ArmSimulation.preset("realistic", protocol="random", duration_s=20.0)
+
+
+def scenes(methods: list[str], seeds: range) -> dict[str, list[Answer]]:
+    """Every IMU of all scenes, by method."""
+    answers: dict[str, list[Answer]] = {method: [] for method in methods}
+    for seed in seeds:
+        scene = simulate_people(PeopleSimulation(), scene_settings(seed), seed)
+        limbs = [limb for body, side, arm in scene.arms for limb in limbs_of(arm, body, side)]
+        imus = [one.stream for one in scene.worn]
+        for method in methods:
+            for worn, match in zip(
+                scene.worn, match_imus(imus, limbs, scene.camera_frame.down, method), strict=True
+            ):
+                body = None if match.limb is None else match.limb.body
+                answers[method].append(Answer(match, (body, match.joint) == (worn.body, worn.joint)))
+    return answers
+
+
+def print_answers(title: str, answers: dict[str, list[Answer]]) -> None:
+    """A row a method, then reliability of the pairs."""
+    print(f"\n{title}, {len(next(iter(answers.values())))} IMUs")
+    print(f"{'method':22}{'right':>8}{'unknown':>9}{'wrong':>7}{'sure':>8}{'sure, wrong':>13}")
+    for method, rows in answers.items():
+        right = np.mean([one.is_right for one in rows])
+        unknown = np.mean([not one.match.is_known for one in rows])
+        wrong = sum(one.match.is_known and not one.is_right for one in rows)
+        sure = [one for one in rows if one.is_pair and one.match.probability > SURE_FROM]
+        bad = sum(not one.is_right for one in sure)
+        print(f"{method:22}{right:8.1%}{unknown:9.1%}{wrong:7d}{len(sure) / len(rows):8.1%}{bad:13d}")
+    print("reliability: pairs with a probability of .. are right in .. of .. cases")
+    for method, rows in answers.items():
+        cells = []
+        for low, high in pairwise(PROBABILITIES):
+            inside = [one for one in rows if one.is_pair and low <= one.match.probability < high]
+            if inside:
+                mean = np.mean([one.match.probability for one in inside])
+                share = np.mean([one.is_right for one in inside])
+                cells.append(f"{mean:.3f}: {share:.3f} of {len(inside)}")
+        print(f"{method:22}{'; '.join(cells)}", flush=True)
+
+
+def main() -> None:
+    """Run the parts that the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument(
+        "parts", nargs="*", choices=[[], "utd", "scenes"], help="what to measure; all if none"
+    )
+    parser.add_argument("--methods", default=",".join(METHODS), help="names, with commas")
+    parser.add_argument("--seeds", type=int, default=200, help="number of scenes")
+    parser.add_argument("--develop", action="store_true", help="what the constants were set on")
+    parser.add_argument("--all-trials", action="store_true", help="of utd, developed and others together")
+    options = parser.parse_args()
+    methods = options.methods.split(",")
+    parts = options.parts or ["utd", "scenes"]
+    trials = (1, 2, 3, 4) if options.all_trials else (1, 2) if options.develop else (3, 4)
+    if "utd" in parts:
+        for first_s, about in ((None, "whole"), (2.0, "first 2 s")):
+            title = f"UTD-MHAD, trials {', '.join(map(str, trials))}, {about}"
+            print_answers(title, {method: utd(method, trials, first_s) for method in methods})
+    if "scenes" in parts:
+        start = 1000 if options.develop else 0
+        seeds = range(start, start + options.seeds)
+        print_answers(f"Scenes, seeds {start} to {seeds[-1]}", scenes(methods, seeds))
+
+
+if __name__ == "__main__":
+    main()
