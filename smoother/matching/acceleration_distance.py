@@ -16,15 +16,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..recording import BoolArray, FloatArray
-from .excerpt_motion import GRID_HZ, LOW_PASS_HZ, SHORTEST_S, MatchExcerpt
+from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, independent_samples
 from .joint_likelihood import published_shifts, vertical
 
 #: Of the Kalman filter: intensity of the acceleration's random walk, m^2/s^5, and the camera's sigma, m.
 PROCESS_NOISE, POSITION_SIGMA = 2000e-3, 0.008
 #: ShakeID compares windows of this length, s.
 WINDOW_S = 1.0
-#: Part of the band's samples that count as independent, as for our method.
-INDEPENDENT = 0.5
 
 
 def shakeid(
@@ -67,9 +65,10 @@ def _compared(
                 rest[limb, k] += (device[both][:, 3 - axes :] ** 2).sum()
                 count[limb, k] += both.sum()
     enough = count >= SHORTEST_S * GRID_HZ
-    independent = INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * count
     ratio = (rest + 1e-6) / (left + 1e-6)
-    value = np.where(enough, 0.5 * axes * independent * np.log(ratio) - shift_cost[shifts], -np.inf)
+    value = np.where(
+        enough, 0.5 * axes * independent_samples(count) * np.log(ratio) - shift_cost[shifts], -np.inf
+    )
     best = np.argmax(value, axis=1)
     evidence = value[np.arange(len(value)), best]
     return np.where(np.isfinite(evidence), evidence, 0.0), (shifts[best] - reach) / GRID_HZ

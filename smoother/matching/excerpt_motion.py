@@ -33,6 +33,10 @@ CONTEXT_S = 1.5
 BRIDGED_S = 0.25
 #: So much at the edge of what was seen has no acceleration, s.
 EDGE_S = 0.12
+#: Independent samples are this part of what the low-pass leaves, as joints' errors have a memory; and of
+#: however many, no more than so many count, as joints' constant errors and the strap's slip do not average
+#: out.
+INDEPENDENT, MOST_INDEPENDENT = 0.5, 20.0
 #: Camera and IMU must share so much, s.
 SHORTEST_S = 1.0
 
@@ -248,3 +252,9 @@ def _second_derivative(position: FloatArray) -> FloatArray:
         return np.zeros_like(position)
     inner = (position[2:] - 2 * position[1:-1] + position[:-2]) * GRID_HZ**2
     return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def independent_samples(count: FloatArray) -> FloatArray:
+    """How many independent samples grid samples count as."""
+    independent = INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * count
+    return np.asarray(independent / (1.0 + independent / MOST_INDEPENDENT))

@@ -8,15 +8,16 @@ turning rate, which does not see the rotation about the limb itself.
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from ..recording import FloatArray
+from ..recording import BoolArray, FloatArray
 from ..units import GRAVITY
-from .excerpt_motion import GRID_HZ, LOW_PASS_HZ, SHORTEST_S, MatchExcerpt
+from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, independent_samples
 
 #: What the camera's noise leaves of an acceleration and of a turning rate, m/s^2 and rad/s.
 FORCE_SIGMA, RATE_SIGMA = 0.3, 0.15
-#: What mounting and stamps spoil, as a part of the motion; part of the band's samples that are independent.
-SPOILT, INDEPENDENT = 0.2, 0.5
+#: What mounting and stamps spoil, as a part of the motion.
+SPOILT = 0.2
 
 
 def magnitudes(
@@ -30,50 +31,51 @@ def magnitudes(
     limbs = len(excerpts[0].limbs)
     evidence, best = np.zeros(limbs), np.zeros(limbs)
     for limb in range(limbs):
-        value = np.full(2 * reach + 1, -np.inf)
-        for shift in range(2 * reach + 1):
-            found = _at(excerpts, imu, limb, down, shift)
-            if found is not None:
-                value[shift] = found - shift_cost[shift]
-        if np.isfinite(value).any():
-            evidence[limb] = value.max()
-            best[limb] = (int(np.argmax(value)) - reach) / GRID_HZ
+        force, rate = _Left(2 * reach + 1), _Left(2 * reach + 1)
+        for excerpt in excerpts:
+            arm, sensor = excerpt.limbs[limb], excerpt.imus[imu]
+            turning = np.linalg.norm(np.gradient(arm.direction, 1 / GRID_HZ, axis=0), axis=1)
+            seen = arm.has_direction.copy()
+            seen[1:-1] &= arm.has_direction[2:] & arm.has_direction[:-2]
+            rate.add(turning, 0.0, seen, sensor.rate, sensor.there, one_sided=True)
+            if down is not None:
+                size = np.linalg.norm(arm.acceleration - GRAVITY * down, axis=1)
+                force.add(size, GRAVITY, arm.has_point, sensor.force, sensor.there)
+        enough = np.maximum(force.count, rate.count) >= SHORTEST_S * GRID_HZ
+        value = force.evidence(FORCE_SIGMA) + rate.evidence(RATE_SIGMA) - shift_cost
+        if enough.any():
+            k = int(np.argmax(np.where(enough, value, -np.inf)))
+            evidence[limb], best[limb] = value[k], (k - reach) / GRID_HZ
     return evidence, best
 
 
-def _at(
-    excerpts: list[MatchExcerpt], imu: int, limb: int, down: FloatArray | None, shift: int
-) -> float | None:
-    """Evidence at one shift; None where less than a second is shared."""
-    force: list[tuple[FloatArray, FloatArray]] = []
-    rate: list[tuple[FloatArray, FloatArray]] = []
-    for excerpt in excerpts:
-        arm, sensor = excerpt.limbs[limb], excerpt.imus[imu]
-        rows = slice(shift, shift + len(excerpt.t))
-        there = sensor.there[rows]
-        turning = np.linalg.norm(np.gradient(arm.direction, 1 / GRID_HZ, axis=0), axis=1)
-        seen = there & arm.has_direction
-        seen[1:-1] &= arm.has_direction[2:] & arm.has_direction[:-2]
-        rate.append((sensor.rate[rows][seen], turning[seen]))
-        if down is not None:
-            size = np.linalg.norm(arm.acceleration - GRAVITY * down, axis=1)
-            seen = there & arm.has_point
-            force.append((sensor.force[rows][seen], size[seen]))
-    count = max(sum(len(a) for a, _ in pairs) for pairs in (force, rate))
-    if count < SHORTEST_S * GRID_HZ:
-        return None
-    total = 0.0
-    for pairs, sigma, usual, one_sided in (
-        (force, FORCE_SIGMA, GRAVITY, False),
-        (rate, RATE_SIGMA, 0.0, True),
-    ):
-        sensed = np.concatenate([a for a, _ in pairs]) if pairs else np.empty(0)
-        seen_by_camera = np.concatenate([b for _, b in pairs]) if pairs else np.empty(0)
-        if not len(sensed):
-            continue
-        left = seen_by_camera - sensed
-        match = np.mean((np.maximum(left, 0.0) if one_sided else left) ** 2)
-        none = np.mean((seen_by_camera - usual) ** 2)
+class _Left:
+    """Squares of what is left at every shift, with the limb and with a limb at rest."""
+
+    def __init__(self, shifts: int) -> None:
+        self.match, self.none, self.count = np.zeros(shifts), np.zeros(shifts), np.zeros(shifts)
+
+    def add(
+        self,
+        camera: FloatArray,
+        at_rest: float,
+        seen: BoolArray,
+        sensed: FloatArray,
+        there: BoolArray,
+        one_sided: bool = False,
+    ) -> None:
+        """Take an excerpt: camera (n,), sensor (n + shifts - 1,); one-sided = the sensor's may be larger."""
+        both = sliding_window_view(there, len(camera)) & seen
+        left = camera - sliding_window_view(sensed, len(camera))
+        if one_sided:
+            left = np.maximum(left, 0.0)
+        self.match += (left**2 * both).sum(axis=1)
+        self.none += ((camera - at_rest) ** 2 * both).sum(axis=1)
+        self.count += both.sum(axis=1)
+
+    def evidence(self, sigma: float) -> FloatArray:
+        """Half the independent samples times the log of the ratio of mean squares, by shift."""
+        number = np.maximum(self.count, 1.0)
+        none, match = self.none / number, self.match / number
         ratio = ((1 + SPOILT**2) * none + sigma**2) / (match + SPOILT**2 * none + sigma**2)
-        total += 0.5 * INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * len(sensed) * float(np.log(ratio))
-    return total
+        return np.asarray(0.5 * independent_samples(self.count) * np.log(ratio))

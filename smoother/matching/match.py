@@ -104,11 +104,13 @@ def match_imus(
 
     Neither calibration nor common orientation nor common clock is needed. The evidence of every pair is a
     log-likelihood ratio against `on none` (see the method); with the priors of this module it becomes the
-    weight of a pair in one assignment, and the weights of all assignments the probability of a pair. The
-    noise model behind the probabilities is a theoretical one (Gaussian errors of unknown size, with floors,
-    half as many independent samples as the band has); its one free number, `rigid_fit.INDEPENDENT`, was set
-    on half of UTD-MHAD's trials and on simulated scenes, and `tools/match_accuracy.py` checks on the others
-    that pairs of a probability p are right in about p of the cases.
+    weight of a pair in one assignment, and the weights of all assignments the probability of a pair.
+
+    The noise model behind the probabilities is theoretical: Gaussian errors of unknown size, with floors for
+    the camera's noise and a part of the motion that soft tissue and stamps spoil, and a number of independent
+    samples that saturates, as constant errors do not average out. Its constants (in `excerpt_motion` and
+    `rigid_fit`) were set on trials 1 and 2 of UTD-MHAD and on simulated scenes of seeds from 1000 on;
+    `tools/match_accuracy.py` holds the probabilities against other trials and seeds.
 
     Parameters
     ----------

@@ -21,15 +21,19 @@ import numpy as np
 
 from ..linalg import nearest_rotation, unit
 from ..recording import FloatArray
-from .excerpt_motion import GRID_HZ, LOW_PASS_HZ, SHORTEST_S, ImuMotion, LimbMotion, MatchExcerpt
+from .excerpt_motion import (
+    GRID_HZ,
+    LOW_PASS_HZ,
+    SHORTEST_S,
+    ImuMotion,
+    LimbMotion,
+    MatchExcerpt,
+    independent_samples,
+)
 
 #: What remains of a joint's noise after the low-pass: of a direction, rad, and an acceleration, m/s^2, an
 #: axis.
 DIRECTION_SIGMA, ACCELERATION_SIGMA = 0.06, 0.5
-#: Independent samples are this part of what the low-pass leaves, as joints' errors have a memory; and of
-#: however many, no more than so many count, as joints' constant errors and the strap's slip do not average
-#: out.
-INDEPENDENT, MOST_INDEPENDENT = 0.5, 20.0
 #: What mounting, soft tissue and stamps spoil, as a part of the motion.
 SPOILT = 0.3
 #: The camera's gravity is known to about this, rad; it counts as one more vector.
@@ -144,12 +148,6 @@ def _log_ratio(none: FloatArray, match: FloatArray, count: FloatArray, axes: int
     none, match, floor = none / number, np.maximum(match, 0.0) / number, axes * sigma**2
     ratio = ((1 + SPOILT**2) * none + floor) / (match + SPOILT**2 * none + floor)
     return np.asarray(0.5 * axes * independent_samples(count) * np.log(ratio))
-
-
-def independent_samples(count: FloatArray) -> FloatArray:
-    """How many independent samples grid samples count as."""
-    independent = INDEPENDENT * 2 * LOW_PASS_HZ / GRID_HZ * count
-    return np.asarray(independent / (1.0 + independent / MOST_INDEPENDENT))
 
 
 def rigid_evidence(
