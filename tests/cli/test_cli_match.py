@@ -93,6 +93,18 @@ def test_one_broken_sensor_does_not_keep_the_others(people) -> None:
     assert any(late.topic in note and "no time in common" in note for note in notes)
 
 
+def test_a_name_that_contradicts_the_motion(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    imu = next(k for k, one in enumerate(file.imus) if truth[one.topic][1].startswith("wrist"))
+    side = truth[file.imus[imu].topic][1].removeprefix("wrist_")
+    other = "left" if side == "right" else "right"
+    for name, is_wrong in ((f"/imu/forearm_{side}", False), (f"/imu/forearm_{other}", True)):
+        file.imus[imu] = replace(file.imus[imu], topic=name)
+        matches, notes = match_file(file)
+        assert matches[imu].joint == f"wrist_{side}"
+        assert any(note.startswith(name) and "name contradicts" in note for note in notes) == is_wrong
+
+
 def test_a_file_without_axes_is_matched_all_the_same(people) -> None:
     file, truth = open_recording(people[0]), people[1]
     matches, _ = match_file(without(file, camera_frame=None))

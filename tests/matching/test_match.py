@@ -10,6 +10,7 @@ import pytest
 
 from smoother.errors import RecordingError, UnoccludeError
 from smoother.matching import METHODS, Limb, limbs_of, match_imus
+from smoother.matching.excerpt_motion import read_excerpts
 from smoother.recording import CameraFrame, ImuStream, JointState
 from smoother.simulation import ArmSimulation, PeopleSimulation, SimulatedPeople, simulate_people
 
@@ -123,6 +124,21 @@ def test_the_other_methods_answer_too(method: str) -> None:
         for one, match in zip(chosen, matches, strict=True)
     ]
     assert sum(right) >= len(chosen) - 1
+
+
+def test_a_long_recording_is_read_in_excerpts() -> None:
+    """Three minutes, of which the arm moves in some: the liveliest ten seconds of every twelfth."""
+    arm = ArmSimulation.preset(
+        "realistic", protocol="random", duration_s=150.0, imu_rate_hz=25, frame_rate_hz=15, still_start_s=60.0
+    )
+    people = simulate_people(PeopleSimulation(people=1, sensors=2, hanging=0), arm, 1)
+    places = limbs(people)
+    excerpts = read_excerpts(imus(people), places, 0.4)
+    starts = [float(one.t[0]) for one in excerpts]
+    assert len(excerpts) == 12 and starts == sorted(starts) and starts[-1] > 120
+    assert all(len(one.t) == 250 and len(one.imus[0].rate) == 270 for one in excerpts)
+    for worn, match in zip(people.worn, match_imus(imus(people), places, DOWN), strict=True):
+        assert match.joint == worn.joint
 
 
 def test_what_cannot_be_used() -> None:

@@ -12,6 +12,7 @@ from ...recording import FloatArray, ImuStream, JointTracks
 from ...runtime.store import Store
 from ..mcap.stamps import seconds
 from .bodies import join_bodies
+from .choose import named_side, role
 from .clean import clean_arm, clean_imu
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
@@ -56,7 +57,23 @@ def match_file(
         )
     arms, notes = join_bodies(file.arms, store)
     matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
-    return matches, notes + more
+    return matches, notes + more + _contradicted(file.imus, matches)
+
+
+def _contradicted(imus: Sequence[ImuSamples], matches: Sequence[ImuMatch]) -> list[str]:
+    """Sensors whose names say something else than their motion, where the motion is sure."""
+    notes = []
+    for imu, match in zip(imus, matches, strict=True):
+        named, side = role(imu), named_side(imu.topic, imu.frame_id)
+        if match.limb is None or not match.is_sure:
+            continue
+        segment = "forearm" if match.limb.segment == "wrist" else match.limb.segment
+        if (named and named != segment) or (side and match.limb.side and side != match.limb.side):
+            notes.append(
+                f"{imu.topic} moves as {match.limb.label}, which its name contradicts; if it was mixed up, "
+                f"name it in the recording or give --imu {imu.topic} with --side and --body."
+            )
+    return notes
 
 
 def match_streams(
