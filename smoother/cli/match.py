@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Force, Json, RecordingPath
+from .options import Force, Json, RecordingPath, Skeleton
 from .output import check_outputs, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def match(
     recording_file: RecordingPath,
     method: Method = "motion",
     clocks_apart_s: Reach = 5.0,
+    skeleton: Skeleton = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -49,7 +50,7 @@ def match(
     file = open_recording(recording_file, truth=False)
     answers = {}
     for name in names:
-        answers[name], notes = match_file(file, name, clocks_apart_s)
+        answers[name], notes = match_file(file, name, clocks_apart_s, skeleton=skeleton)
         if name == names[0]:
             print_matches(str(recording_file), answers[name])
             print_notes([*file.notes, *notes])

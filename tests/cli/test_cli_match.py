@@ -57,6 +57,8 @@ def test_what_is_asked_wrongly(people, tmp_path: Path, capsys: pytest.CaptureFix
     assert "--method is motion, magnitudes" in capsys.readouterr().err
     assert run(["match", str(tmp_path / "no.mcap")]) != 0
     assert "no.mcap" in capsys.readouterr().err
+    assert run(["match", str(recording), "--skeleton", "/other"]) != 0
+    assert "no skeleton fits --skeleton /other; it has /skeleton" in capsys.readouterr().err
     assert run(["match", str(recording), "--json", str(recording)]) != 0
     assert "read by this command" in capsys.readouterr().err
     assert run(["simulate", "people", "-o", str(tmp_path / "x.mcap"), "--sensors", "24"]) != 0

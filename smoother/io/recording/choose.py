@@ -175,7 +175,7 @@ def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int
     fitting = [
         arm
         for arm in seen
-        if (skeleton is None or _is_named(skeleton, arm.topic, arm.frame_id))
+        if (skeleton is None or is_named(skeleton, arm.topic, arm.frame_id))
         and (not side or arm.side in (side, ""))
         and (body is None or arm.body == body)
     ]
@@ -229,7 +229,7 @@ def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
     listed = ", ".join(stream.topic for stream in file.imus)
     if name is not None:
         exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
-        matches = exact or [s for s in file.imus if _is_named(name, s.topic, s.frame_id)]
+        matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
         if len(matches) != 1:
             what = "more than one IMU fits" if matches else "no IMU fits"
             raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
@@ -403,7 +403,8 @@ def choose_truth(file: RecordingFile, side: str) -> tuple[PoseSamples | None, li
     return (poses[0], []) if poses else (None, [])
 
 
-def _is_named(asked: str, topic: str, frame_id: str) -> bool:
+def is_named(asked: str, topic: str, frame_id: str) -> bool:
+    """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
     return asked.strip("/").lower() in topic.lower() or asked == frame_id
 
 

@@ -12,7 +12,7 @@ from ...recording import FloatArray, ImuStream, JointTracks
 from ...runtime.store import Store
 from ..mcap.stamps import seconds
 from .bodies import join_bodies
-from .choose import named_side, role
+from .choose import is_named, named_side, role
 from .clean import clean_arm, clean_imu
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
@@ -21,7 +21,11 @@ REACH_S = 5.0
 
 
 def match_file(
-    file: RecordingFile, method: str = "motion", reach_s: float = REACH_S, store: Store | None = None
+    file: RecordingFile,
+    method: str = "motion",
+    reach_s: float = REACH_S,
+    store: Store | None = None,
+    skeleton: str | None = None,
 ) -> tuple[list[ImuMatch], list[str]]:
     """Settle which IMU of a file is on which body and limb, by motion alone; names are not asked.
 
@@ -35,6 +39,8 @@ def match_file(
         Clocks may be this far apart.
     store : Store, optional
         Where joined and cleaned columns are to lie; None = in memory.
+    skeleton : str, optional
+        Topic (or a part of it, or its frame_id) of the arms; None for all.
 
     Returns
     -------
@@ -50,12 +56,16 @@ def match_file(
     """
     if not file.imus:
         raise RecordingError(f"{file.path} has no IMU to match; record the IMUs as well.")
-    if not any(arm.tracked for arm in file.arms):
+    arms = [arm for arm in file.arms if skeleton is None or is_named(skeleton, arm.topic, arm.frame_id)]
+    if file.arms and not arms:
+        topics = ", ".join(dict.fromkeys(arm.topic for arm in file.arms))
+        raise RecordingError(f"{file.path}: no skeleton fits --skeleton {skeleton}; it has {topics}.")
+    if not any(arm.tracked for arm in arms):
         raise RecordingError(
             f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
             "record again with the arms in view of the camera for some seconds."
         )
-    arms, notes = join_bodies(file.arms, store)
+    arms, notes = join_bodies(arms, store)
     matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
     return matches, notes + more + _contradicted(file.imus, matches)
 
