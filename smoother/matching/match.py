@@ -92,6 +92,25 @@ class ImuMatch:
         }
 
 
+@dataclass(frozen=True)
+class PairEvidence:
+    """What the motion says of k IMUs and m limbs.
+
+    Attributes
+    ----------
+    limb : ndarray, shape (k, m)
+        Log-likelihood ratio of an IMU on a limb against on none.
+    none : ndarray, shape (k,)
+        Further evidence for `none`: a sensor that does not move at all.
+    shift_s : ndarray, shape (k, m), s
+        t_imu - t_camera of each pair.
+    """
+
+    limb: FloatArray
+    none: FloatArray
+    shift_s: FloatArray
+
+
 def match_imus(
     imus: Sequence[ImuStream],
     limbs: Sequence[Limb],
@@ -138,21 +157,41 @@ def match_imus(
     UnoccludeError
         There is no method of that name.
     """
-    if method not in METHODS:
-        raise UnoccludeError(f"there is no method '{method}' to match with; methods: {', '.join(METHODS)}")
     if not imus or not limbs:
         return [ImuMatch(imu.name, None, False, float("nan"), float("nan")) for imu in imus]
+    return decide(imus, limbs, pair_evidence(imus, limbs, down, method, reach_s), allowed)
+
+
+def pair_evidence(
+    imus: Sequence[ImuStream],
+    limbs: Sequence[Limb],
+    down: FloatArray | None = None,
+    method: str = "motion",
+    reach_s: float = 5.0,
+) -> PairEvidence:
+    """What the motion says of every pair, before anything is assigned; parameters as `match_imus`."""
+    if method not in METHODS:
+        raise UnoccludeError(f"there is no method '{method}' to match with; methods: {', '.join(METHODS)}")
     excerpts = read_excerpts(imus, limbs, reach_s)
     cost = shift_cost(excerpts[0].reach)
-    evidence, shift = np.zeros((len(imus), len(limbs))), np.zeros((len(imus), len(limbs)))
-    for i in range(len(imus)):
-        evidence[i], shift[i] = METHODS[method](excerpts, i, down, cost)
-    weight = evidence + _limb_prior(limbs)
+    rows = [METHODS[method](excerpts, i, down, cost) for i in range(len(imus))]
+    still = np.array([stillness(excerpts, i) for i in range(len(imus))])
+    return PairEvidence(np.array([row[0] for row in rows]), still, np.array([row[1] for row in rows]))
+
+
+def decide(
+    imus: Sequence[ImuStream],
+    limbs: Sequence[Limb],
+    pairs: PairEvidence,
+    allowed: BoolArray | None = None,
+) -> list[ImuMatch]:
+    """One assignment of all IMUs by evidence and priors; parameters and returns as `match_imus`."""
+    weight = pairs.limb + _limb_prior(limbs)
     if allowed is not None:
         weight[~allowed] = -np.inf
-    none = np.log(PRIOR_NONE) + np.array([stillness(excerpts, i) for i in range(len(imus))])
+    none = np.log(PRIOR_NONE) + pairs.none
     chosen, share = assign(weight, none), probabilities(weight, none)
-    return [_decided(imu, limbs, chosen[i], share[i], shift[i]) for i, imu in enumerate(imus)]
+    return [_decided(imu, limbs, chosen[i], share[i], pairs.shift_s[i]) for i, imu in enumerate(imus)]
 
 
 def shift_cost(reach: int) -> FloatArray:
