@@ -4,10 +4,10 @@
 wrist; needs UNOCCLUDE_DATASETS), whole trials and their first 2 s, with four wrists and four upper arms to
 choose from. `scenes`: simulated scenes of two people with four nameless IMUs, one of them on the table;
 half of the scenes random motion, half a clinical protocol; in half of them everybody moves in time. Both
-print a table of methods and how often pairs of a stated probability are right. `assigned` is the share that is
-right where each worn IMU has to be on a limb (in `utd` on one of the four wrists), which is what the published
-methods answer. Reported are trials 3 and 4 and seeds from 0 on; `--develop` takes those that the constants
-were set on: trials 1 and 2, seeds from 1000 on.
+print a table of methods and how often pairs of a stated probability are right. `assigned` is the share that
+is right where each worn IMU has to be on a limb (in `utd` on one of the four wrists), which is what the
+published methods answer. Reported are trials 3 and 4 and seeds from 0 on; `--develop` takes those that the
+constants were set on: trials 1 and 2, seeds from 1000 on.
 """
 
 from __future__ import annotations
@@ -122,9 +122,9 @@ def print_answers(title: str, answers: dict[str, list[Answer]]) -> None:
         wrong = sum(one.match.is_known and not one.is_right for one in rows)
         sure = [one for one in rows if one.is_pair and one.match.probability > SURE_FROM]
         bad = sum(not one.is_right for one in sure)
-        print(
-            f"{method:22}{right:8.1%}{unknown:9.1%}{wrong:7d}{len(sure) / len(rows):8.1%}{bad:13d}{assigned:10.1%}"
-        )
+        share = len(sure) / len(rows)
+        cells = f"{right:8.1%}{unknown:9.1%}{wrong:7d}{share:8.1%}{bad:13d}{assigned:10.1%}"
+        print(f"{method:22}{cells}")
     print("reliability: pairs with a probability of .. are right in .. of .. cases")
     for method, rows in answers.items():
         reliability = []
