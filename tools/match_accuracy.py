@@ -104,8 +104,8 @@ def scenes(methods: list[str], seeds: range) -> dict[str, list[Answer]]:
             for k, match in enumerate(decide(imus, limbs, pairs)):
                 true = (scene.worn[k].body, scene.worn[k].joint)
                 body = None if match.limb is None else match.limb.body
-                told = (body, match.joint) if k not in limb_of else places[limb_of[k]]
-                answers[method].append(Answer(match, (body, match.joint) == true, told == true))
+                place = (body, match.joint) if k not in limb_of else places[limb_of[k]]
+                answers[method].append(Answer(match, (body, match.joint) == true, place == true))
     return answers
 
 
