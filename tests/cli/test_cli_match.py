@@ -126,6 +126,14 @@ def test_smooth_takes_the_imu_that_is_on_the_arm(people) -> None:
             assert any(f"IMU {imu}" in note and "probability" in note for note in taken.notes)
 
 
+def test_an_upper_arms_imu_is_not_taken_for_a_wrists(people) -> None:
+    file, truth = open_recording(people[0]), people[1]
+    upper = [imu for imu in file.imus if truth[imu.topic][1].startswith("upper_arm")]
+    assert upper
+    with pytest.raises(RecordingError, match=r"no IMU moves as a forearm .* as upper_arm_"):
+        select_recording(without(file, imus=upper))
+
+
 def test_names_are_still_believed_first() -> None:
     """A single IMU that is named as this arm's is taken without a look at its motion."""
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 1).recording

@@ -16,7 +16,7 @@ from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
-    from ...matching import Limb
+    from ...matching import ImuMatch, Limb
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
@@ -255,11 +255,23 @@ def _side(imu: ImuSamples, arm: ArmFrames) -> str:
 def _by_motion(
     file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
 ) -> tuple[tuple[ImuSamples, ArmFrames], str]:
-    matched = _matched(file, pairs, store)
+    matches = _matches(file, pairs, store)
+    matched = [(pair, match) for pair, match in matches if match.limb and match.limb.segment == "wrist"]
     if len(matched) == 1:
-        pair, probability = matched[0]
-        return pair, f"their motion agrees best (probability {probability:.2f} among all limbs in view)"
-    pairs = [pair for pair, _ in matched] or pairs
+        pair, match = matched[0]
+        return pair, f"their motion agrees best (probability {match.probability:.2f} among all limbs in view)"
+    elsewhere = {
+        id(imu): match
+        for (imu, _), match in matches
+        if match.is_sure and match.limb and match.limb.segment != "wrist"
+    }
+    pairs = [pair for pair, _ in matched] or [pair for pair in pairs if id(pair[0]) not in elsewhere]
+    if not pairs:
+        where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
+        raise RecordingError(
+            f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
+            "choose with --imu and --side if one is on a forearm all the same."
+        )
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1]], 0.0)
@@ -276,10 +288,10 @@ def _by_motion(
     return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
 
 
-def _matched(
+def _matches(
     file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
-) -> list[tuple[tuple[ImuSamples, ArmFrames], float]]:
-    """Pairs that one assignment of all these IMUs puts on a forearm, and how probable each is."""
+) -> list[tuple[tuple[ImuSamples, ArmFrames], ImuMatch]]:
+    """Pairs that one assignment of all these IMUs to all limbs of these arms makes."""
     from .match_streams import match_streams  # what it imports is not needed where names settle it
 
     imus = list({id(imu): imu for imu, _ in pairs}.values())
@@ -295,9 +307,9 @@ def _matched(
     except RecordingError:
         return []  # what cannot be used is said when it is read, if it is what is meant
     return [
-        (pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side], match.probability)
+        (pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side], match)
         for match in matches
-        if match.limb is not None and match.limb.segment == "wrist"
+        if match.limb is not None
     ]
 
 
