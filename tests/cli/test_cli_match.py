@@ -134,6 +134,29 @@ def test_an_upper_arms_imu_is_not_taken_for_a_wrists(people) -> None:
         select_recording(without(file, imus=upper))
 
 
+def test_the_other_forearms_are_named_too(people) -> None:
+    """Two wrists have an IMU: one is taken or the user is asked, and either way both are named."""
+    file, truth = open_recording(people[0]), people[1]
+    wrists = [imu.topic for imu in file.imus if truth[imu.topic][1].startswith("wrist")]
+    assert len(wrists) == 2
+    try:
+        said = " ".join(select_recording(file).notes)
+    except RecordingError as error:
+        said = str(error)
+    assert all(topic in said for topic in wrists)
+
+
+def test_one_pair_is_left_and_does_not_fit(people) -> None:
+    """Beside a sure upper arm a sensor that lies still: it is not taken for want of another."""
+    file, truth = open_recording(people[0]), people[1]
+    upper = next(imu for imu in file.imus if truth[imu.topic][1].startswith("upper_arm"))
+    table = next(imu for imu in file.imus if truth[imu.topic][1] == "none")
+    body, joint = truth[upper.topic]
+    side = joint.removeprefix("upper_arm_")
+    with pytest.raises(RecordingError, match="choose with --imu"):
+        select_recording(without(file, imus=[upper, table]), body=body, side=side)
+
+
 def test_names_are_still_believed_first() -> None:
     """A single IMU that is named as this arm's is taken without a look at its motion."""
     made = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 1).recording

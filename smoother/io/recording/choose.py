@@ -265,6 +265,7 @@ def _by_motion(
         for (imu, _), match in matches
         if match.is_sure and match.limb and match.limb.segment != "wrist"
     }
+    offered = pairs
     pairs = [pair for pair, _ in matched] or [pair for pair in pairs if id(pair[0]) not in elsewhere]
     if not pairs:
         where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
@@ -274,18 +275,24 @@ def _by_motion(
         )
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
     order = np.argsort(-scores)
-    best, second = scores[order[0]], max(scores[order[1]], 0.0)
+    best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
-        options = [("--imu", len({id(i) for i, _ in pairs}) > 1)]
-        options += [("--skeleton", len({a.topic for _, a in pairs}) > 1)]
-        options += [("--side", len({a.side for _, a in pairs}) > 1)]
-        options += [("--body", len({(a.topic, a.body) for _, a in pairs}) > 1)]
+        options = [("--imu", len({id(i) for i, _ in offered}) > 1)]
+        options += [("--skeleton", len({a.topic for _, a in offered}) > 1)]
+        options += [("--side", len({a.side for _, a in offered}) > 1)]
+        options += [("--body", len({(a.topic, a.body) for _, a in offered}) > 1)]
         needed = " and ".join(name for name, is_needed in options if is_needed)
         raise RecordingError(
             f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
             f"choose with {needed}."
         )
-    return pairs[order[0]], f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
+    why = f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
+    further = [
+        f"{match.imu} moves as {match.limb.label}"
+        for pair, match in matched
+        if match.limb and pair[0] is not pairs[order[0]][0]
+    ]
+    return pairs[order[0]], "; ".join([why, *further])
 
 
 def _matches(
