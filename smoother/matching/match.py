@@ -129,7 +129,8 @@ def match_imus(
     the camera's noise and a part of the motion that soft tissue and stamps spoil, and a number of independent
     samples that saturates, as constant errors do not average out. Its constants (in `excerpt_motion` and
     `rigid_fit`) were set on trials 1 and 2 of UTD-MHAD and on simulated scenes of seeds from 1000 on;
-    `tools/match_accuracy.py` holds the probabilities against other trials and seeds.
+    `tools/match_accuracy.py` holds the probabilities against other trials and seeds. The share of independent
+    samples was first looked at on all four trials.
 
     Parameters
     ----------
