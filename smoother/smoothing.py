@@ -8,6 +8,7 @@ from typing import TypeVar
 from .calibration import ArmCalibration
 from .config import Config
 from .errors import SolveError
+from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.timeline import Timeline
 from .recording import FOREARM_JOINTS, Recording
@@ -39,6 +40,7 @@ def smooth(
     progress: Progress | None = None,
     store: Store | None = None,
     processes: int | None = None,
+    clock: Clock | None = None,
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
 
@@ -60,6 +62,9 @@ def smooth(
         Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
         Worker processes, 0 for one a core; as the configuration says where None.
+    clock : Clock, optional
+        The camera's against the IMU's as it was measured, with its sigma: a prior. The motion tells it where
+        there is none.
 
     Returns
     -------
@@ -80,14 +85,15 @@ def smooth(
     # 1. Clocks: bring the camera's stamps to where the fine search finds the rest.
     report(0.0, "calibrating")
     timeline = Timeline.of(recording)
-    recording, coarse_clock = synchronise_coarsely(recording, timeline)
+    recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
+    clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
     count = config.windows.processes if processes is None else processes
     with Pool(count, len(recording.arm)) as workers:
         # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
-        model = self_calibrate(excerpts, given, config, workers)
+        model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
         # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
         sections = Sections(recording, timeline, model.clock)
         task = Task.of(recording, sections, model, config)
