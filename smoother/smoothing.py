@@ -12,6 +12,7 @@ from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.timeline import Timeline
 from .recording import FOREARM_JOINTS, Recording
+from .recovery.cause import naming_the_cause, with_cause
 from .recovery.field_pass import magnetic_field
 from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
@@ -88,7 +89,7 @@ def smooth(
     recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
     clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
     count = config.windows.processes if processes is None else processes
-    with Pool(count, len(recording.arm)) as workers:
+    with naming_the_cause(recording, given), Pool(count, len(recording.arm)) as workers:
         # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
@@ -110,7 +111,8 @@ def smooth(
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
     report(1.0, "done")
-    return judged(recovery, recording, config.arm.anatomy)
+    # 7. A verdict, and the likeliest cause where it is not to be trusted.
+    return with_cause(judged(recovery, recording, config.arm.anatomy), recording, given)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

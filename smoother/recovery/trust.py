@@ -19,6 +19,7 @@ from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import spikes
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
 from ..result import Recovery
+from .limb_lengths import swapped_joints
 
 #: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
 #: years on.
@@ -66,6 +67,7 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         *_camera(recovery, FAR_M),
         *_rate(recording.imu, TOO_SLOW_HZ),
         *_zeros(recording.imu),
+        *swapped_joints(recording.arm),
     )
     cautions = (
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
