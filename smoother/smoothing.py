@@ -89,7 +89,7 @@ def smooth(
     recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
     clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
     count = config.windows.processes if processes is None else processes
-    with naming_the_cause(recording, given), Pool(count, len(recording.arm)) as workers:
+    with naming_the_cause(recording, given, clock), Pool(count, len(recording.arm)) as workers:
         # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
@@ -112,7 +112,7 @@ def smooth(
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
     report(1.0, "done")
     # 7. A verdict, and the likeliest cause where it is not to be trusted.
-    return with_cause(judged(recovery, recording, config.arm.anatomy), recording, given)
+    return with_cause(judged(recovery, recording, config.arm.anatomy, clock), recording, given, clock)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

@@ -17,13 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibration import ArmCalibration
-from ..errors import SolveError
+from ..errors import CalibrationError, SolveError
+from ..measurements.clock import Clock
 from ..measurements.remedy import Remedy
 from ..measurements.segment import down_hint
 from ..measurements.timeline import Timeline
 from ..recording import FloatArray, Recording
 from ..result import Recovery
 from ..selfcal.closed_form import ClosedForm, closed_form
+from ..selfcal.coarse_clock import synchronise_coarsely
 from ..selfcal.excerpts import informative_recording
 from .alternatives import Alternative, alternatives, frames_with_down
 from .limb_lengths import SWAPPED, swapped_joints
@@ -55,7 +57,9 @@ class Cause:
     remedies: tuple[Remedy, ...] = ()
 
 
-def with_cause(recovery: Recovery, recording: Recording, given: ArmCalibration) -> Recovery:
+def with_cause(
+    recovery: Recovery, recording: Recording, given: ArmCalibration, measured: Clock | None = None
+) -> Recovery:
     """A recovery with the likeliest cause first among its reasons, if it is not to be trusted.
 
     Parameters
@@ -66,9 +70,11 @@ def with_cause(recovery: Recovery, recording: Recording, given: ArmCalibration) 
         What it was made of, its clocks near each other.
     given : ArmCalibration
         What was given of the arm.
+    measured : Clock, optional
+        By which the camera's stamps were moved, where one was given.
     """
     estimates = recovery.estimates
-    cause = None if estimates.trusted is not False else likeliest_cause(recording, given)
+    cause = None if estimates.trusted is not False else likeliest_cause(recording, given, measured)
     if cause is None:
         return recovery
     estimates = replace(
@@ -81,18 +87,22 @@ def with_cause(recovery: Recovery, recording: Recording, given: ArmCalibration) 
 
 
 @contextmanager
-def naming_the_cause(recording: Recording, given: ArmCalibration) -> Iterator[None]:
+def naming_the_cause(
+    recording: Recording, given: ArmCalibration, measured: Clock | None = None
+) -> Iterator[None]:
     """What cannot be solved is refused with its likeliest cause."""
     try:
         yield
     except SolveError as error:
-        cause = likeliest_cause(recording, given)
+        cause = likeliest_cause(recording, given, measured)
         if cause is None:
             raise
         raise SolveError(f"{str(error).rstrip('.')}; {cause.sentence}") from error
 
 
-def likeliest_cause(recording: Recording, given: ArmCalibration | None = None) -> Cause | None:
+def likeliest_cause(
+    recording: Recording, given: ArmCalibration | None = None, measured: Clock | None = None
+) -> Cause | None:
     """The mistake that explains a recording on which something is wrong; None where none does.
 
     Parameters
@@ -101,6 +111,8 @@ def likeliest_cause(recording: Recording, given: ArmCalibration | None = None) -
         Its clocks within the fine search's reach of each other.
     given : ArmCalibration, optional
         What was given of the arm.
+    measured : Clock, optional
+        By which the camera's stamps were moved, where one was given.
     """
     if any(swapped_joints(recording.arm)):
         remedy = Remedy(swap=("elbow", "wrist"))
@@ -113,6 +125,11 @@ def likeliest_cause(recording: Recording, given: ArmCalibration | None = None) -
         return None
     if as_it_is.fits:
         return None if down is None else _wrong_frame(as_it_is, recording, down)
+    if measured is not None and _fits_without(recording, measured, given, as_it_is):
+        return Cause(
+            "the clock that was given does not fit, and what the motion says does: it is likely to be of"
+            " another session; run again without --clock-offset and without [clock] in the calibration"
+        )
     if given is not None and given.lever_arms:
         alone = closed_form(recording)
         if alone is not None and alone.fits and alone.misfit < CLEARLY * as_it_is.misfit:
@@ -130,6 +147,19 @@ def likeliest_cause(recording: Recording, given: ArmCalibration | None = None) -
             " look at --side, --imu and the files"
         )
     return None
+
+
+def _fits_without(
+    recording: Recording, measured: Clock, given: ArmCalibration | None, as_it_is: ClosedForm
+) -> bool:
+    """The motion's own clock fits clearly better than the one that was given."""
+    stamps = recording.arm.t_s - measured.at(recording.arm.t_s - measured.mean_s)
+    try:
+        recorded = replace(recording, arm=replace(recording.arm, t_s=stamps))
+        fit = closed_form(synchronise_coarsely(recorded)[0], given)
+    except CalibrationError:  # the motion does not say
+        return False
+    return fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit
 
 
 def _wrong_frame(fit: ClosedForm, recording: Recording, down: FloatArray) -> Cause | None:
