@@ -67,14 +67,15 @@ def judged(
         That was given.
     """
     reasons = (
-        *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
-        *_gravity(recovery, recording),
-        *_clock(recovery, recording),
-        *_measured_clock(recovery, measured),
-        *_camera(recovery, FAR_M),
+        # what is wrong with the input comes before what follows of it
         *_rate(recording.imu, TOO_SLOW_HZ),
         *_zeros(recording.imu),
         *swapped_joints(recording.arm),
+        *_measured_clock(recovery, measured),
+        *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
+        *_gravity(recovery, recording),
+        *_clock(recovery, recording),
+        *_camera(recovery, FAR_M),
     )
     cautions = (
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
@@ -83,6 +84,9 @@ def judged(
         *_clipped(recording.imu),
         *_spikes(recording.imu),
     )
+    if reasons:  # what else is wrong with the input is the likeliest cause
+        inputs = (*_rate(recording.imu, SLOW_HZ), *_clipped(recording.imu))
+        reasons = tuple(dict.fromkeys((*inputs, *reasons)))
     cautions = tuple(caution for caution in cautions if caution not in reasons)
     estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
     return replace(recovery, estimates=estimates)
