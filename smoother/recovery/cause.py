@@ -29,11 +29,11 @@ from ..selfcal.coarse_clock import synchronise_coarsely
 from ..selfcal.excerpts import informative_recording
 from .alternatives import Alternative, alternatives, frames_with_down
 from .limb_lengths import SWAPPED, swapped_joints
-from .trust import GRAVITY_DEG, LEVER_ARM_M
+from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults
 
-#: Where nothing that was tried fits, and the forearm's direction is off by more than this, degrees, the IMU
-#: was not on it: 23 to 40 for another arm or recording.
-ELSEWHERE_DEG = 22.0
+#: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more
+#: than this, degrees, and so much of the acceleration is unexplained: 21 to 40 and all of it for another arm.
+ELSEWHERE_DEG, ELSEWHERE_SHARE = 17.0, 0.8
 #: A cause leaves this part of the recording's misfit at most; one that leaves little more than the best is as
 #: likely.
 CLEARLY, AS_LIKELY = 0.5, 1.25
@@ -124,7 +124,7 @@ def likeliest_cause(
     if as_it_is is None or not np.isfinite(as_it_is.misfit):
         return None
     if as_it_is.fits:
-        return None if down is None else _wrong_frame(as_it_is, recording, down)
+        return None if down is None else _wrong_gravity(as_it_is, recording, down)
     if measured is not None and _fits_without(recording, measured, given, as_it_is):
         return Cause(
             "the clock that was given does not fit, and what the motion says does: it is likely to be of"
@@ -140,7 +140,8 @@ def likeliest_cause(
     candidates = _that_fit(recording, down, as_it_is)
     if candidates:
         return _named(candidates)
-    if as_it_is.direction_deg > ELSEWHERE_DEG:
+    is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
+    if is_elsewhere and not any(input_faults(recording)):
         return Cause(
             "the IMU does not turn with this forearm, and no mirroring, sign, unit or clock explains it: the"
             " skeleton seems to be of the other arm or of another recording, or the IMU was worn elsewhere;"
@@ -162,10 +163,13 @@ def _fits_without(
     return fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit
 
 
-def _wrong_frame(fit: ClosedForm, recording: Recording, down: FloatArray) -> Cause | None:
-    """Everything fits but gravity: the convention of the camera's axes is another."""
+def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> Cause | None:
+    """Everything fits but gravity: the axes' convention is another, or slow motion hides what is wrong."""
     if not fit.down_deg(down) > GRAVITY_DEG:
         return None
+    candidates = _that_fit(recording, down, fit)
+    if candidates:
+        return _named(candidates)
     frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
     if recording.gravity_hint is not None or not frames:
         return Cause(

@@ -85,11 +85,17 @@ def judged(
         *_spikes(recording.imu),
     )
     if reasons:  # what else is wrong with the input is the likeliest cause
-        inputs = (*_rate(recording.imu, SLOW_HZ), *_clipped(recording.imu))
-        reasons = tuple(dict.fromkeys((*inputs, *reasons)))
+        reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
     cautions = tuple(caution for caution in cautions if caution not in reasons)
     estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
     return replace(recovery, estimates=estimates)
+
+
+def input_faults(recording: Recording) -> Iterator[str]:
+    """What makes the IMU's samples worth little, whatever the set-up: a sentence each."""
+    yield from _rate(recording.imu, SLOW_HZ)
+    yield from _zeros(recording.imu)
+    yield from _clipped(recording.imu)
 
 
 def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -> Iterator[str]:

@@ -34,7 +34,7 @@ OVERLAP_S = 8.0
 CLEAR, RIVAL, PEAK_S = 0.6, 0.9, 1.0
 #: Of shifts that are not clear the highest peaks are tried: so many, each at least this part of the highest;
 #: the one that fits is accepted where the next leaves this times as large an angle.
-PEAKS, PEAK_SHARE, PEAK_APART_S, BETTER = 8, 0.4, 0.3, 2.0
+PEAKS, PEAK_SHARE, PEAK_APART_S, BETTER = 8, 0.4, 0.3, 1.6
 #: Of a recording longer than this only excerpts are looked at: so many, with so much around each, s; and with
 #: so much of the IMU where that says nothing.
 LONG_S, EXCERPTS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
@@ -160,7 +160,8 @@ def _fitting_lag(recording: Recording, peak: _Peak) -> float | None:
     if not fits:
         return None
     best_deg, best_s = min(fits)
-    others = [angle for angle, lag_s in fits if abs(lag_s - best_s) > LARGEST_OFFSET_S]
+    # what the closed form reaches from next to the best is no other shift
+    others = [angle for angle, lag_s in fits if abs(lag_s - best_s) > 2.0 * LARGEST_OFFSET_S]
     is_alone = all(angle > max(BETTER * best_deg, DIRECTION_DEG) for angle in others)
     return best_s if best_deg < DIRECTION_DEG and is_alone else None
 
