@@ -96,6 +96,10 @@ class Estimates:
         Why it is not trusted.
     cautions : tuple of str
         What to take care of where it is trusted.
+    cause : str, optional
+        The likeliest cause where it is not trusted, and what to do; the first of the reasons.
+    remedies : tuple of str
+        Options that undo the cause ("--mirror x"); of several either one may be meant.
     further : dict
         What else a file or a baseline states, by name.
     """
@@ -115,6 +119,8 @@ class Estimates:
     trusted: bool | None = None
     reasons: tuple[str, ...] = ()
     cautions: tuple[str, ...] = ()
+    cause: str | None = None
+    remedies: tuple[str, ...] = ()
     further: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -122,6 +128,8 @@ class Estimates:
         """One sentence to act on; "" where nobody judged."""
         if self.trusted is None:
             return ""
+        if not self.trusted and self.cause:
+            return f"Not to be trusted: {self.cause}."
         if not self.trusted:
             return f"Not to be trusted: {'; '.join(self.reasons)}."
         return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
@@ -193,6 +201,8 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "trusted": lambda value: value if isinstance(value, bool) else None,
     "reasons": _names,
     "cautions": _names,
+    "cause": lambda value: value if isinstance(value, str) else None,
+    "remedies": _names,
 }
 
 

@@ -8,9 +8,11 @@ from typing import TypeVar
 from .calibration import ArmCalibration
 from .config import Config
 from .errors import SolveError
+from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.timeline import Timeline
 from .recording import FOREARM_JOINTS, Recording
+from .recovery.cause import naming_the_cause, with_cause
 from .recovery.field_pass import magnetic_field
 from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
@@ -39,6 +41,7 @@ def smooth(
     progress: Progress | None = None,
     store: Store | None = None,
     processes: int | None = None,
+    clock: Clock | None = None,
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
 
@@ -60,6 +63,9 @@ def smooth(
         Where what grows with the recording's length lives; in memory where None.
     processes : int, optional
         Worker processes, 0 for one a core; as the configuration says where None.
+    clock : Clock, optional
+        The camera's against the IMU's as it was measured, with its sigma: a prior. The motion tells it where
+        there is none.
 
     Returns
     -------
@@ -80,14 +86,15 @@ def smooth(
     # 1. Clocks: bring the camera's stamps to where the fine search finds the rest.
     report(0.0, "calibrating")
     timeline = Timeline.of(recording)
-    recording, coarse_clock = synchronise_coarsely(recording, timeline)
+    recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
+    clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
     count = config.windows.processes if processes is None else processes
-    with Pool(count, len(recording.arm)) as workers:
+    with naming_the_cause(recording, given, clock), Pool(count, len(recording.arm)) as workers:
         # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
-        model = self_calibrate(excerpts, given, config, workers)
+        model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
         # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
         sections = Sections(recording, timeline, model.clock)
         task = Task.of(recording, sections, model, config)
@@ -104,7 +111,8 @@ def smooth(
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
     report(1.0, "done")
-    return judged(recovery, recording, config.arm.anatomy)
+    # 7. A verdict, and the likeliest cause where it is not to be trusted.
+    return with_cause(judged(recovery, recording, config.arm.anatomy, clock), recording, given, clock)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

@@ -45,7 +45,7 @@ def test_notebook_in_six_lines(monkeypatch):
 
 @pytest.mark.parametrize(
     "document",
-    ["README.md", "CONTRIBUTING.md", *(f"docs/{n}.md" for n in ("recording", "method", "formats"))],
+    ["README.md", "CONTRIBUTING.md", *(f"docs/{n}.md" for n in ("recording", "method", "formats", "check"))],
 )
 def test_links_lead_somewhere(document):
     text = (ROOT / document).read_text(encoding="utf-8")
@@ -53,7 +53,9 @@ def test_links_lead_somewhere(document):
         assert ((ROOT / document).parent / target).exists(), target
 
 
-@pytest.mark.parametrize("document", ["README.md", "docs/formats.md", "docs/recording.md", "data/README.md"])
+@pytest.mark.parametrize(
+    "document", ["README.md", "docs/formats.md", "docs/recording.md", "docs/check.md", "data/README.md"]
+)
 def test_commands_and_options_exist(document, capsys):
     text = (ROOT / document).read_text(encoding="utf-8")
     found = set(re.findall(r"unocclude ((?:[a-z][a-z-]*)(?: (?:csv|motion|arm))?)", text)) - {

@@ -98,7 +98,7 @@ def clock_answer(calibration: ClockCalibration) -> Answer:
     Returns
     -------
     answer : Answer
-        Its table `clock` is a note of this session, which recovering does not read.
+        Its table `clock` is of this session; recovering takes it as a prior.
     """
     network, beeps = calibration.network, calibration.beeps
     links = network.links()

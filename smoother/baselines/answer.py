@@ -23,6 +23,8 @@ GRAPH_ESTIMATES = (
     "trusted",
     "reasons",
     "cautions",
+    "cause",
+    "remedies",
 )
 #: The note of every baseline's result.
 GRAPH_NOTE = (

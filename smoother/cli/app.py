@@ -16,6 +16,7 @@ from . import (
     calibrate_imu,
     calibrate_panel,
     calibrate_world,
+    check,
     compare,
     config,
     demo,
@@ -89,6 +90,7 @@ def _add(
 
 _add(app, demo.demo, "demo")
 _add(app, info.info, "info session.mcap")
+_add(app, check.check, "check session.mcap --json check.json")
 _add(app, match.match, "match session.mcap --json matches.json")
 _add(app, smooth.smooth, "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html")
 _add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml")

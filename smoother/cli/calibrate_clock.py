@@ -107,7 +107,7 @@ def clock(
 ) -> None:
     """Find offset and skew between the clocks of one session: by sound, by broadcast, by motion, or chained.
 
-    t_to = t_from + offset. Offsets belong to this session: `smooth` finds its own and takes none from a file.
+    t_to = t_from + offset. Offsets belong to this session: `smooth` takes them from this file as a prior.
     """
     from calib.clock.beep_times import beep_receptions, beeps_of_tracks, buzzer_node
     from calib.clock.clock_summary import calibrate_clocks, clock_answer

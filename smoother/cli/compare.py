@@ -32,6 +32,17 @@ from .options import (
 )
 from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
 from .progress import progress_bar
+from .remedies import (
+    CLOCK_SIGMA_S,
+    CameraAxes,
+    ClockOffset,
+    ClockSigma,
+    Mirror,
+    Negate,
+    Swap,
+    clock_of,
+    remedy_of,
+)
 from .strap import with_strap
 
 if TYPE_CHECKING:
@@ -71,6 +82,12 @@ def compare(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
+    mirror: Mirror = None,
+    swap: Swap = None,
+    negate: Negate = None,
+    camera_frame: CameraAxes = None,
+    clock_offset: ClockOffset = None,
+    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
@@ -87,18 +104,32 @@ def compare(
 
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
+    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)
     config = with_processes(read_config(config_file), processes)
     recording, calibration = load_arm(
-        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
+        recording_file,
+        calibration_file,
+        imu=imu,
+        skeleton=skeleton,
+        side=one_side(side),
+        body=body,
+        remedy=remedy,
+        swap_sides=swap_sides,
     )
+    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
     _check_truth(recording_file, recording, truth_file, markers, align)
     given = with_strap(calibration, recording) if solve_lever_arms else calibration
     blind = replace(recording, truth=None)
     with progress_bar("comparing") as progress:
         running = make_methods(
-            [GRAPH, *names], given, config, settings, lambda part, _: progress(part / 2, GRAPH)
+            [GRAPH, *names],
+            given,
+            config,
+            settings,
+            lambda part, _: progress(part / 2, GRAPH),
+            clock=clock,
         )
         graph = running[GRAPH](blind)
         truth, alignment = truth_for(

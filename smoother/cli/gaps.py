@@ -29,6 +29,17 @@ from .options import (
 )
 from .output import check_outputs, print_notes, print_table, say_written, write_json
 from .progress import progress_bar
+from .remedies import (
+    CLOCK_SIGMA_S,
+    CameraAxes,
+    ClockOffset,
+    ClockSigma,
+    Mirror,
+    Negate,
+    Swap,
+    clock_of,
+    remedy_of,
+)
 from .strap import with_strap
 
 if TYPE_CHECKING:
@@ -59,6 +70,12 @@ def gaps(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
+    mirror: Mirror = None,
+    swap: Swap = None,
+    negate: Negate = None,
+    camera_frame: CameraAxes = None,
+    clock_offset: ClockOffset = None,
+    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
@@ -76,17 +93,26 @@ def gaps(
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
+    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
     check_outputs(force, [report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     recording, calibration = load_arm(
-        recording_file, calibration_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body
+        recording_file,
+        calibration_file,
+        imu=imu,
+        skeleton=skeleton,
+        side=one_side(side),
+        body=body,
+        remedy=remedy,
+        swap_sides=swap_sides,
     )
+    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
     given = with_strap(calibration, recording) if solve_lever_arms else calibration
     with progress_bar("hiding and recovering") as progress:
         table = evaluate_gaps(
             recording,
             lengths_s,
-            make_methods(names, given, config, settings),
+            make_methods(names, given, config, settings, clock=clock),
             seed=seed,
             repetitions=repetitions,
             gaps_per_run=gaps_per_run,

@@ -11,6 +11,7 @@ from .output import say
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..io.recording.choose import Selection
+    from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
     from ..runtime.store import Store
@@ -22,16 +23,26 @@ def load_arm(
     *,
     store: Store | None = None,
     truth: bool = True,
+    remedy: Remedy | None = None,
+    swap_sides: bool = False,
     **selection: Unpack[Selection],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording and the calibration of its arm, and say what was chosen.
 
-    Where the recording leaves the side open, a calibration of one arm settles it. `store`, `truth` and
-    the selection as in `io.read_recording`.
+    Where the recording leaves the side open, a calibration of one arm settles it. `store`, `truth`,
+    `swap_sides` and the selection as in `io.read_recording`, `remedy` as in `io.recording.read_arm`.
     """
     from ..io.recording.read_arm import read_arm
 
-    recording, calibration = read_arm(path, calibration_file, store=store, truth=truth, **selection)
+    recording, calibration = read_arm(
+        path,
+        calibration_file,
+        store=store,
+        truth=truth,
+        remedy=remedy,
+        swap_sides=swap_sides,
+        **selection,
+    )
     arm = f"{recording.side} arm" if recording.side else "strap"
     joints = ", ".join(recording.arm.present) or "no joint tracked"
     say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")

@@ -14,6 +14,7 @@ from ..errors import UnoccludeError
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
+    from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recovery
     from ..runtime.store import Store
@@ -97,9 +98,10 @@ class SharedGraph:
         config: Config,
         progress: Progress | None = None,
         store: Store | None = None,
+        clock: Clock | None = None,
     ) -> None:
         self._calibration, self._config, self._progress = calibration, config, progress
-        self._store = store
+        self._store, self._clock = store, clock
         self._recording: Recording | None = None
         self._answer: Recovery | UnoccludeError | None = None
 
@@ -117,7 +119,9 @@ class SharedGraph:
         from .. import smooth
 
         try:
-            return smooth(recording, self._calibration, self._config, self._progress, self._store)
+            return smooth(
+                recording, self._calibration, self._config, self._progress, self._store, clock=self._clock
+            )
         except UnoccludeError as error:
             return error
 
@@ -129,14 +133,15 @@ def make_methods(
     settings: BaselineSettings | None = None,
     progress: Progress | None = None,
     store: Store | None = None,
+    clock: Clock | None = None,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share.
 
     Called in turn on the same recording object, the graph is solved once. Without a calibration the baselines
     get the one that the graph estimated; with one they get it, and the graph's clock. The graph's answer lies
-    in `store`, the baselines' in memory.
+    in `store`, the baselines' in memory. A clock that was measured is a prior of the graph's.
     """
-    graph, settings = SharedGraph(calibration, config, progress, store), settings or BaselineSettings()
+    graph, settings = SharedGraph(calibration, config, progress, store, clock), settings or BaselineSettings()
 
     def baseline(name: str) -> Method:
         def run(recording: Recording) -> Recovery:

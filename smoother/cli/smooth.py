@@ -31,6 +31,17 @@ from .options import (
 )
 from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
+from .remedies import (
+    CLOCK_SIGMA_S,
+    CameraAxes,
+    ClockOffset,
+    ClockSigma,
+    Mirror,
+    Negate,
+    Swap,
+    clock_of,
+    remedy_of,
+)
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
@@ -60,6 +71,12 @@ def smooth(
         float | None,
         typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
     ] = None,
+    mirror: Mirror = None,
+    swap: Swap = None,
+    negate: Negate = None,
+    camera_frame: CameraAxes = None,
+    clock_offset: ClockOffset = None,
+    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Annotated[
         str | None,
@@ -85,6 +102,7 @@ def smooth(
     settings = baseline_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
+    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     if anatomy is not None:
@@ -99,10 +117,13 @@ def smooth(
             body=body,
             store=store,
             truth=False,
+            remedy=remedy,
+            swap_sides=swap_sides,
         )
+        clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
         given = with_strap(calibration, recording) if solve_lever_arms else calibration
         with progress_bar("recovering") as progress:
-            recover = make_methods(names, given, config, settings, progress, store)[names[0]]
+            recover = make_methods(names, given, config, settings, progress, store, clock)[names[0]]
             recovery = recover(recording)
         recovery = with_given(recovery, calibration)
         if solve_lever_arms:
@@ -133,7 +154,11 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
         "trusted": recovery.estimates.trusted,
+        "verdict": recovery.estimates.verdict,
         "reasons": list(recovery.estimates.reasons),
+        "cautions": list(recovery.estimates.cautions),
+        "cause": recovery.estimates.cause,
+        "remedies": list(recovery.estimates.remedies),
         "usable": int(usable(recovery).sum()),
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),
@@ -162,6 +187,9 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
     if recovery.estimates.verdict:
         say(recovery.estimates.verdict)
+    if recovery.estimates.cause:
+        for sign in recovery.estimates.reasons[1:]:
+            say(f"sign: {sign}")
     say(
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
         f" {len(rows)} gaps, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"

@@ -35,6 +35,8 @@ class Clock:
         for synthetic stamps a part of the frame period.
     skew : float, s/s
         Steady drift; zero where none shows.
+    prior_sigma_s : float, s
+        Standard deviation of the offset before the data spoke.
     """
 
     t: FloatArray
@@ -43,6 +45,7 @@ class Clock:
     walk: float = 0.0
     local_sigma_s: float = 0.0
     skew: float = 0.0
+    prior_sigma_s: float = OFFSET_SIGMA_S
 
     def at(self, t: FloatArray) -> FloatArray:
         """Offsets at camera times; beyond the knots they go on with the skew.
@@ -89,5 +92,5 @@ class Clock:
 
 
 def constant_clock(offset_s: float, sigma_s: float = OFFSET_SIGMA_S) -> Clock:
-    """A clock that does not drift."""
-    return Clock(np.zeros(1), np.full(1, offset_s), sigma_s)
+    """A clock that does not drift; nothing was measured of it beyond its sigma."""
+    return Clock(np.zeros(1), np.full(1, offset_s), sigma_s, prior_sigma_s=sigma_s)

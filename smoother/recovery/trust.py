@@ -15,10 +15,11 @@ import numpy as np
 from ..calibration import ArmCalibration
 from ..config import Anatomy
 from ..linalg import runs
-from ..measurements.clock import LARGEST_OFFSET_S
+from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.segment import spikes
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
 from ..result import Recovery
+from .limb_lengths import swapped_joints
 
 #: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
 #: years on.
@@ -37,6 +38,8 @@ NEAR_M, FAR_M = 0.05, 0.08
 JOINT_SIGMA_M = 0.05
 #: Where more of the tracked samples are rejected, camera and IMU contradict each other.
 REJECTED_SHARE = 0.30
+#: A measured clock is contradicted where the motion moves it by so many of its sigmas, and by so much, s.
+MEASURED_SIGMAS, MEASURED_S = 4.0, 0.02
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
 #: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
@@ -47,7 +50,9 @@ SILENT_SAMPLES = 3
 MOST_FRAMES = 20_000
 
 
-def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recovery:
+def judged(
+    recovery: Recovery, recording: Recording, anatomy: Anatomy, measured: Clock | None = None
+) -> Recovery:
     """The recovery with a verdict among its estimates.
 
     Parameters
@@ -58,14 +63,19 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         What it was made of.
     anatomy : Anatomy
         Whose arm it is.
+    measured : Clock, optional
+        That was given.
     """
     reasons = (
+        # what is wrong with the input comes before what follows of it
+        *_rate(recording.imu, TOO_SLOW_HZ),
+        *_zeros(recording.imu),
+        *swapped_joints(recording.arm),
+        *_measured_clock(recovery, measured),
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
         *_clock(recovery, recording),
         *_camera(recovery, FAR_M),
-        *_rate(recording.imu, TOO_SLOW_HZ),
-        *_zeros(recording.imu),
     )
     cautions = (
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
@@ -74,9 +84,18 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         *_clipped(recording.imu),
         *_spikes(recording.imu),
     )
+    if reasons:  # what else is wrong with the input is the likeliest cause
+        reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
     cautions = tuple(caution for caution in cautions if caution not in reasons)
     estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
     return replace(recovery, estimates=estimates)
+
+
+def input_faults(recording: Recording) -> Iterator[str]:
+    """What makes the IMU's samples worth little, whatever the set-up: a sentence each."""
+    yield from _rate(recording.imu, SLOW_HZ)
+    yield from _zeros(recording.imu)
+    yield from _clipped(recording.imu)
 
 
 def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -> Iterator[str]:
@@ -132,6 +151,19 @@ def _clock(recovery: Recovery, recording: Recording) -> Iterator[str]:
         yield (
             f"the clocks' offset stopped at the search's limit of {1e3 * LARGEST_OFFSET_S:.0f} ms: they are"
             " likely to be farther apart"
+        )
+
+
+def _measured_clock(recovery: Recovery, measured: Clock | None) -> Iterator[str]:
+    """A clock that was given, and that the motion contradicts."""
+    if measured is None or not len(recovery.arm):
+        return
+    camera_t = recovery.arm.t_s - recovery.clock_offset_s
+    moved_s = recovery.clock_offset_s - float(measured.at(camera_t).mean())
+    if abs(moved_s) > max(MEASURED_SIGMAS * measured.sigma_s, MEASURED_S):
+        yield (
+            f"the motion moves the clock that was given by {1e3 * abs(moved_s):.0f} ms: it is likely to be of"
+            " another session; run again without --clock-offset and without [clock] in the calibration"
         )
 
 

@@ -64,14 +64,15 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
     slope = np.bincount(group, weights=score.slope)[informed]
     middle = (np.bincount(group, weights=t) / np.bincount(group))[informed]
     local = clock.at(middle) + np.clip(slope / information, -LONGEST_STEP_S, LONGEST_STEP_S)
-    line, drift, skew = _line(middle, local, information), np.zeros(len(local)), 0.0
+    prior_s = clock.prior_sigma_s
+    line, drift, skew = _line(middle, local, information, prior_s), np.zeros(len(local)), 0.0
     (loglik, offset, sigma, local_sigma), walk = _likeliest(
-        middle, local, 1.0 / information, synthetic_stamps
+        middle, local, 1.0 / information, synthetic_stamps, prior_s
     )
     if line is not None and line[0] > loglik + SKEW_GAIN:
         (_, drift, skew, local_sigma), offset, walk = line, np.zeros(len(local)), 0.0
         # and what wanders about the line
-        wander, again = _likeliest(middle, local - drift, 1.0 / information, synthetic_stamps)
+        wander, again = _likeliest(middle, local - drift, 1.0 / information, synthetic_stamps, prior_s)
         if again > 0.0:
             (_, offset, _, local_sigma), walk = wander, again
     if synthetic_stamps:
@@ -83,6 +84,7 @@ def refined_clock(clock: Clock, score: ClockScore, synthetic_stamps: bool) -> Cl
         walk,
         float(np.hypot(sigma, local_sigma)),
         skew,
+        prior_s,
     )
 
 
@@ -190,42 +192,46 @@ def pooled_score(scores: Sequence[ClockScore]) -> ClockScore:
 
 
 def _likeliest(
-    t: FloatArray, local: FloatArray, variance: FloatArray, synthetic_stamps: bool
+    t: FloatArray,
+    local: FloatArray,
+    variance: FloatArray,
+    synthetic_stamps: bool,
+    prior_s: float = OFFSET_SIGMA_S,
 ) -> tuple[tuple[float, FloatArray, float, float], float]:
     """The likeliest walk; zero unless another is clearly likelier."""
     walks, gain = (WALKS_SYNTHETIC, WALK_GAIN_SYNTHETIC) if synthetic_stamps else (WALKS, WALK_GAIN)
-    tries = [_local_level(t, local, variance, walk) for walk in walks]
+    tries = [_local_level(t, local, variance, walk, prior_s) for walk in walks]
     best = max(range(len(walks)), key=lambda k: tries[k][0] - (gain if k else 0.0))
     return tries[best], walks[best]
 
 
 def _line(
-    t: FloatArray, x: FloatArray, information: FloatArray
+    t: FloatArray, x: FloatArray, information: FloatArray, prior_s: float
 ) -> tuple[float, FloatArray, float, float] | None:
     """Log-likelihood, offsets (n,), slope and sigma of a steady drift; None where it is too soon to tell."""
     if len(t) < 5 or np.ptp(t) < SKEW_SPAN_S:
         return None
     centre = float(np.average(t, weights=information))
     basis = np.stack([np.ones_like(t), t - centre], axis=1)
-    normal = basis.T @ (information[:, None] * basis) + np.diag([OFFSET_SIGMA_S**-2, SKEW_SIGMA**-2])
+    normal = basis.T @ (information[:, None] * basis) + np.diag([prior_s**-2, SKEW_SIGMA**-2])
     value, slope = np.linalg.solve(normal, basis.T @ (information * x))
     left = x - value - slope * (t - centre)
     # the evidence of the line, by the determinant of its posterior (as the local level's filter has it)
-    prior = -0.5 * (value**2 / OFFSET_SIGMA_S**2 + slope**2 / SKEW_SIGMA**2)
-    volume = -0.5 * (np.linalg.slogdet(normal)[1] + 2 * np.log(OFFSET_SIGMA_S) + 2 * np.log(SKEW_SIGMA))
+    prior = -0.5 * (value**2 / prior_s**2 + slope**2 / SKEW_SIGMA**2)
+    volume = -0.5 * (np.linalg.slogdet(normal)[1] + 2 * np.log(prior_s) + 2 * np.log(SKEW_SIGMA))
     loglik = 0.5 * float(np.sum(np.log(information) - information * left**2)) + prior + volume
     spread = np.linalg.inv(normal)[1, 1] * np.mean((t - centre) ** 2)
     return float(loglik), value + slope * (t - centre), float(slope), float(np.sqrt(spread))
 
 
 def _local_level(
-    t: FloatArray, x: FloatArray, variance: FloatArray, walk: float
+    t: FloatArray, x: FloatArray, variance: FloatArray, walk: float, prior_s: float = OFFSET_SIGMA_S
 ) -> tuple[float, FloatArray, float, float]:
     """Log-likelihood, smoothed level (n,), sigma of its mean and of its wandering about the mean."""
     n = len(t)
     level, spread = np.zeros(n), np.zeros(n)
     ahead, ahead_spread = np.zeros(n), np.zeros(n)
-    a, p, loglik = 0.0, OFFSET_SIGMA_S**2, 0.0
+    a, p, loglik = 0.0, prior_s**2, 0.0
     for k in range(n):
         if k:
             p += walk**2 * (t[k] - t[k - 1])
@@ -239,5 +245,5 @@ def _local_level(
         back = spread[k] / ahead_spread[k + 1]
         level[k] += back * (level[k + 1] - ahead[k + 1])
         spread[k] += back**2 * (spread[k + 1] - ahead_spread[k + 1])
-    sigma = float(np.sqrt(1.0 / (1.0 / OFFSET_SIGMA_S**2 + np.sum(1.0 / variance))))
+    sigma = float(np.sqrt(1.0 / (1.0 / prior_s**2 + np.sum(1.0 / variance))))
     return loglik, level, sigma, float(np.sqrt(max(spread.mean() - sigma**2, 0.0)))

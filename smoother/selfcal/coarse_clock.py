@@ -2,7 +2,8 @@
 
 The forearm's direction turns as fast in the camera's frame as in any other, and never faster than the
 gyroscope says. So the two speeds are correlated over all shifts that leave enough of both; the shift whose
-correlation is the least likely to be chance is where the fine search starts.
+correlation is the least likely to be chance is where the fine search starts. Where several are about as
+likely, each is tried on the closed form: the forearm's direction, not its speed alone, tells which is right.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
 
 from ..errors import CalibrationError
 from ..linalg import masked_correlation
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.timeline import Timeline
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
+from .closed_form import DIRECTION_DEG, closed_form
 from .excerpts import spread_excerpts
 
 #: Both speeds are taken on this grid, Hz, smoothed with this sigma, s: what joints' noise leaves of them.
@@ -29,6 +32,9 @@ AT_REST = 1e-2
 OVERLAP_S = 8.0
 #: A shift is accepted from this correlation on; another peak as good as this part of it makes it doubtful.
 CLEAR, RIVAL, PEAK_S = 0.6, 0.9, 1.0
+#: Of shifts that are not clear the highest peaks are tried: so many, each at least this part of the highest;
+#: the one that fits is accepted where the next leaves this times as large an angle.
+PEAKS, PEAK_SHARE, PEAK_APART_S, BETTER = 8, 0.4, 0.3, 1.6
 #: Of a recording longer than this only excerpts are looked at: so many, with so much around each, s; and with
 #: so much of the IMU where that says nothing.
 LONG_S, EXCERPTS, AROUND_S, FAR_S = 300.0, 12, 15.0, 600.0
@@ -39,7 +45,7 @@ FEWEST_EXCERPTS, AGREE = 3, 0.7
 
 
 def synchronise_coarsely(
-    recording: Recording, timeline: Timeline | None = None
+    recording: Recording, timeline: Timeline | None = None, measured: Clock | None = None
 ) -> tuple[Recording, Clock | None]:
     """Bring the camera's stamps to where the fine search finds the rest.
 
@@ -49,6 +55,8 @@ def synchronise_coarsely(
         Its clocks may be any time apart.
     timeline : Timeline, optional
         Of the recording, where it is there already.
+    measured : Clock, optional
+        A clock that was measured otherwise; then nothing is looked for.
 
     Returns
     -------
@@ -62,7 +70,7 @@ def synchronise_coarsely(
     CalibrationError
         The clocks are farther apart than the fine search reaches, and the motion does not tell how far.
     """
-    clock = coarse_clock(recording, timeline)
+    clock = measured or coarse_clock(recording, timeline)
     if clock is None:
         return recording, None
     return replace(recording, arm=replace(recording.arm, t_s=clock.to_imu(recording.arm.t_s))), clock
@@ -127,6 +135,9 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
         return 0.0
     if peak.is_clear:
         return peak.lag_s
+    fitting = _fitting_lag(recording, peak)
+    if fitting is not None:
+        return fitting if abs(fitting) > reach_s else 0.0
     within_reach = np.abs(peak.lags_s) <= reach_s
     if within_reach.any() and float(peak.score[within_reach].max()) >= RIVAL * peak.score.max():
         return 0.0  # the small offset explains the motion about as well
@@ -136,6 +147,23 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
         f"{recording.name}: the camera's clock and the IMU's seem {abs(peak.lag_s):.1f} s apart, but"
         " repeated motion fits other offsets as well; record 20 s of irregular motion in view"
     )
+
+
+def _fitting_lag(recording: Recording, peak: _Peak) -> float | None:
+    """The shift at which the forearm's direction fits, s; None where none does, or another about as well."""
+    fits = []
+    for lag_s in (0.0, *peak.highest_lags_s()):
+        arm = replace(recording.arm, t_s=recording.arm.t_s + lag_s)
+        fit = closed_form(replace(recording, arm=arm))
+        if fit is not None and np.isfinite(fit.direction_deg):
+            fits.append((fit.direction_deg, lag_s))
+    if not fits:
+        return None
+    best_deg, best_s = min(fits)
+    # what the closed form reaches from next to the best is no other shift
+    others = [angle for angle, lag_s in fits if abs(lag_s - best_s) > 2.0 * LARGEST_OFFSET_S]
+    is_alone = all(angle > max(BETTER * best_deg, DIRECTION_DEG) for angle in others)
+    return best_s if best_deg < DIRECTION_DEG and is_alone else None
 
 
 @dataclass(frozen=True)
@@ -168,6 +196,12 @@ class _Peak:
             return None
         best = int(np.argmax(score))
         return cls(float(lag[best]), float(r[best]), lag, score)
+
+    def highest_lags_s(self) -> FloatArray:
+        """The shifts of the highest peaks, the highest first."""
+        score = np.where(np.isfinite(self.score), self.score, 0.0)
+        rows, _ = find_peaks(score, height=PEAK_SHARE * score.max(), distance=round(PEAK_APART_S * GRID_HZ))
+        return self.lags_s[rows[np.argsort(-score[rows])][:PEAKS]]
 
     @property
     def is_clear(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeVar
 
@@ -109,6 +109,28 @@ def informative_excerpts(recording: Recording, timeline: Timeline) -> list[Segme
         if len(_visible_t(segment)) > 1:  # what the camera saw may lie in the context alone
             segments.append(segment)
     return segments
+
+
+def informative_recording(recording: Recording, timeline: Timeline) -> Recording:
+    """A recording of nothing but its most informative excerpts and what lies around them.
+
+    Parameters
+    ----------
+    recording : Recording
+    timeline : Timeline
+        Of the recording.
+
+    Returns
+    -------
+    recording : Recording
+        The same object where it is short; else with pauses between the excerpts, and without truth.
+    """
+    if timeline.length_s() <= 1.5 * EXCERPTS_S:
+        return recording
+    samples, frames = np.zeros(len(recording.imu), bool), np.zeros(len(recording.arm), bool)
+    for excerpt in spread_excerpts(recording, timeline, WANTED, CONTEXT_S):
+        samples[excerpt.samples], frames[excerpt.frames] = True, True
+    return replace(recording, imu=recording.imu.select(samples), arm=recording.arm.select(frames), truth=None)
 
 
 def choose_excerpts(segments: list[Segment]) -> list[Segment]:

@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from ..calibration import ArmCalibration, LeverArm
 from ..linalg import parabola_vertex
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
+from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.segment import Segment
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
 from ..units import GRAVITY
 
 #: Clock offsets tried first, s.
 OFFSETS_S = np.arange(-0.30, 0.301, 0.02)
-OFFSET_SIGMA_S = 0.15
 #: Frames used for the direction, Hz.
 DIRECTION_RATE_HZ = 10.0
 #: Heading of the inertial filter is taken as constant over this time, s.
@@ -54,19 +54,22 @@ class Mounting:
     direction_spread_rad: float = float("nan")
 
 
-def find_mounting(segments: list[Segment], known: ArmCalibration) -> Mounting:
+def find_mounting(
+    segments: list[Segment], known: ArmCalibration, offset_sigma_s: float = OFFSET_SIGMA_S
+) -> Mounting:
     """Offset, forearm direction and lever arms from the pieces of one or several recordings.
 
     Parameters
     ----------
     known : lever arms that need no finding; they are kept as they are.
+    offset_sigma_s : how far from zero the clock offsets may be, one standard deviation.
     """
     count = max(segment.recording for segment in segments) + 1
     along = known.forearm_direction
     both = [_both(segment) for segment in segments]
     offset_s, margin, spread = np.zeros(count), float("nan"), float("nan")
     if any(rows.sum() >= 10 for rows in both):
-        offset_s, found, margin, spread = _direction_and_offset(segments, both, count, along)
+        offset_s, found, margin, spread = _direction_and_offset(segments, both, count, along, offset_sigma_s)
         along = found if along is None else along
     if along is None and "strap" not in _seen(segments):
         return Mounting(offset_s, _point_levers(segments, known), margin, spread)
@@ -100,7 +103,11 @@ def _both(segment: Segment) -> BoolArray:
 
 
 def _direction_and_offset(
-    segments: list[Segment], both: list[BoolArray], count: int, known: FloatArray | None
+    segments: list[Segment],
+    both: list[BoolArray],
+    count: int,
+    known: FloatArray | None,
+    offset_sigma_s: float,
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
     directions = _sphere(400) if known is None else known[None]
@@ -115,7 +122,7 @@ def _direction_and_offset(
                 centre = choice[segment.recording] if step else 0.0
                 loss[segment.recording] += _losses(segment, rows, centre + offsets, directions)
         for r in range(count):
-            loss[r] += 0.5 * ((offsets + (choice[r] if step else 0.0)) / OFFSET_SIGMA_S)[:, None] ** 2
+            loss[r] += 0.5 * ((offsets + (choice[r] if step else 0.0)) / offset_sigma_s)[:, None] ** 2
         at = loss.min(axis=1).sum(axis=0)  # each recording has its own offset
         k = int(np.argmin(at))
         best = directions[k]

@@ -19,7 +19,7 @@ from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
 from ..measurements.alignment import Alignment, align, pairs
-from ..measurements.clock import Clock, constant_clock
+from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
@@ -106,7 +106,11 @@ class SelfCalibration:
 
 
 def self_calibrate(
-    segments: list[Segment], given: ArmCalibration, config: Config, workers: Pool
+    segments: list[Segment],
+    given: ArmCalibration,
+    config: Config,
+    workers: Pool,
+    clock_sigma_s: float = OFFSET_SIGMA_S,
 ) -> SelfCalibration:
     """Find what the calibration lacks, and each recording's clock.
 
@@ -119,6 +123,8 @@ def self_calibrate(
     config : Config
     workers : Pool
         Windows of a round are solved side by side.
+    clock_sigma_s : float, s
+        How far from zero the clocks' offsets may be, one standard deviation: less where they were measured.
 
     Returns
     -------
@@ -129,14 +135,14 @@ def self_calibrate(
     CalibrationError
         At no time do the IMU and a visible forearm come together.
     """
-    excerpts, mounting = _closed_form(choose_excerpts(segments), given)
+    excerpts, mounting = _closed_form(choose_excerpts(segments), given, clock_sigma_s)
     synthetic = [
         any(segment.synthetic_stamps for segment in excerpts if segment.recording == number)
         for number in range(len(mounting.offset_s))
     ]
     start = _with_upper_arm(mounting.calibration, excerpts, config)
     estimate = prior = start
-    clocks = tuple(constant_clock(offset) for offset in mounting.offset_s)
+    clocks = tuple(constant_clock(offset, clock_sigma_s) for offset in mounting.offset_s)
     joint_sigma_m, upper_arm_sigma_m = (
         np.full(len(JOINTS), config.camera.joint_sigma_m),
         config.arm.upper_arm_flex_m,
@@ -176,9 +182,11 @@ def self_calibrate(
     )
 
 
-def _closed_form(excerpts: list[Segment], given: ArmCalibration) -> tuple[list[Segment], Mounting]:
+def _closed_form(
+    excerpts: list[Segment], given: ArmCalibration, clock_sigma_s: float
+) -> tuple[list[Segment], Mounting]:
     """The mounting, and the excerpts without the frames that contradict it."""
-    mounting = find_mounting(excerpts, given)
+    mounting = find_mounting(excerpts, given, clock_sigma_s)
     inliers = [
         reject_by_direction(
             segment, mounting.calibration, constant_clock(mounting.offset_s[segment.recording])
@@ -191,7 +199,7 @@ def _closed_form(excerpts: list[Segment], given: ArmCalibration) -> tuple[list[S
         for before, after in zip(excerpts, inliers, strict=True)
     )
     if rejected > WORTH_AGAIN * accepted:
-        mounting = find_mounting(inliers, given)
+        mounting = find_mounting(inliers, given, clock_sigma_s)
     return inliers, mounting
 
 

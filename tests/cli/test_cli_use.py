@@ -20,6 +20,7 @@ from smoother.simulation import ArmSimulation, simulate_arm
 COMMANDS = [
     ["demo"],
     ["info"],
+    ["check"],
     ["smooth"],
     ["validate"],
     ["gaps"],
@@ -79,6 +80,10 @@ def test_no_arguments_show_help(capsys):
         (["smooth", "a.mcap", "-o", "b.mcap", "--processes", "-1"], "--processes"),
         (["smooth", "a.mcap", "-o", "b.mcap", "--max-sigma-m", "0"], "above zero"),
         (["smooth", "a.mcap", "-o", "b.mcap", "--body", "one"], "valid integer"),
+        (["smooth", "a.mcap", "-o", "b.mcap", "--mirror", "left"], "mirrored along x, y or z, not 'left'"),
+        (["check", "a.mcap", "--swap", "elbow"], "two joints of shoulder, elbow, wrist, hand"),
+        (["gaps", "a.mcap", "--negate", "magnetometer"], "accelerometer and gyroscope can be negated"),
+        (["compare", "a.mcap", "--camera-frame", "up"], "--camera-frame is one of kinect, optical, zup"),
         (["validate", "a.mcap"], "--truth"),
         (["gaps", "a.mcap", "--lengths", "0.5,long"], "--lengths takes seconds"),
         (["gaps", "a.mcap", "--lengths", "-1"], "--lengths takes seconds"),

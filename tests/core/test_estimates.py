@@ -27,6 +27,8 @@ PLAIN = {
     "trusted": False,
     "reasons": ["the upper arm is 53 cm"],
     "cautions": ["the gyroscope was clipped"],
+    "cause": "the skeleton seems mirrored (x); run again with --mirror x",
+    "remedies": ["--mirror x"],
     "orientation": "vqf",
 }
 
@@ -47,7 +49,7 @@ def test_what_is_not_stated_is_left_out_and_nothing_found_is_stated() -> None:
     }
 
 
-@pytest.mark.parametrize("name", [name for name in PLAIN if name != "orientation"])
+@pytest.mark.parametrize("name", [name for name in PLAIN if name not in ("orientation", "cause")])
 @pytest.mark.parametrize("value", [None, "text", {"knee": 1.0}, {"wrist": "far"}, [[1.0]], [None]])
 def test_a_value_of_another_kind_is_kept_beside(name: str, value: object) -> None:
     estimates = Estimates.from_plain({name: value})
@@ -66,5 +68,5 @@ values = st.recursive(
 def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
     again = Estimates.from_plain(plain).plain()
     # an empty list says the same as none
-    lists = ("given", "reasons", "cautions")
+    lists = ("given", "reasons", "cautions", "remedies")
     assert again == {name: value for name, value in plain.items() if name not in lists or value != []}

@@ -26,6 +26,7 @@ from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, Recording
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
+OTHER_SIDE = {"left": "right", "right": "left"}
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
 
@@ -116,6 +117,7 @@ def read_recording(
     prefer_side: str | None = None,
     store: Store | None = None,
     truth: bool = True,
+    swap_sides: bool = False,
     **selection: Unpack[Selection],
 ) -> Recording:
     """Read one arm and the IMU on it from an MCAP file.
@@ -130,6 +132,8 @@ def read_recording(
         Where samples and frames are to lie: memory stays flat with a `DiskStore`. None = in memory.
     truth : bool
         False passes over the reference motion; the recording has none.
+    swap_sides : bool
+        The skeleton's left arm is the right one, and the other way round.
     imu, skeleton : str, optional
         Topic (or a part of it, or its frame_id) to take.
     side : str, optional
@@ -148,6 +152,10 @@ def read_recording(
         The file cannot be read or used as it is, or leaves open what is meant.
     """
     file = open_recording(path, store=store, truth=truth)
+    if swap_sides:
+        for arm in file.arms:
+            arm.side = OTHER_SIDE.get(arm.side, arm.side)
+        file.notes.append("left and right of the skeleton were swapped (--swap left,right)")
     return select_recording(file, prefer_side=prefer_side, store=store, **selection)
 
 

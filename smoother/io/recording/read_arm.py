@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Unpack
 
+from ...measurements.remedy import Remedy
 from .choose import Selection
 from .read import read_recording
 
@@ -13,9 +14,6 @@ if TYPE_CHECKING:
     from ...recording import Recording
     from ...runtime.store import Store
 
-#: Tables of a calibration file that concern sensors, not an arm.
-_OF_SENSORS = {"imu", "camera_from_base"}
-
 
 def read_arm(
     path: str | os.PathLike[str],
@@ -23,6 +21,8 @@ def read_arm(
     *,
     store: Store | None = None,
     truth: bool = True,
+    remedy: Remedy | None = None,
+    swap_sides: bool = False,
     **selection: Unpack[Selection],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by what a calibration file knows of its sensors.
@@ -38,6 +38,10 @@ def read_arm(
     store : Store, optional
     truth : bool
         Where samples lie, and whether the reference motion is read: see `read_recording`.
+    remedy : Remedy, optional
+        Mistakes of the set-up to undo as it is read.
+    swap_sides : bool
+        See `read_recording`.
     imu, skeleton, side : str, optional
     body : int, optional
         What to take where the recording has several: see there as well.
@@ -47,15 +51,17 @@ def read_arm(
     recording : Recording
         Corrected.
     calibration : ArmCalibration or None
-        Of its arm: None without a file, or where it holds sensors alone.
+        Of its arm: None without a file, or where it holds none.
 
     Raises
     ------
     RecordingError, CalibrationError
         A file cannot be used, or the two do not fit.
     """
+    remedy = remedy or Remedy()
     if calibration_file is None:
-        return read_recording(path, store=store, truth=truth, **selection), None
+        recording = read_recording(path, store=store, truth=truth, swap_sides=swap_sides, **selection)
+        return remedy.applied(recording, store), None
     from calib.file import read_calibration
     from calib.imu.correction import corrected
     from calib.world.gravity_from_base import with_gravity
@@ -63,8 +69,11 @@ def read_arm(
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
     prefer = sides[0] if len(sides) == 1 else None
-    recording = read_recording(path, prefer_side=prefer, store=store, truth=truth, **selection)
+    recording = read_recording(
+        path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
+    )
+    recording = remedy.applied(recording, store)
     recording = with_gravity(corrected(recording, calibration, store), calibration)
-    if not calibration.arms and _OF_SENSORS & set(calibration.tables):
+    if not calibration.arms:  # sensors, clocks, frames: the arm is found from the motion
         return recording, None
     return recording, calibration.arm(recording.side)

@@ -1,0 +1,170 @@
+"""`unocclude check`: what a recording allows, and what seems wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .load import load_arm
+from .options import (
+    Body,
+    Calibration,
+    ConfigFile,
+    Force,
+    Imu,
+    Json,
+    Processes,
+    RecordingPath,
+    Side,
+    Skeleton,
+    one_side,
+)
+from .output import check_outputs, print_notes, say, say_written, write_json
+from .progress import progress_bar
+from .remedies import (
+    CLOCK_SIGMA_S,
+    CameraAxes,
+    ClockOffset,
+    ClockSigma,
+    Mirror,
+    Negate,
+    Swap,
+    clock_of,
+    remedy_of,
+)
+
+if TYPE_CHECKING:
+    from ..evaluation.allowance import Allowance
+    from ..recording import Recording
+    from ..result import Recovery
+
+#: The exit code where a result would not be to be trusted.
+NOT_TRUSTED = 3
+
+
+def check(
+    recording_file: RecordingPath,
+    calibration_file: Calibration = None,
+    config_file: ConfigFile = None,
+    imu: Imu = None,
+    skeleton: Skeleton = None,
+    side: Side = None,
+    body: Body = None,
+    mirror: Mirror = None,
+    swap: Swap = None,
+    negate: Negate = None,
+    camera_frame: CameraAxes = None,
+    clock_offset: ClockOffset = None,
+    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
+    anatomy: Annotated[
+        str | None,
+        typer.Option(
+            "--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."
+        ),
+    ] = None,
+    processes: Processes = None,
+    json_file: Json = None,
+    force: Force = False,
+) -> None:
+    """Say what a recording allows, and what seems wrong with its set-up and what mends it.
+
+    Of a long recording the excerpts that tell most are looked at. The exit code is 0 where a result can be
+    used, 3 where it is not to be trusted.
+    """
+    from ..errors import CalibrationError, SolveError
+    from ..measurements.timeline import Timeline
+    from ..selfcal.excerpts import informative_recording
+    from ..smoothing import smooth
+    from .config_file import read_config, with_anatomy, with_processes
+
+    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
+    config = with_processes(read_config(config_file), processes)
+    if anatomy is not None:
+        config = with_anatomy(config, anatomy)
+    recording, calibration = load_arm(
+        recording_file,
+        calibration_file,
+        imu=imu,
+        skeleton=skeleton,
+        side=one_side(side),
+        body=body,
+        truth=False,
+        remedy=remedy,
+        swap_sides=swap_sides,
+    )
+    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+    excerpt = informative_recording(recording, Timeline.of(recording))
+
+    def recover(some: Recording) -> Recovery:
+        return smooth(some, calibration, config, clock=clock)
+
+    allowed = None
+    with progress_bar("checking") as progress:
+        progress(0.0, "calibrating")
+        try:
+            recovery = recover(excerpt)
+            figures = _figures(recovery)
+            if recovery.estimates.trusted:
+                allowed = _allowance(
+                    excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text)
+                )
+        except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
+            figures = _refused(str(error))
+        progress(1.0, "done")
+    figures["allows"] = None if allowed is None else allowed.to_dict()
+    figures = {"recording": recording.name, "side": recording.side, **figures}
+    write_json(json_file, figures, force)
+    _print(figures, allowed)
+    print_notes(recording.notes)
+    say_written(json_file)
+    if not figures["trusted"]:
+        raise typer.Exit(NOT_TRUSTED)
+
+
+def _allowance(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> Allowance:
+    from calib.motion.estimates import found_in
+
+    from ..evaluation.allowance import allowance
+
+    found = found_in(recovery, excerpt)
+    left_open = () if found is None else found.not_determined
+    return allowance(replace(excerpt, truth=None), recover, left_open, progress)
+
+
+def _figures(recovery: Recovery) -> dict[str, Any]:
+    """The verdict as plain values."""
+    estimates = recovery.estimates
+    reasons = [reason for reason in estimates.reasons if reason != estimates.cause]
+    return {
+        "trusted": bool(estimates.trusted),
+        "verdict": estimates.verdict,
+        "reasons": list(estimates.reasons),
+        "cautions": list(estimates.cautions),
+        "cause": estimates.cause,
+        "remedies": list(estimates.remedies),
+        "signs": reasons,
+    }
+
+
+def _refused(sentence: str) -> dict[str, Any]:
+    """The same where nothing could be recovered."""
+    return {
+        "trusted": False,
+        "verdict": f"Cannot be recovered: {sentence.rstrip('.')}.",
+        "reasons": [sentence],
+        "cautions": [],
+        "cause": None,
+        "remedies": [],
+        "signs": [],
+    }
+
+
+def _print(figures: dict[str, Any], allowed: Allowance | None) -> None:
+    say(figures["verdict"])
+    if allowed is not None:
+        say(f"allows: {allowed.sentence}")
+    for sign in figures["signs"] if figures["cause"] else ():
+        say(f"sign: {sign}")

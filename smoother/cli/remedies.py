@@ -1,0 +1,117 @@
+"""Options that undo a wrong set-up or give a measured clock: those of smooth, check, gaps and compare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import RecordingError
+
+if TYPE_CHECKING:
+    from ..measurements.clock import Clock
+    from ..measurements.remedy import Remedy
+    from ..recording import Recording
+
+Mirror = Annotated[
+    str | None,
+    typer.Option("--mirror", metavar="x|y|z", help="The skeleton is mirrored along this axis: undo it."),
+]
+Swap = Annotated[
+    str | None,
+    typer.Option(
+        "--swap",
+        metavar="A,B",
+        help="Two joints are called by each other's name (elbow,wrist), or left,right.",
+    ),
+]
+Negate = Annotated[
+    str | None,
+    typer.Option(
+        "--negate", metavar="SENSOR,..", help="Turn the sign of the accelerometer, gyroscope, or both."
+    ),
+]
+CameraAxes = Annotated[
+    str | None,
+    typer.Option(
+        "--camera-frame", metavar="kinect|optical|zup", help="The camera's axes, whatever the file says."
+    ),
+]
+ClockOffset = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-offset",
+        metavar="S",
+        help="Measured clock: IMU time less camera time. Without it [clock] of --calibration, or the motion.",
+    ),
+]
+ClockSigma = Annotated[
+    float,
+    typer.Option("--clock-sigma", metavar="S", help="One standard deviation of --clock-offset."),
+]
+CLOCK_SIGMA_S = 0.02
+#: What `--swap` takes besides two joints.
+SIDES = {"left", "right"}
+
+
+def remedy_of(
+    mirror: str | None, swap: str | None, negate: str | None, camera_frame: str | None
+) -> tuple[Remedy, bool]:
+    """What the options undo, and whether left and right are to be swapped.
+
+    Raises
+    ------
+    typer.BadParameter
+        A value is not known.
+    """
+    from ..measurements.remedy import Remedy
+    from ..recording import CameraFrame
+
+    swapped, negated = _names(swap), _names(negate)
+    sides = set(swapped) == SIDES and len(swapped) == 2
+    try:
+        frame = None if camera_frame is None else CameraFrame(camera_frame)
+    except ValueError:
+        names = ", ".join(CameraFrame)
+        raise typer.BadParameter(f"--camera-frame is one of {names}, not '{camera_frame}'") from None
+    if mirror == "" or swap == "" or negate == "":
+        raise typer.BadParameter("--mirror, --swap and --negate need a name each")
+    try:
+        return Remedy(mirror or "", () if sides else swapped, negated, frame), sides
+    except RecordingError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def clock_of(
+    offset_s: float | None, sigma_s: float, calibration_file: Path | None, recording: Recording
+) -> Clock | None:
+    """The clock that was measured: by option, else by the calibration file; None where it is to be found.
+
+    Raises
+    ------
+    typer.BadParameter
+        A number cannot be.
+    CalibrationError
+        The file's [clock] cannot be used.
+    """
+    from math import isfinite
+
+    from calib.clock.measured import measured_clock
+    from calib.file import read_calibration
+
+    from ..measurements.clock import constant_clock
+
+    if not sigma_s > 0.0 or not isfinite(sigma_s):
+        raise typer.BadParameter("--clock-sigma is a time above zero, in s")
+    if offset_s is not None:
+        if not isfinite(offset_s):
+            raise typer.BadParameter("--clock-offset is a time in s")
+        return constant_clock(offset_s, sigma_s)
+    if calibration_file is None:
+        return None
+    return measured_clock(read_calibration(calibration_file), recording)

@@ -1,0 +1,129 @@
+"""What mends a recording whose set-up was wrong in a way that can be undone: axes, names, signs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointTracks, Recording
+from ..runtime.column import batches
+from ..runtime.store import Store
+
+AXES = ("x", "y", "z")
+SENSORS = ("accelerometer", "gyroscope")
+#: Joints whose names may be swapped; the strap is no joint of a skeleton.
+SWAPPED = ("shoulder", "elbow", "wrist", "hand")
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """What to undo in a recording before anything is made of it.
+
+    Attributes
+    ----------
+    mirror : {"x", "y", "z", ""}
+        The camera's axis along which the skeleton is mirrored.
+    swap : tuple of str
+        Two joints whose names are exchanged; or none.
+    negate : tuple of str
+        Sensors ("accelerometer", "gyroscope") whose sign is turned.
+    camera_frame : CameraFrame, optional
+        What the camera's axes are in truth.
+    """
+
+    mirror: str = ""
+    swap: tuple[str, ...] = ()
+    negate: tuple[str, ...] = ()
+    camera_frame: CameraFrame | None = None
+
+    def __post_init__(self) -> None:
+        if self.mirror not in ("", *AXES):
+            raise RecordingError(f"a skeleton is mirrored along x, y or z, not '{self.mirror}'")
+        if self.swap and (len(set(self.swap)) != 2 or len(self.swap) != 2 or set(self.swap) - set(SWAPPED)):
+            raise RecordingError(
+                f"two joints of {', '.join(SWAPPED)} can be swapped, not '{','.join(self.swap)}'"
+            )
+        if set(self.negate) - set(SENSORS):
+            raise RecordingError(f"{' and '.join(SENSORS)} can be negated, not '{','.join(self.negate)}'")
+
+    @property
+    def options(self) -> str:
+        """As on the command line; "" where there is nothing to undo."""
+        options = [
+            ("mirror", self.mirror),
+            ("swap", ",".join(self.swap)),
+            ("negate", ",".join(self.negate)),
+            ("camera-frame", str(self.camera_frame or "")),
+        ]
+        return " ".join(f"--{name} {value}" for name, value in options if value)
+
+    def applied(self, recording: Recording, store: Store | None = None) -> Recording:
+        """The recording with these mistakes undone, and a note of each.
+
+        Parameters
+        ----------
+        recording : Recording
+            Its truth stays as it is.
+        store : Store, optional
+            Where changed samples lie; in memory where None.
+        """
+        if not self.options:
+            return recording
+        store = store or Store()
+        imu, arm = recording.imu, recording.arm
+        for sensor in self.negate:
+            imu = _negated(imu, sensor, store)
+        if self.mirror:
+            arm = replace(arm, position=_mirrored(arm.position, AXES.index(self.mirror), store))
+        if self.swap:
+            arm = _swapped(arm, self.swap, store)
+        return replace(
+            recording,
+            imu=imu,
+            arm=arm,
+            camera_frame=self.camera_frame or recording.camera_frame,
+            notes=(*recording.notes, *self._notes()),
+        )
+
+    def _notes(self) -> list[str]:
+        notes = [f"the {sensor}'s sign was turned (--negate {sensor})" for sensor in self.negate]
+        if self.mirror:
+            notes.append(f"the skeleton was mirrored along {self.mirror} (--mirror {self.mirror})")
+        if self.swap:
+            first, second = self.swap
+            notes.append(f"{first} and {second} were swapped (--swap {first},{second})")
+        if self.camera_frame is not None:
+            notes.append(f"the camera's axes were taken as {self.camera_frame} (--camera-frame)")
+        return notes
+
+
+def _negated(imu: ImuStream, sensor: str, store: Store) -> ImuStream:
+    turn = np.full(3, -1.0)
+    if sensor == "accelerometer":
+        return replace(imu, acc=_scaled(imu.acc, turn, store))
+    return replace(imu, gyro=_scaled(imu.gyro, turn, store))
+
+
+def _mirrored(position: FloatArray, axis: int, store: Store) -> FloatArray:
+    sign = np.ones(3)
+    sign[axis] = -1.0
+    return _scaled(position, sign, store)
+
+
+def _scaled(values: FloatArray, factor: FloatArray, store: Store) -> FloatArray:
+    out = store.array(values.shape)
+    for rows in batches(len(values)):
+        out[rows] = values[rows] * factor
+    return out
+
+
+def _swapped(arm: JointTracks, joints: tuple[str, ...], store: Store) -> JointTracks:
+    first, second = (JOINTS.index(joint) for joint in joints)
+    order = list(range(len(JOINTS)))
+    order[first], order[second] = second, first
+    position = store.array(arm.position.shape)
+    for rows in batches(len(position)):
+        position[rows] = arm.position[rows][:, order]
+    return replace(arm, position=position, state=np.asarray(arm.state)[:, order])

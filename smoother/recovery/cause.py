@@ -1,0 +1,215 @@
+"""The likeliest cause of an answer that is not to be trusted, by trying the alternatives in closed form.
+
+Each mistake that people make is undone in turn, and camera and IMU are fitted anew (a tenth of a second). The
+one that fits where the recording as it is does not (directions, accelerations, gravity, lever arms) is the
+cause.
+
+Some mistakes cannot be told apart: a mirrored skeleton and a turned accelerometer are the same motion, up to
+how the camera stands. Then both are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..calibration import ArmCalibration
+from ..errors import CalibrationError, SolveError
+from ..measurements.clock import Clock
+from ..measurements.remedy import Remedy
+from ..measurements.segment import down_hint
+from ..measurements.timeline import Timeline
+from ..recording import FloatArray, Recording
+from ..result import Recovery
+from ..selfcal.closed_form import ClosedForm, closed_form
+from ..selfcal.coarse_clock import synchronise_coarsely
+from ..selfcal.excerpts import informative_recording
+from .alternatives import Alternative, alternatives, frames_with_down
+from .limb_lengths import SWAPPED, swapped_joints
+from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults
+
+#: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more
+#: than this, degrees, and so much of the acceleration is unexplained: 21 to 40 and all of it for another arm.
+ELSEWHERE_DEG, ELSEWHERE_SHARE = 17.0, 0.8
+#: A cause leaves this part of the recording's misfit at most; one that leaves little more than the best is as
+#: likely.
+CLEARLY, AS_LIKELY = 0.5, 1.25
+#: A convention of the camera's axes is meant where gravity points within this of its down, degrees.
+SAME_DOWN_DEG = 35.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Why a result is not to be trusted.
+
+    Attributes
+    ----------
+    sentence : str
+        What is wrong and what to do, without a full stop.
+    remedies : tuple of Remedy
+        What undoes it, as options; several where they cannot be told apart, none where nothing can.
+    """
+
+    sentence: str
+    remedies: tuple[Remedy, ...] = ()
+
+
+def with_cause(
+    recovery: Recovery, recording: Recording, given: ArmCalibration, measured: Clock | None = None
+) -> Recovery:
+    """A recovery with the likeliest cause first among its reasons, if it is not to be trusted.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        With a verdict.
+    recording : Recording
+        What it was made of, its clocks near each other.
+    given : ArmCalibration
+        What was given of the arm.
+    measured : Clock, optional
+        By which the camera's stamps were moved, where one was given.
+    """
+    estimates = recovery.estimates
+    cause = None if estimates.trusted is not False else likeliest_cause(recording, given, measured)
+    if cause is None:
+        return recovery
+    estimates = replace(
+        estimates,
+        reasons=(cause.sentence, *estimates.reasons),
+        cause=cause.sentence,
+        remedies=tuple(remedy.options for remedy in cause.remedies),
+    )
+    return replace(recovery, estimates=estimates)
+
+
+@contextmanager
+def naming_the_cause(
+    recording: Recording, given: ArmCalibration, measured: Clock | None = None
+) -> Iterator[None]:
+    """What cannot be solved is refused with its likeliest cause."""
+    try:
+        yield
+    except SolveError as error:
+        cause = likeliest_cause(recording, given, measured)
+        if cause is None:
+            raise
+        raise SolveError(f"{str(error).rstrip('.')}; {cause.sentence}") from error
+
+
+def likeliest_cause(
+    recording: Recording, given: ArmCalibration | None = None, measured: Clock | None = None
+) -> Cause | None:
+    """The mistake that explains a recording on which something is wrong; None where none does.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its clocks within the fine search's reach of each other.
+    given : ArmCalibration, optional
+        What was given of the arm.
+    measured : Clock, optional
+        By which the camera's stamps were moved, where one was given.
+    """
+    if any(swapped_joints(recording.arm)):
+        remedy = Remedy(swap=("elbow", "wrist"))
+        return Cause(f"{SWAPPED}; run again with {remedy.options}", (remedy,))
+    recording = informative_recording(recording, Timeline.of(recording))
+    hint = down_hint(recording)
+    down = hint if hint.any() else None
+    as_it_is = closed_form(recording, given)
+    if as_it_is is None or not np.isfinite(as_it_is.misfit):
+        return None
+    if as_it_is.fits:
+        return None if down is None else _wrong_gravity(as_it_is, recording, down)
+    if measured is not None and _fits_without(recording, measured, given, as_it_is):
+        return Cause(
+            "the clock that was given does not fit, and what the motion says does: it is likely to be of"
+            " another session; run again without --clock-offset and without [clock] in the calibration"
+        )
+    if given is not None and given.lever_arms:
+        alone = closed_form(recording)
+        if alone is not None and alone.fits and alone.misfit < CLEARLY * as_it_is.misfit:
+            return Cause(
+                "the calibration seems to be of another person or mounting: the recording fits without it;"
+                " run again without --calibration, or calibrate this mounting"
+            )
+    candidates = _that_fit(recording, down, as_it_is)
+    if candidates:
+        return _named(candidates)
+    is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
+    if is_elsewhere and not any(input_faults(recording)):
+        return Cause(
+            "the IMU does not turn with this forearm, and no mirroring, sign, unit or clock explains it: the"
+            " skeleton seems to be of the other arm or of another recording, or the IMU was worn elsewhere;"
+            " look at --side, --imu and the files"
+        )
+    return None
+
+
+def _fits_without(
+    recording: Recording, measured: Clock, given: ArmCalibration | None, as_it_is: ClosedForm
+) -> bool:
+    """The motion's own clock fits clearly better than the one that was given."""
+    stamps = recording.arm.t_s - measured.at(recording.arm.t_s - measured.mean_s)
+    try:
+        recorded = replace(recording, arm=replace(recording.arm, t_s=stamps))
+        fit = closed_form(synchronise_coarsely(recorded)[0], given)
+    except CalibrationError:  # the motion does not say
+        return False
+    return fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit
+
+
+def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> Cause | None:
+    """Everything fits but gravity: the axes' convention is another, or slow motion hides what is wrong."""
+    if not fit.down_deg(down) > GRAVITY_DEG:
+        return None
+    candidates = _that_fit(recording, down, fit)
+    if candidates:
+        return _named(candidates)
+    frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
+    if recording.gravity_hint is not None or not frames:
+        return Cause(
+            "camera and IMU fit together, but not with the direction of gravity that the recording states;"
+            " look at how the camera stood"
+        )
+    remedy = Remedy(camera_frame=frames[0])
+    return Cause(
+        f"the camera's axes seem to be {frames[0]}, not {recording.camera_frame}; run again with"
+        f" {remedy.options}",
+        (remedy,),
+    )
+
+
+def _that_fit(
+    recording: Recording, down: FloatArray | None, as_it_is: ClosedForm
+) -> list[tuple[float, Alternative]]:
+    """Misfit and alternative of those that fit clearly better, the first of each kind."""
+    fitting: list[tuple[float, Alternative]] = []
+    for alternative in alternatives(recording):
+        if alternative.kind and any(alternative.kind == other.kind for _, other in fitting):
+            continue
+        fit = closed_form(alternative.undone(recording))
+        if fit is None or not fit.fits or fit.misfit > CLEARLY * as_it_is.misfit:
+            continue
+        if down is not None and fit.down_deg(down) > GRAVITY_DEG:
+            continue
+        if all(
+            np.linalg.norm(lever.position_m) < LEVER_ARM_M for lever in fit.calibration.lever_arms.values()
+        ):
+            fitting.append((fit.misfit, alternative))
+    return fitting
+
+
+def _named(candidates: list[tuple[float, Alternative]]) -> Cause:
+    """The best alternative, and those that are as likely."""
+    best = min(misfit for misfit, _ in candidates)
+    likely = [alternative for misfit, alternative in candidates if misfit < AS_LIKELY * best]
+    remedies = tuple(each.remedy for each in likely if each.remedy is not None)
+    mistake = ", or ".join(each.mistake for each in likely)
+    if len(remedies) == len(likely):
+        return Cause(f"{mistake}; run again with {' or '.join(each.options for each in remedies)}", remedies)
+    return Cause(f"{mistake}; {'; or '.join(each.advice for each in likely)}", remedies)

@@ -1,0 +1,75 @@
+"""Mistakes that are undone as a recording is read: twice is none, the rest stays, and it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.errors import RecordingError
+from smoother.io import write_recording
+from smoother.io.recording.read_arm import read_arm
+from smoother.measurements.remedy import Remedy
+from smoother.recording import JOINTS, CameraFrame, Recording
+from smoother.simulation import ArmSimulation, simulate_arm
+
+ALL = Remedy("z", ("elbow", "wrist"), ("accelerometer", "gyroscope"), CameraFrame.OPTICAL)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate_arm(ArmSimulation(repetitions=1), 1).recording
+
+
+def test_what_each_changes(recording: Recording) -> None:
+    mended = ALL.applied(recording)
+    np.testing.assert_array_equal(mended.imu.acc, -recording.imu.acc)
+    np.testing.assert_array_equal(mended.imu.gyro, -recording.imu.gyro)
+    np.testing.assert_array_equal(mended.arm.joint("elbow"), recording.arm.joint("wrist") * [1, 1, -1])
+    np.testing.assert_array_equal(mended.arm.joint("hand"), recording.arm.joint("hand") * [1, 1, -1])
+    wrist, elbow = JOINTS.index("wrist"), JOINTS.index("elbow")
+    np.testing.assert_array_equal(mended.arm.state[:, wrist], recording.arm.state[:, elbow])
+    assert mended.camera_frame is CameraFrame.OPTICAL
+    assert mended.truth is recording.truth and mended.imu.t_s is recording.imu.t_s
+    assert len(mended.notes) == len(recording.notes) + 5
+
+
+def test_twice_is_none(recording: Recording) -> None:
+    again = ALL.applied(ALL.applied(recording))
+    np.testing.assert_array_equal(again.arm.position, recording.arm.position)
+    np.testing.assert_array_equal(again.arm.state, recording.arm.state)
+    np.testing.assert_array_equal(again.imu.acc, recording.imu.acc)
+
+
+def test_nothing_to_undo(recording: Recording) -> None:
+    assert Remedy().options == "" and Remedy().applied(recording) is recording
+
+
+def test_as_options() -> None:
+    expected = "--mirror z --swap elbow,wrist --negate accelerometer,gyroscope --camera-frame optical"
+    assert ALL.options == expected
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"mirror": "left"},
+        {"swap": ("elbow",)},
+        {"swap": ("elbow", "elbow")},
+        {"swap": ("elbow", "strap")},
+        {"negate": ("magnetometer",)},
+    ],
+)
+def test_what_cannot_be_undone_is_refused(wrong: dict) -> None:
+    with pytest.raises(RecordingError, match="not '"):
+        Remedy(**wrong)
+
+
+def test_left_and_right_are_swapped_as_a_file_is_read(recording: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "arm.mcap"
+    write_recording(recording, path)
+    read, _ = read_arm(path, swap_sides=True, remedy=Remedy(mirror="x"))
+    assert (recording.side, read.side) == ("right", "left")
+    assert any("left and right" in note for note in read.notes)
+    assert any("--mirror x" in note for note in read.notes)

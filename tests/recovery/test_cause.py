@@ -1,0 +1,110 @@
+"""The likeliest cause: of each mistake its own, of a sound recording none."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from scenes import ALONE
+
+from smoother import smooth
+from smoother.calibration import ArmCalibration
+from smoother.errors import SolveError
+from smoother.measurements.clock import constant_clock
+from smoother.recording import CameraFrame, Recording
+from smoother.recovery.cause import likeliest_cause, naming_the_cause
+from smoother.recovery.limb_lengths import swapped_joints
+from smoother.selfcal.closed_form import closed_form
+from smoother.selfcal.coarse_clock import synchronise_coarsely
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from tools import setup_cases
+from tools.setup_errors import Job
+
+#: Options that undo a case; of several either one may be meant.
+OFFERED = {
+    "mirrored_skeleton": ("--mirror x", "--mirror y", "--mirror z"),
+    "accelerometer_sign": ("--negate accelerometer",),
+    "gyroscope_sign": ("--negate gyroscope",),
+    "left_handed_axes": ("--negate accelerometer,gyroscope",),
+    "elbow_and_wrist_swapped": ("--swap elbow,wrist",),
+    "wrong_camera_frame": ("--camera-frame kinect",),
+}
+#: Nothing undoes these; the sentence names them.
+NAMED = {
+    "joints_of_the_other_arm": "the other arm",
+    "skeleton_of_another_recording": "another recording",
+    "sensor_on_the_upper_arm": "the upper arm",
+    "radians_called_degrees": "57 times too small",
+    "metres_called_millimetres": "1000 times too small",
+    "calibration_of_another_mounting": "another person or mounting",
+}
+
+
+@pytest.mark.parametrize("preset", ["white", "realistic", "azure"])
+@pytest.mark.parametrize("case", [*OFFERED, *NAMED, "sound"])
+def test_each_mistake_has_its_cause(case: str, preset: str) -> None:
+    setup = Job(getattr(setup_cases, case), 5, preset, 30.0).setup()
+    recording, _ = synchronise_coarsely(replace(setup.recording, truth=None))
+    cause = likeliest_cause(recording, setup.calibration)
+    if case == "sound":
+        assert cause is None
+        return
+    assert cause is not None
+    if case in OFFERED:
+        assert {remedy.options for remedy in cause.remedies} & set(OFFERED[case])
+        assert "run again with" in cause.sentence
+    else:
+        assert cause.remedies == () and NAMED[case] in cause.sentence
+
+
+@pytest.fixture(scope="module")
+def arm() -> SimulatedArm:
+    return simulate_arm(ArmSimulation.preset("realistic", protocol="random", duration_s=24.0), 3)
+
+
+@pytest.fixture(scope="module")
+def sound(arm: SimulatedArm) -> Recording:
+    return replace(arm.recording, truth=None)
+
+
+def test_what_is_right_is_far_from_what_is_wrong(sound: Recording) -> None:
+    right = closed_form(sound)
+    wrong = closed_form(replace(sound, imu=replace(sound.imu, gyro=-sound.imu.gyro)))
+    assert right is not None and right.fits and wrong is not None and not wrong.fits
+    assert wrong.misfit > 3.0 * right.misfit
+    assert right.down_deg(CameraFrame.KINECT.down) < 20.0
+
+
+def test_without_a_shoulder_no_names_are_doubted(sound: Recording) -> None:
+    assert not list(swapped_joints(sound.arm))
+    swapped = setup_cases.elbow_and_wrist_swapped(
+        Job(setup_cases.sound, 5, "realistic", 14.0).setup()
+    ).recording.arm
+    assert list(swapped_joints(swapped))
+    hidden = swapped.hide(np.ones(len(swapped), bool), ("shoulder",))
+    assert not list(swapped_joints(hidden))
+
+
+def test_a_refusal_names_its_cause(sound: Recording) -> None:
+    wrong = replace(sound, imu=replace(sound.imu, gyro=-sound.imu.gyro))
+    named = r"nothing is left; the gyroscope's sign .* --negate gyroscope"
+    with pytest.raises(SolveError, match=named), naming_the_cause(wrong, ArmCalibration()):
+        raise SolveError("nothing is left.")
+    with pytest.raises(SolveError, match=r"^nothing is left$"), naming_the_cause(sound, ArmCalibration()):
+        raise SolveError("nothing is left")
+
+
+def test_a_clock_of_another_session(arm: SimulatedArm, sound: Recording) -> None:
+    offset_s = arm.parameters["clock_offset_s"]
+    right = smooth(sound, None, ALONE, clock=constant_clock(offset_s, 0.002)).estimates
+    assert right.trusted and right.cause is None
+    for wrong_s, word in ((0.1, "moves the clock that was given"), (3.0, "the clock that was given")):
+        wrong = smooth(sound, None, ALONE, clock=constant_clock(offset_s + wrong_s, 0.002))
+        assert wrong.estimates.trusted is False
+        assert any(word in reason for reason in wrong.estimates.reasons), wrong.estimates.reasons
