@@ -16,6 +16,7 @@ from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
 from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
+from .recovery.sigma_factor import with_sigma_factors
 from .recovery.task import Task
 from .recovery.trust import judged
 from .result import Recovery
@@ -103,6 +104,8 @@ def smooth(
         # 6. One trajectory at the IMU's own stamps.
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
+    recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")
     return judged(recovery, recording, config.arm.anatomy)
 

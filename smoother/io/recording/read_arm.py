@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 from .choose import Selection
@@ -47,7 +48,8 @@ def read_arm(
     recording : Recording
         Corrected.
     calibration : ArmCalibration or None
-        Of its arm: None without a file, or where it holds sensors alone.
+        Of its arm: None without a file, or where it holds sensors alone; with the factors of sigma that the
+        file holds.
 
     Raises
     ------
@@ -58,6 +60,7 @@ def read_arm(
         return read_recording(path, store=store, truth=truth, **selection), None
     from calib.file import read_calibration
     from calib.imu.correction import corrected
+    from calib.sigma import TABLE, sigma_factors_of
     from calib.world.gravity_from_base import with_gravity
 
     calibration = read_calibration(calibration_file)
@@ -65,6 +68,9 @@ def read_arm(
     prefer = sides[0] if len(sides) == 1 else None
     recording = read_recording(path, prefer_side=prefer, store=store, truth=truth, **selection)
     recording = with_gravity(corrected(recording, calibration, store), calibration)
-    if not calibration.arms and _OF_SENSORS & set(calibration.tables):
-        return recording, None
-    return recording, calibration.arm(recording.side)
+    factors = sigma_factors_of(calibration)
+    if not calibration.arms and (_OF_SENSORS | {TABLE}) & set(calibration.tables):
+        from ...calibration import ArmCalibration
+
+        return recording, ArmCalibration(recording.side, sigma_factors=factors) if factors else None
+    return recording, replace(calibration.arm(recording.side), sigma_factors=factors)
