@@ -24,6 +24,7 @@ from .runtime.pool import Pool
 from .runtime.store import Store
 from .selfcal.coarse_clock import synchronise_coarsely
 from .selfcal.excerpts import informative_excerpts
+from .selfcal.given_check import contradictions
 from .selfcal.rounds import self_calibrate
 from .window.pooling import leave_one_out_priors
 from .window.priors import with_measured_noise
@@ -88,6 +89,7 @@ def smooth(
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+        misfits = tuple(contradictions(excerpts, given))
         model = self_calibrate(excerpts, given, config, workers)
         # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
         sections = Sections(recording, timeline, model.clock)
@@ -107,7 +109,7 @@ def smooth(
     # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")
-    return judged(recovery, recording, config.arm.anatomy)
+    return judged(recovery, recording, config.arm.anatomy, misfits)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

@@ -54,7 +54,9 @@ SILENT_SAMPLES = 3
 MOST_FRAMES = 20_000
 
 
-def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recovery:
+def judged(
+    recovery: Recovery, recording: Recording, anatomy: Anatomy, misfits: tuple[str, ...] = ()
+) -> Recovery:
     """The recovery with a verdict among its estimates.
 
     Parameters
@@ -65,8 +67,11 @@ def judged(recovery: Recovery, recording: Recording, anatomy: Anatomy) -> Recove
         What it was made of.
     anatomy : Anatomy
         Whose arm it is.
+    misfits : tuple of str
+        What of a given calibration the recording contradicts.
     """
     reasons = (
+        *misfits,
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
         *_clock(recovery, recording),
