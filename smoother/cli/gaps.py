@@ -141,7 +141,7 @@ def gaps(
 
         name = ", ".join(recording.name for recording in recordings)
         write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)
-    write_json(json_file, gap_figures(table, real), force)
+    write_json(json_file, gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}, force)
     print_gaps(table)
     print_factors(factors)
     for sentence in sentences:

@@ -3,8 +3,8 @@
 A rule of thumb with three parts. A floor: the camera's noise, and speed times how well frames are dated. A
 growth with the length of the gap: 7 mm a second for a sensor whose ends alone are seen (BROAD: 0.5, 0.9, 1.3
 and 2.1 cm at 0.5, 1, 2 and 3 s), half of it where a shoulder holds the arm, more for a slow IMU or a
-mounting that does not show. And what must move for the mounting to show. Slow errors of a body tracker show in
-no single recording; `gaps` measures them.
+mounting that does not show. And what must move for the mounting to show. Slow errors of a body tracker show
+in no single recording; `gaps` measures them.
 """
 
 from __future__ import annotations
