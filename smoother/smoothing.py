@@ -109,7 +109,7 @@ def smooth(
     # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")
-    return judged(recovery, recording, config.arm.anatomy, misfits)
+    return judged(recovery, recording, config.arm.anatomy, misfits, model.open_questions)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

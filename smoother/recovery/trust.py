@@ -55,7 +55,11 @@ MOST_FRAMES = 20_000
 
 
 def judged(
-    recovery: Recovery, recording: Recording, anatomy: Anatomy, misfits: tuple[str, ...] = ()
+    recovery: Recovery,
+    recording: Recording,
+    anatomy: Anatomy,
+    misfits: tuple[str, ...] = (),
+    open_questions: tuple[str, ...] = (),
 ) -> Recovery:
     """The recovery with a verdict among its estimates.
 
@@ -69,6 +73,8 @@ def judged(
         Whose arm it is.
     misfits : tuple of str
         What of a given calibration the recording contradicts.
+    open_questions : tuple of str
+        What self-calibration took with little margin.
     """
     reasons = (
         *misfits,
@@ -82,6 +88,7 @@ def judged(
         *strap_slipped(recording.imu, _gyroscope_bias(recovery)),
     )
     cautions = (
+        *open_questions,
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
         *_camera(recovery, NEAR_M),
         *_rate(recording.imu, SLOW_HZ),

@@ -71,3 +71,12 @@ def test_the_verdict_begins_with_it():
     arm = made(1, "realistic")
     recovery = smooth(replace(arm.recording, truth=None), turned(arm.calibration, 90.0), ALONE)
     assert recovery.estimates.verdict.startswith("Not to be trusted: the calibration does not fit")
+
+
+def test_a_mounting_with_a_rival_is_used_with_care():
+    """An arm that hardly moves in view leaves open how the sensor sits; one that moves does not."""
+    still = simulate_arm(ArmSimulation(repetitions=1, still_all=True), 1).recording
+    cautions = smooth(replace(still, truth=None), config=ALONE).estimates.cautions
+    assert any("fits the visible motion nearly as well" in caution for caution in cautions)
+    moving = smooth(replace(made(1, "realistic").recording, truth=None), config=ALONE).estimates.cautions
+    assert not any("fits the visible motion" in caution for caution in moving)
