@@ -27,6 +27,8 @@ from .motion_summary import clocks_not_determined, not_determined
 
 #: Lever arms of two recordings that differ by more than this on an axis, m and sigmas, are of two mountings.
 APART_M, APART_SIGMAS = 0.04, 4.0
+#: A shorter recording, s, says too little alone to contradict another.
+ALONE_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +124,7 @@ def _require_one_mounting(
     names = [recording.name for recording in recordings]
     for number, name in enumerate(names):
         own = [replace(segment, recording=0) for segment in segments if segment.recording == number]
-        if own:
+        if sum(segment.end_s - segment.start_s for segment in own) >= ALONE_S:
             with suppress(CalibrationError):  # one that tells nothing alone contradicts nobody
                 label = name if names.count(name) == 1 else f"{name} ({number + 1})"
                 alone[label] = self_calibrate(own, known, config, pool).estimate

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ..linalg import runs, unit
 from ..measurements.rejection import Rejection
+from ..measurements.segment import without_spikes
 from ..recording import FloatArray, ImuStream, Recording
 from ..result import Recovery
 
@@ -89,7 +90,7 @@ def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
     jumps : ndarray, shape (n, 2)
         Time, s, and the angle, degrees; the smaller one of those over the two lengths of time.
     """
-    t, turning = np.asarray(imu.t_s), np.asarray(imu.gyro) - gyroscope_bias
+    t, turning = np.asarray(imu.t_s), without_spikes(imu).gyro - gyroscope_bias
     step = np.diff(t)[:, None]
     turns = Rotation.from_rotvec(0.5 * (turning[1:] + turning[:-1]) * step).as_matrix()
     R = np.empty((len(t), 3, 3))
