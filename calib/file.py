@@ -42,7 +42,7 @@ from smoother.runtime.atomic import writing
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
 #: Tables that tell a calibration without format and version, as people write it.
-TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock")
+TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clock", "sigma")
 #: Tables that are merged key by key, and how deep: an arm's lever arms by joint, a sensor's parts by key, the
 #: held poses by side. A table below that depth, or any other, replaces the one of its name.
 MERGED = {"arm": 3, "imu": 3, "forearm": 1}

@@ -44,6 +44,48 @@ class Length:
 
 
 @dataclass(frozen=True)
+class SigmaFactor:
+    """How much wider sigma must be in gaps of one length, as hidden gaps have shown.
+
+    Attributes
+    ----------
+    length_s : float, s
+        Of the gaps.
+    factor : float
+        What sigma of a position is multiplied by.
+    gaps : int
+        Hidden gaps behind it.
+    """
+
+    length_s: float
+    factor: float
+    gaps: int
+
+
+@dataclass(frozen=True)
+class SigmaFactors:
+    """Factors of sigma by the length of a gap.
+
+    Attributes
+    ----------
+    by_length : tuple of SigmaFactor
+        Of increasing lengths, at least one.
+    """
+
+    by_length: tuple[SigmaFactor, ...]
+
+    def at(self, length_s: float) -> float:
+        """The factor for a gap of some length: linear between the lengths, held beyond them."""
+        lengths = [entry.length_s for entry in self.by_length]
+        return float(np.interp(length_s, lengths, [entry.factor for entry in self.by_length]))
+
+    @property
+    def longest_s(self) -> float:
+        """The longest gap that was hidden, s."""
+        return self.by_length[-1].length_s
+
+
+@dataclass(frozen=True)
 class ArmCalibration:
     """How the IMU sits on one forearm, and the arm's measures.
 
@@ -61,6 +103,8 @@ class ArmCalibration:
         In {A}; None where unknown.
     gyroscope_bias : ndarray, shape (3,), rad/s, or None
         In {A}; None where unknown.
+    sigma_factors : SigmaFactors or None
+        How much wider positions in gaps must be stated for this camera; None where nobody looked.
     """
 
     side: str = ""
@@ -69,6 +113,7 @@ class ArmCalibration:
     R_F_A: FloatArray | None = None
     accelerometer_bias: FloatArray | None = None
     gyroscope_bias: FloatArray | None = None
+    sigma_factors: SigmaFactors | None = None
 
     @property
     def forearm_direction(self) -> FloatArray | None:

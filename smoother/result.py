@@ -90,6 +90,8 @@ class Estimates:
         What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
     max_sigma_m : float, m, optional
         Samples less certain than this on an axis are marked as not to be used.
+    sigma_factors : tuple of float, optional
+        By gap what its sigma of positions was multiplied by, as a calibration asks for.
     trusted : bool, optional
         Nothing says that the set-up was wrong or the answer impossible.
     reasons : tuple of str
@@ -116,6 +118,7 @@ class Estimates:
     magnetic_field_direction: tuple[float, ...] | None = None
     given: tuple[str, ...] = ()
     max_sigma_m: float | None = None
+    sigma_factors: tuple[float, ...] = ()
     trusted: bool | None = None
     reasons: tuple[str, ...] = ()
     cautions: tuple[str, ...] = ()
@@ -169,6 +172,11 @@ def _vector(value: object) -> tuple[float, ...] | None:
     return tuple(value) if is_vector else None  # type: ignore[arg-type]
 
 
+def _numbers(value: object) -> tuple[float, ...] | None:
+    is_numbers = isinstance(value, list | tuple) and all(_number(item) is not None for item in value)
+    return tuple(value) if is_numbers else None  # type: ignore[arg-type]
+
+
 def _names(value: object) -> tuple[str, ...] | None:
     is_names = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
     return tuple(value) if is_names else None  # type: ignore[arg-type]
@@ -198,6 +206,7 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "magnetic_field_direction": _vector,
     "given": _names,
     "max_sigma_m": _number,
+    "sigma_factors": _numbers,
     "trusted": lambda value: value if isinstance(value, bool) else None,
     "reasons": _names,
     "cautions": _names,

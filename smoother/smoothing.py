@@ -18,6 +18,7 @@ from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
 from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
+from .recovery.sigma_factor import with_sigma_factors
 from .recovery.task import Task
 from .recovery.trust import judged
 from .result import Recovery
@@ -25,6 +26,7 @@ from .runtime.pool import Pool
 from .runtime.store import Store
 from .selfcal.coarse_clock import synchronise_coarsely
 from .selfcal.excerpts import informative_excerpts
+from .selfcal.given_check import contradictions
 from .selfcal.rounds import self_calibrate
 from .window.pooling import leave_one_out_priors
 from .window.priors import with_measured_noise
@@ -94,6 +96,7 @@ def smooth(
         excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
         if not excerpts:
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+        misfits = tuple(contradictions(excerpts, given))
         model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
         # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
         sections = Sections(recording, timeline, model.clock)
@@ -110,9 +113,12 @@ def smooth(
         # 6. One trajectory at the IMU's own stamps.
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
+    recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")
-    # 7. A verdict, and the likeliest cause where it is not to be trusted.
-    return with_cause(judged(recovery, recording, config.arm.anatomy, clock), recording, given, clock)
+    # 8. A verdict, and the likeliest cause where it is not to be trusted.
+    recovery = judged(recovery, recording, config.arm.anatomy, misfits, model.open_questions, clock)
+    return with_cause(recovery, recording, given, clock)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

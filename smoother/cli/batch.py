@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from .load import damage
 from .options import (
     Body,
     Calibration,
@@ -21,7 +22,7 @@ from .options import (
     Skeleton,
     one_side,
 )
-from .output import centimetres, check_outputs, print_table, say, say_written, write_json
+from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -184,6 +185,11 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
                 for row in worst
             ],
         )
+    notes = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
+    damaged = damage(note for texts in notes for note in texts or [])
+    print_notes(damaged[:MOST_FAILURES])
+    if len(damaged) > MOST_FAILURES:
+        say(f".. and {len(damaged) - MOST_FAILURES} damaged files more; the results have them all")
     failures = figures["failures"]
     if failures:
         print_table(

@@ -69,11 +69,13 @@ def print_words(answer: Answer) -> None:
         say(f"next: {sentence}")
 
 
-def write_answer(answer: Answer, output: Path | None, json_file: Path | None, force: bool) -> None:
-    """Write the figures, and add the answer to the calibration file."""
+def write_answer(
+    answer: Answer, output: Path | None, json_file: Path | None, force: bool, notes: Iterable[str] = ()
+) -> None:
+    """Write the figures with what must be known of the input, and add the answer to the calibration file."""
     from calib.file import write_calibration
 
-    write_json(json_file, answer.figures, force)
+    write_json(json_file, {**answer.figures, "notes": list(dict.fromkeys(notes))}, force)
     if output is not None:
         write_calibration(output, answer.table)
 
@@ -134,7 +136,8 @@ def motion(
             "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
         )
     answer = motion_answer(estimates)
-    write_answer(answer, output, json_file, force)
+    notes = [note for recording, _ in loaded for note in recording.notes]
+    write_answer(answer, output, json_file, force, notes)
     print_arm(estimates)
     print_clocks(estimates.offsets)
     say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
@@ -142,5 +145,5 @@ def motion(
     if sentence := roll_known(estimates.frame):
         say(sentence)
     print_words(answer)
-    print_notes(note for recording, _ in loaded for note in recording.notes)
+    print_notes(notes)
     say_written(output, json_file)

@@ -163,7 +163,7 @@ def clock(
         from ..report.clock import write_clock_report
 
         write_clock_report(report, name, calibration.network, receptions, beeps, clock_in_motion, force=force)
-    write_answer(answer, output, json_file, force)
+    write_answer(answer, output, json_file, force, notes)
     print_clocks(calibration)
     print_words(answer)
     print_notes(notes)

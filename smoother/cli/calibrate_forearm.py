@@ -89,7 +89,7 @@ def forearm(
         from ..report.forearm import write_forearm_report
 
         write_forearm_report(report, recording, calibration, force=force)
-    write_answer(answer, output, json_file, force)
+    write_answer(answer, output, json_file, force, recording.notes)
     lengths = calibration.measured.lengths.items()
     cells = [
         (MEASURES[name], f"{1e3 * length.value_m:.1f} +- {1e3 * length.sigma_m:.1f}")

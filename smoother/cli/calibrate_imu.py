@@ -48,7 +48,7 @@ def imu(
         from ..report.imu import write_imu_report
 
         write_imu_report(report, str(recording_file), stream, calibration, force=force)
-    write_answer(answer, output, json_file, force)
+    write_answer(answer, output, json_file, force, notes)
     if rows := noise_rows(calibration):
         print_table("Noise", ("figure", "x", "y", "z"), rows)
     print_words(answer)
@@ -84,7 +84,7 @@ def magnetometer(
         from ..report.magnetometer import write_magnetometer_report
 
         write_magnetometer_report(report, str(recording_file), stream, calibration, force=force)
-    write_answer(answer, output, json_file, force)
+    write_answer(answer, output, json_file, force, notes)
     print_words(answer)
     print_notes(notes)
     say_written(output, json_file, report)

@@ -148,6 +148,7 @@ def compare(
 
         write_comparison(comparison, recording, report, force=force)
     figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+    figures["notes"] = list(dict.fromkeys([*recording.notes, *comparison.notes]))
     write_json(json_file, figures, force)
     print_comparison(comparison)
     print_notes([*recording.notes, *comparison.notes])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import UnoccludeError
-from .load import camera_frame_of
+from .load import camera_frame_of, damage
 from .options import Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
@@ -82,9 +82,10 @@ def export(
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
-                "notes": ready.notes,
+                "notes": [*damage(recovery.notes), *ready.notes],
             }
         )
+    print_notes(note for recovery in recoveries for note in damage(recovery.notes))
     print_notes(note for ready in exports for note in ready.notes)
     write_json(json_file, {"files": figures}, force)
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
+from ..errors import CalibrationError
 from .load import load_arm
-from .methods import METHODS, baseline_settings, choose, make_methods
+from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
 from .options import (
     Body,
     BoundaryS,
@@ -19,7 +23,6 @@ from .options import (
     Json,
     Orientation,
     Processes,
-    RecordingPath,
     Report,
     Seed,
     Side,
@@ -27,7 +30,7 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, print_table, say_written, write_json
+from .output import check_outputs, print_notes, print_table, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import (
     CLOCK_SIGMA_S,
@@ -44,10 +47,16 @@ from .strap import with_strap
 
 if TYPE_CHECKING:
     from ..evaluation import GapTable
+    from ..evaluation.real_gaps import RealGaps
+    from ..evaluation.sigma_factor import LengthFactor
+    from ..recording import Recording
 
 
 def gaps(
-    recording_file: RecordingPath,
+    recording_files: Annotated[
+        list[Path],
+        typer.Argument(metavar="REC.mcap", help="The recording, or several of a study.", show_default=False),
+    ],
     lengths: Annotated[
         str, typer.Option("--lengths", metavar="S,S,..", help="Lengths of the gaps to hide, s.")
     ] = "0.5,1,2,3",
@@ -79,56 +88,139 @@ def gaps(
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
+    keep_in: Annotated[
+        Path | None,
+        typer.Option(
+            "--keep-in",
+            metavar="CAL.toml",
+            help="Keep by what sigma must grow to hold; `smooth --calibration CAL.toml` applies it.",
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Hide visible stretches at random, recover them, and measure the error by gap length.
+    """Hide gaps at random where the camera sees the arm, recover them, and measure the error by length.
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
-    that were hidden; these carry the camera's own noise.
+    that were hidden; these carry the camera's own noise. Also says by what factor the stated sigma would
+    have to grow to hold, with which `--keep-in` fills a calibration file.
     """
-    from ..evaluation import evaluate_gaps
+    from ..evaluation.gaps import evaluate_gaps, pooled
+    from ..evaluation.real_gaps import compare_real_gaps
+    from ..evaluation.sigma_factor import factor_sentences
     from .config_file import read_config, with_processes
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
     remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
-    check_outputs(force, [report, json_file], [recording_file, calibration_file, config_file])
+    if keep_in is not None and GRAPH not in names:
+        raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
+    twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
+    if twice:
+        raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
+    check_outputs(force, [report, json_file], [*recording_files, calibration_file, config_file, keep_in])
+    check_outputs(True, [keep_in], [*recording_files, config_file])
+    if keep_in is not None and keep_in.exists():
+        from calib.file import read_calibration
+
+        read_calibration(keep_in)  # before the work: what cannot be read cannot be added to
     config = with_processes(read_config(config_file), processes)
-    recording, calibration = load_arm(
-        recording_file,
-        calibration_file,
-        imu=imu,
-        skeleton=skeleton,
-        side=one_side(side),
-        body=body,
-        remedy=remedy,
-        swap_sides=swap_sides,
-    )
-    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
-    given = with_strap(calibration, recording) if solve_lever_arms else calibration
+    recordings: list[Recording] = []
+    tables: list[GapTable] = []
     with progress_bar("hiding and recovering") as progress:
-        table = evaluate_gaps(
-            recording,
-            lengths_s,
-            make_methods(names, given, config, settings, clock=clock),
-            seed=seed,
-            repetitions=repetitions,
-            gaps_per_run=gaps_per_run,
-            progress=progress,
-        )
+        for number, path in enumerate(recording_files):
+            recording, calibration = load_arm(
+                path,
+                calibration_file,
+                imu=imu,
+                skeleton=skeleton,
+                side=one_side(side),
+                body=body,
+                remedy=remedy,
+                swap_sides=swap_sides,
+            )
+            clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+            given = with_strap(calibration, recording) if solve_lever_arms else calibration
+            if keep_in is not None and given is not None:  # what is measured anew is not applied before
+                given = replace(given, sigma_factors=None)
+            recording = replace(recording, name=_unlike(recording.name, [each.name for each in recordings]))
+            tables.append(
+                evaluate_gaps(
+                    recording,
+                    lengths_s,
+                    make_methods(names, given, config, settings, clock=clock),
+                    seed=seed,
+                    repetitions=repetitions,
+                    gaps_per_run=gaps_per_run,
+                    progress=_share(progress, number, len(recording_files)),
+                )
+            )
+            recordings.append(recording)
+    table = pooled(tables)
+    real = compare_real_gaps(recordings, table)
+    factors = table.sigma_factors(GRAPH)
+    notes = [*(note for recording in recordings for note in recording.notes), *table.notes]
+    sentences = [*factor_sentences(factors), real.sentence]
     if report is not None:
         from ..report.gap_curves import write_gap_curves
 
-        write_gap_curves(table, recording.name, report, notes=recording.notes, force=force)
-    write_json(json_file, gap_figures(table), force)
+        name = ", ".join(recording.name for recording in recordings)
+        write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)
+    write_json(json_file, gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}, force)
     print_gaps(table)
-    print_notes([*recording.notes, *table.notes])
-    say_written(report, json_file)
+    print_factors(factors)
+    for sentence in sentences:
+        say(f"{sentence[0].upper()}{sentence[1:]}.")
+    print_notes(notes)
+    if keep_in is not None:
+        keep(factors, table, recordings, keep_in)
+    say_written(report, json_file, keep_in)
 
 
-def gap_figures(table: GapTable) -> dict[str, Any]:
+def _share(progress: Callable[[float, str], None], number: int, count: int) -> Callable[[float, str], None]:
+    """Progress of one recording as that of all."""
+    return lambda share, text: progress((number + share) / count, text)
+
+
+def _unlike(name: str, others: Sequence[str]) -> str:
+    """A name that no other recording has."""
+    return name if name not in others else _unlike(f"{name} (again)", others)
+
+
+def keep(
+    factors: Sequence[LengthFactor], table: GapTable, recordings: Sequence[Recording], path: Path
+) -> None:
+    """Add the factors of sigma to a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        No gap has an answer, or the errors are no matter of sigma.
+    """
+    from calib.file import CalibrationFile, write_calibration
+    from calib.sigma import with_sigma_table
+
+    from ..evaluation.sigma_factor import LARGEST_FACTOR
+
+    if not factors:
+        raise CalibrationError(f"{path} was not written: no hidden gap has an answer with a sigma")
+    if (worst := max(row.factor for row in factors)) > LARGEST_FACTOR:
+        raise CalibrationError(
+            f"{path} was not written: sigma would have to be multiplied by {worst:.0f}, so it is not sigma"
+            " that is wrong; look whether clock, axes and mounting are right"
+        )
+    digits = ("factor", "factor_50", "factor_95", "level")
+    rows = [
+        {name: round(value, 4) if name in digits else value for name, value in row.to_dict().items()}
+        for row in factors
+    ]
+    reference = next((row.reference for row in table.rows if row.reference), "truth")
+    names = [recording.name for recording in recordings]
+    write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
+
+
+def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]:
     """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
     from ..evaluation.gap_spread import spread_by_length
 
@@ -136,7 +228,26 @@ def gap_figures(table: GapTable) -> dict[str, Any]:
         {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}
         for length, methods in spread_by_length(table.rows).items()
     ]
-    return table.to_dict() | {"spread": spread}
+    figures = table.to_dict() | {"spread": spread}
+    return figures if real is None else figures | {"real_gaps": real.to_dict() | {"sentence": real.sentence}}
+
+
+def print_factors(factors: Sequence[LengthFactor]) -> None:
+    """Print by what sigma would have to grow, by length of gap."""
+    if not factors:
+        return
+    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "gaps behind it")
+    rows = [
+        (
+            f"{row.length_s:g}",
+            f"{row.factor_50:.2f}",
+            f"{row.factor_95:.2f}",
+            f"{row.factor:.2f}",
+            f"{row.count} of all lengths" if row.pooled else f"{row.count}",
+        )
+        for row in factors
+    ]
+    print_table("Factor by which sigma would have to grow to hold", columns, rows)
 
 
 def parse_lengths(text: str) -> list[float]:

@@ -100,7 +100,9 @@ def strap(
         force=force,
     )
     sentences = verdict(found)
-    write_json(json_file, {**_figures(found), "verdict": sentences}, force)
+    write_json(
+        json_file, {**_figures(found), "verdict": sentences, "notes": [*recording.notes, *found.notes]}, force
+    )
     if report is not None:
         from ..report.strap import write_strap_report
 

@@ -70,8 +70,11 @@ def print_missing(about: RecordingInfo) -> None:
         say(f"cannot be recovered: {about.missing['smooth']}")
     elif about.result:
         say("holds a result: validate and export read it")
-    else:
+    elif about.ready:
+        say(about.allows)
         say("ready for `unocclude smooth`")
+    else:
+        say(f"not ready for `unocclude smooth`: it {about.allows}")
     for step, reason in about.missing.items():
         if step != "smooth":
             say(f"{step}: {reason}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
     from ..runtime.store import Store
+
+#: How the reader of a file says that it was cut off or is damaged.
+DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 
 
 def load_arm(
@@ -61,6 +65,11 @@ def load_recovery(path: Path, side: str | None = None) -> Recovery:
     if len(chosen) > 1:
         raise UnoccludeError(f"{path}: several arms are in this file ({sides}); choose one with --side")
     return chosen[0]
+
+
+def damage(notes: Iterable[str]) -> list[str]:
+    """Of some notes those that say that a file was cut off or is damaged."""
+    return [note for note in notes if any(words in note for words in DAMAGED)]
 
 
 def camera_frame_of(path: Path) -> CameraFrame | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .load import camera_frame_of, load_recovery
+from .load import camera_frame_of, damage, load_recovery
 from .options import Align, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, print_notes, print_table, say, write_json
 
@@ -66,6 +67,8 @@ def validate(
         from ..report import write_report
 
         write_report(recovery, report, validation=validation, truth=truth, force=force)
+    damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
+    validation = replace(validation, notes=(*damaged, *validation.notes))
     write_json(json_file, validation.to_dict(), force)
     print_validation(validation)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +14,7 @@ from ..result import Recovery
 from .align import linear_at, position_at, truth_at
 from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise
 from .placement import HiddenGap
+from .sigma_factor import LEVELS, needed_factors
 
 #: Hidden joints to compare with where there is no truth, the best first.
 REFERENCES = ("wrist", "strap", "hand", "elbow")
@@ -35,6 +36,8 @@ class GapErrors:
         Largest stated standard deviation, on one axis.
     path_m : float, m, or None
         Length of the hidden path.
+    needed_factors : ndarray, shape (n, 2)
+        By what sigma would have to be multiplied to hold, see `sigma_factor.needed_factors`.
     """
 
     reference: str
@@ -44,6 +47,7 @@ class GapErrors:
     unanswered: int = 0
     sigma_max_m: float | None = None
     path_m: float | None = None
+    needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
 
     def figures(self) -> Figures:
         """The figures of these samples."""
@@ -63,6 +67,7 @@ class GapErrors:
             angle_deg=np.concatenate([part.angle_deg for part in parts]),
             squared_sigmas=np.concatenate([part.squared_sigmas for part in parts]),
             unanswered=sum(part.unanswered for part in parts),
+            needed_factors=np.concatenate([part.needed_factors for part in parts]),
         )
 
 
@@ -82,8 +87,9 @@ def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, off
     position = np.where(scored[:, None], recovery.position[inside], np.nan)
     covariance = recovery.pose_covariance[inside, :3, :3]
     angle = orientation_error_deg(recovery.quaternion[inside], truth.quaternion)
+    exact = np.zeros((3, 3))
     return _errors(
-        "truth", position, truth.position, covariance, np.where(truth.score, angle, np.nan), scored
+        "truth", position, truth.position, covariance, exact, np.where(truth.score, angle, np.nan), scored
     )
 
 
@@ -104,7 +110,7 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, of
     # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
     noise = camera_noise(recovery, joint)
     scored = np.ones(len(t_s), dtype=bool)
-    return _errors(joint, answer, reference, stated + noise, np.full(len(t_s), np.nan), scored, stated)
+    return _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)
 
 
 def strap_position(recovery: Recovery) -> FloatArray:
@@ -146,22 +152,24 @@ def _errors(
     name: str,
     answer: FloatArray,
     reference: FloatArray,
-    covariance: FloatArray,
+    stated: FloatArray,
+    noise: FloatArray,
     angle: FloatArray,
     scored: BoolArray,
-    stated: FloatArray | None = None,
 ) -> GapErrors:
+    """Errors against a reference with noise of its own (3, 3) m^2."""
     difference = answer - reference
     distance = np.linalg.norm(difference, axis=1)
-    variance = np.einsum("nii->ni", covariance if stated is None else stated)
+    variance = np.einsum("nii->ni", stated)
     finite = variance[np.isfinite(variance).all(axis=1)]
     path = reference[np.isfinite(reference).all(axis=1)]
     return GapErrors(
         reference=name,
         distance_m=distance,
         angle_deg=angle,
-        squared_sigmas=squared_sigmas(difference, covariance),
+        squared_sigmas=squared_sigmas(difference, stated + noise),
         unanswered=int((scored & ~np.isfinite(distance)).sum()),
         sigma_max_m=float(np.sqrt(finite.max())) if len(finite) else None,
         path_m=float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) if len(path) > 1 else None,
+        needed_factors=needed_factors(difference, stated, noise),
     )

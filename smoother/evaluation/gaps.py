@@ -13,6 +13,7 @@ from ..result import Recovery
 from .gap_score import GapErrors, score_gap
 from .metrics import Figures, summarise
 from .placement import HiddenGap, place_gaps
+from .sigma_factor import LengthFactor, length_factors
 
 #: A method: recording in, recovery out.
 Method = Callable[[Recording], Recovery]
@@ -44,6 +45,8 @@ class GapRow:
         Length of the hidden path.
     failure : str
         Why there is no answer, "" where there is one.
+    recording : str
+        Name of the recording.
     """
 
     length_s: float
@@ -55,6 +58,7 @@ class GapRow:
     sigma_max_m: float | None = None
     path_m: float | None = None
     failure: str = ""
+    recording: str = ""
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""
@@ -74,6 +78,7 @@ class GapRow:
             "sigma_max_m": self.sigma_max_m,
             "path_m": self.path_m,
             "failure": self.failure,
+            "recording": self.recording,
         }
 
 
@@ -122,11 +127,24 @@ class GapTable:
         Each gap by itself.
     notes : tuple of str
         What a reader must know, one sentence each.
+    errors : tuple of GapErrors
+        Of each row, sample by sample.
     """
 
     lengths: dict[float, dict[str, GapFigures]]
     rows: tuple[GapRow, ...]
     notes: tuple[str, ...] = ()
+    errors: tuple[GapErrors, ...] = ()
+
+    def sigma_factors(self, method: str = "graph") -> tuple[LengthFactor, ...]:
+        """By what a method's sigma would have to be multiplied to hold; empty without its answers."""
+        return length_factors(
+            [
+                (row.length_s, errors.needed_factors)
+                for row, errors in zip(self.rows, self.errors, strict=True)
+                if row.method == method
+            ]
+        )
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, as `--json` writes them."""
@@ -137,7 +155,16 @@ class GapTable:
             ],
             "rows": [row.to_dict() for row in self.rows],
             "notes": list(self.notes),
+            "sigma_factors": [row.to_dict() for row in self.sigma_factors()],
         }
+
+
+def pooled(tables: Sequence[GapTable]) -> GapTable:
+    """The gaps of several recordings as one table."""
+    notes = [note for table in tables for note in table.notes]
+    rows = [row for table in tables for row in table.rows]
+    errors = [each for table in tables for each in table.errors]
+    return _table(_Collected(rows, errors, notes))
 
 
 @dataclass
@@ -203,7 +230,7 @@ def evaluate_gaps(
             _run(recording, copy, length, run, gaps, name, method, collected)
     if progress is not None:
         progress(1.0, "done")
-    return _table(lengths_s, methods, collected)
+    return _table(collected)
 
 
 def hide(recording: Recording, gaps: Sequence[HiddenGap]) -> Recording:
@@ -262,7 +289,9 @@ def _run(
         collected.notes.append(f"{name} could not recover gaps of {length_s:g} s: {error}")
         for gap in gaps:
             nothing = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
-            collected.rows.append(GapRow(length_s, name, run, gap, "", nothing, failure=str(error)))
+            collected.rows.append(
+                GapRow(length_s, name, run, gap, "", nothing, failure=str(error), recording=recording.name)
+            )
             collected.hidden.append(GapErrors.empty())
         return
     for gap in gaps:
@@ -279,26 +308,28 @@ def _run(
                 sigma_max_m=hidden.sigma_max_m,
                 path_m=hidden.path_m,
                 failure=failure,
+                recording=recording.name,
             )
         )
         collected.hidden.append(hidden)
 
 
-def _table(lengths_s: Sequence[float], methods: Mapping[str, Method], collected: _Collected) -> GapTable:
+def _table(collected: _Collected) -> GapTable:
     lengths: dict[float, dict[str, GapFigures]] = {}
-    for length in dict.fromkeys(lengths_s):
-        for name in methods:
+    for length in dict.fromkeys(row.length_s for row in collected.rows):
+        for name in dict.fromkeys(row.method for row in collected.rows):
             chosen = [
                 (row, hidden)
                 for row, hidden in zip(collected.rows, collected.hidden, strict=True)
                 if row.length_s == length and row.method == name
             ]
             if chosen:
-                pooled = GapErrors.pooled([hidden for _, hidden in chosen])
+                samples = GapErrors.pooled([hidden for _, hidden in chosen])
                 failed = sum(bool(row.failure) for row, _ in chosen)
-                figures = GapFigures(pooled.figures(), gaps=len(chosen), failed=failed)
+                figures = GapFigures(samples.figures(), gaps=len(chosen), failed=failed)
                 lengths.setdefault(float(length), {})[name] = figures
-    return GapTable(lengths, tuple(collected.rows), tuple(dict.fromkeys(collected.notes)))
+    notes = tuple(dict.fromkeys(collected.notes))
+    return GapTable(lengths, tuple(collected.rows), notes, tuple(collected.hidden))
 
 
-__all__ = ["GapFigures", "GapRow", "GapTable", "evaluate_gaps", "hide"]
+__all__ = ["GapFigures", "GapRow", "GapTable", "evaluate_gaps", "hide", "pooled"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Unpack
 
 from ..errors import RecordingError
+from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
 from .recording.choose import Selection, named_side, role
@@ -75,6 +76,10 @@ class RecordingInfo:
         By step, what is missing for it, one sentence; without `smooth` it can be recovered.
     optional : dict of str to str
         What the file lacks and recovering does not need, with what it would be good for.
+    allows : str
+        What the recording allows, in a line; empty where it cannot be recovered.
+    ready : bool
+        It can be recovered, and nothing says that no answer could be trusted.
     result : bool
         The file holds a recovery already.
     notes : list of str
@@ -101,6 +106,8 @@ class RecordingInfo:
     gap_longest_s: float | None = None
     missing: dict[str, str] = field(default_factory=dict)
     optional: dict[str, str] = field(default_factory=dict)
+    allows: str = ""
+    ready: bool = False
     result: bool = False
     notes: list[str] = field(default_factory=list)
 
@@ -168,6 +175,8 @@ def describe(
     if recording is not None:
         _take(info, recording)
         info.missing |= _missing(recording)
+        allowed = allowance(recording)
+        info.allows, info.ready = allowed.sentence, allowed.ready
     info.optional = _optional(file, recording)
     info.result = any(RESULT in name for name in file.metadata)
     return info

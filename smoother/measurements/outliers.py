@@ -1,7 +1,8 @@
 """Rejects camera samples that call themselves tracked and are wrong, and keeps the reason.
 
-By what the camera alone says (frozen, jump, bone length), by what the inertial attitude says (Jatesiktat
-and Ang 2017, II-J: direction, viewing ray, strap), and by what a first solution leaves (residual).
+By what the camera alone says (frozen, interpolated, jump, bone length), by what the inertial attitude says
+(Jatesiktat and Ang 2017, II-J: direction, viewing ray, strap), and by what a first solution leaves
+(residual).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from scipy.ndimage import median_filter
 from ..linalg import runs, unit
 from ..recording import JOINTS, BoolArray, FloatArray
 from .alignment import Alignment
+from .interpolation import interpolated
 from .joint_noise import JointNoise
 from .rejection import Rejection
 from .segment import Segment
@@ -42,7 +44,7 @@ _FOREARM = [ELBOW, WRIST, HAND]
 
 
 def reject_by_camera(segment: Segment) -> Segment:
-    """Reject what is wrong by the camera's samples alone: far away, frozen, jump, bone length, strap.
+    """Reject what is wrong by the camera's samples alone: far, frozen, filled in, jump, bone length, strap.
 
     Parameters
     ----------
@@ -57,6 +59,11 @@ def reject_by_camera(segment: Segment) -> Segment:
         segment = _reject(segment, np.linalg.norm(segment.position, axis=2) > FARTHEST_M, Rejection.FAR)
     for column in range(len(JOINTS)):
         segment = _reject(segment, _only(_frozen(segment, column), column), Rejection.FROZEN)
+    for column in range(len(JOINTS)):
+        filled = interpolated(
+            segment.frame_t_camera, segment.position[:, column], segment.accepted[:, column]
+        )
+        segment = _reject(segment, _only(filled, column), Rejection.INTERPOLATED)
     for column in range(len(JOINTS)):
         segment = _reject(segment, _only(_jumps(segment, column), column), Rejection.JUMP)
     both = segment.accepted[:, ELBOW] & segment.accepted[:, WRIST]

@@ -36,6 +36,7 @@ class Rejection(IntEnum):
     STRAP = 6
     RESIDUAL = 7
     FAR = 8
+    INTERPOLATED = 9
 
 
 #: The reasons by their code.
@@ -49,4 +50,5 @@ REASONS = (
     Reason("strap", "off the elbow-wrist line or nearer the elbow"),
     Reason("residual", "does not agree with the recovered motion"),
     Reason("far away", "farther from the camera than it can see"),
+    Reason("interpolated", "on a line or a cubic: a program filled a gap, no camera saw it"),
 )

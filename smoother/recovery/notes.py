@@ -8,9 +8,10 @@ from itertools import pairwise
 import numpy as np
 
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
+from ..measurements.rejection import Rejection
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
-from ..recording import Recording
+from ..recording import BoolArray, Recording
 from ..result import FrameResiduals
 from ..selfcal.rounds import SelfCalibration
 
@@ -99,12 +100,18 @@ def _rejected(residuals: FrameResiduals) -> list[str]:
         return []
     tracked = count + int(np.count_nonzero(residuals.used))
     note = f"{count} of {tracked} tracked samples of the camera were not believed and set aside"
-    if count > HARDLY_AGREE * tracked:
+    if np.count_nonzero(_contradicted(residuals)) > HARDLY_AGREE * tracked:
         note += (
             "; camera and IMU hardly agree, and the answer is not to be trusted: check that their clocks"
             " agree to a minute, and that the IMU was on this arm"
         )
     return [note]
+
+
+def _contradicted(residuals: FrameResiduals) -> BoolArray:
+    """Samples that were rejected, but for those that a program filled in."""
+    reason = residuals.reason
+    return np.asarray((reason != Rejection.NONE) & (reason != Rejection.INTERPOLATED))
 
 
 def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:

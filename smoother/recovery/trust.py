@@ -16,9 +16,11 @@ from ..calibration import ArmCalibration
 from ..config import Anatomy
 from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
+from ..measurements.rejection import Rejection
 from ..measurements.segment import spikes
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
 from ..result import Recovery
+from .change_signs import camera_pushed, skeleton_filled, strap_slipped
 from .limb_lengths import swapped_joints
 
 #: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
@@ -44,6 +46,11 @@ MEASURED_SIGMAS, MEASURED_S = 4.0, 0.02
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
 #: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
 PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
+#: Where a larger share of the samples stands at a range's end, the IMU missed too much.
+PLATEAU_SHARE = 0.02
+#: Elbow to "wrist" against the upper arm, and in m, from here on: the wrist is likely to be the hand
+#: (Kinect v1: 0.79 to 0.99 to the wrist, 0.94 to 1.23 to the hand).
+HAND_RATIO, HAND_M = 1.02, 0.32
 #: So many samples in a row without any force are no measurement.
 SILENT_SAMPLES = 3
 #: Of frames, at most so many are looked at.
@@ -51,7 +58,12 @@ MOST_FRAMES = 20_000
 
 
 def judged(
-    recovery: Recovery, recording: Recording, anatomy: Anatomy, measured: Clock | None = None
+    recovery: Recovery,
+    recording: Recording,
+    anatomy: Anatomy,
+    misfits: tuple[str, ...] = (),
+    open_questions: tuple[str, ...] = (),
+    measured: Clock | None = None,
 ) -> Recovery:
     """The recovery with a verdict among its estimates.
 
@@ -63,6 +75,10 @@ def judged(
         What it was made of.
     anatomy : Anatomy
         Whose arm it is.
+    misfits : tuple of str
+        What of a given calibration the recording contradicts.
+    open_questions : tuple of str
+        What self-calibration took with little margin.
     measured : Clock, optional
         That was given.
     """
@@ -70,7 +86,10 @@ def judged(
         # what is wrong with the input comes before what follows of it
         *_rate(recording.imu, TOO_SLOW_HZ),
         *_zeros(recording.imu),
+        *_clipped(recording.imu, PLATEAU_SHARE),
+        *strap_slipped(recording.imu, _gyroscope_bias(recovery)),
         *swapped_joints(recording.arm),
+        *misfits,
         *_measured_clock(recovery, measured),
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
@@ -78,11 +97,15 @@ def judged(
         *_camera(recovery, FAR_M),
     )
     cautions = (
+        *open_questions,
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
         *_camera(recovery, NEAR_M),
         *_rate(recording.imu, SLOW_HZ),
-        *_clipped(recording.imu),
+        *_hand_as_wrist(recovery.calibration, anatomy),
+        *_clipped(recording.imu, 0.0),
         *_spikes(recording.imu),
+        *camera_pushed(recovery, recording),
+        *skeleton_filled(recovery),
     )
     if reasons:  # what else is wrong with the input is the likeliest cause
         reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
@@ -95,7 +118,12 @@ def input_faults(recording: Recording) -> Iterator[str]:
     """What makes the IMU's samples worth little, whatever the set-up: a sentence each."""
     yield from _rate(recording.imu, SLOW_HZ)
     yield from _zeros(recording.imu)
-    yield from _clipped(recording.imu)
+    yield from _clipped(recording.imu, 0.0)
+
+
+def _gyroscope_bias(recovery: Recovery) -> FloatArray:
+    bias = np.array(recovery.estimates.gyroscope_bias or (0.0, 0.0, 0.0))
+    return np.where(np.isfinite(bias), bias, 0.0)
 
 
 def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -> Iterator[str]:
@@ -119,6 +147,21 @@ def _anatomy(arm: ArmCalibration | None, anatomy: Anatomy, from_axis_m: float) -
         length_m = float(np.linalg.norm(lever.position_m))
         if length_m > LEVER_ARM_M + 2.0 * float(lever.sigma_m.max()):
             yield f"the IMU seems {100 * length_m:.0f} cm away from the {joint}"
+
+
+def _hand_as_wrist(arm: ArmCalibration | None, anatomy: Anatomy) -> Iterator[str]:
+    """A forearm that reaches to the hand, where no joint is called the hand."""
+    if arm is None or anatomy is Anatomy.ANY or "hand" in arm.lever_arms or arm.upper_arm is None:
+        return
+    if not {"elbow", "wrist"} <= set(arm.lever_arms):
+        return
+    forearm_m = float(np.linalg.norm(arm.lever_arms["wrist"].position_m - arm.lever_arms["elbow"].position_m))
+    upper_m = arm.upper_arm.value_m
+    if forearm_m > HAND_RATIO * upper_m or (forearm_m > HAND_M and anatomy is Anatomy.ADULT):
+        yield (
+            f"elbow and wrist are {100 * forearm_m:.0f} cm apart with an upper arm of {100 * upper_m:.0f} cm:"
+            " is the hand called the wrist?"
+        )
 
 
 def _outside(value_m: float, sigma_m: float, limits_m: tuple[float, float], what: str) -> Iterator[str]:
@@ -174,7 +217,8 @@ def _camera(recovery: Recovery, far_m: float) -> Iterator[str]:
         return
     step = max(len(residuals) // MOST_FRAMES, 1)
     residual, used = residuals.residual[::step], residuals.used[::step]
-    rejected = residuals.reason[::step] != 0
+    reason = residuals.reason[::step]
+    rejected = (reason != Rejection.NONE) & (reason != Rejection.INTERPOLATED)
     for joint in FOREARM_JOINTS:
         column = JOINTS.index(joint)
         size = np.linalg.norm(residual[(used | rejected)[:, column], column], axis=1)
@@ -207,12 +251,18 @@ def _zeros(imu: ImuStream) -> Iterator[str]:
         yield f"the IMU sends zeros ({count} samples, from {first_s:.1f} s on): take them out"
 
 
-def _clipped(imu: ImuStream) -> Iterator[str]:
-    """Plateaus at the end of a sensor's range."""
+def _clipped(imu: ImuStream, least_share: float) -> Iterator[str]:
+    """Plateaus at the end of a sensor's range, where a larger share of the samples stands on them."""
     for name, values, unit in (("accelerometer", imu.acc, "m/s^2"), ("gyroscope", imu.gyro, "rad/s")):
-        limits = [limit for axis in np.asarray(values).T for limit in _plateaus(axis)]
-        if limits:
-            yield f"the {name} was clipped at about {max(limits):.0f} {unit}: fast movement is less certain"
+        limits, at_end = [], np.zeros(len(imu), dtype=bool)
+        for axis in np.asarray(values).T:
+            for limit in _plateaus(axis):
+                limits.append(limit)
+                at_end |= np.abs(axis) == limit
+        if limits and at_end.mean() > least_share:
+            share = f" in {100 * at_end.mean():.0f} % of its samples" if least_share else ""
+            what = "set a wider range" if least_share else "fast movement is less certain"
+            yield f"the {name} was clipped at about {max(limits):.0f} {unit}{share}: {what}"
 
 
 def _spikes(imu: ImuStream) -> Iterator[str]:

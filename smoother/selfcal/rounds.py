@@ -51,6 +51,9 @@ ROUNDS = 4
 TOLERANCE = 1e-3
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)
+#: One that may be farther off than this is known with little margin, rad (closed form on sound arms: up to 13
+#: degrees).
+SMALL_MARGIN_RAD = np.radians(25.0)
 #: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
 SETTLED_M = 0.001
 CLOCK_WEIGHT = 1.0
@@ -103,6 +106,17 @@ class SelfCalibration:
     def mounting_unknown(self) -> bool:
         """The visible motion did not tell how the sensor sits on the forearm."""
         return self.direction_spread_rad > LARGEST_SPREAD_RAD
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """Hypotheses of the mounting that are nearly as likely as the one that was taken, in words."""
+        if not self.direction_spread_rad > SMALL_MARGIN_RAD:
+            return ()
+        degrees = np.degrees(self.direction_spread_rad)
+        return (
+            f"a mounting of the sensor that is {degrees:.0f} degrees off fits the visible motion nearly as"
+            " well as the one taken: move the arm more in view, or give a calibration",
+        )
 
 
 def self_calibrate(

@@ -124,3 +124,37 @@ def test_refusals(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert sentence in error and error.count("\n") == 1, error
     assert not (tmp_path / "c.toml").exists()
     assert bad.read_text() == "x = 1\n"
+
+
+def test_recordings_of_two_mountings_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Halves of one recording belong together; another person's does not."""
+    settings = ArmSimulation.preset("realistic", protocol="random", duration_s=40.0)
+    first, other = simulate_arm(settings, 0).recording, simulate_arm(settings, 1).recording
+    middle_s = float(np.mean(first.imu.t_s[[0, -1]]))
+    for name, recording in (
+        (
+            "a",
+            replace(
+                first,
+                imu=first.imu.select(first.imu.t_s < middle_s),
+                arm=first.arm.select(first.arm.t_s < middle_s),
+            ),
+        ),
+        (
+            "b",
+            replace(
+                first,
+                imu=first.imu.select(first.imu.t_s >= middle_s),
+                arm=first.arm.select(first.arm.t_s >= middle_s),
+            ),
+        ),
+        ("c", other),
+    ):
+        write_recording(replace(recording, truth=None), tmp_path / f"{name}.mcap")
+    files = [tmp_path / f"{name}.mcap" for name in "abc"]
+    assert command(*files[:2], "-o", tmp_path / "same.toml") == 0
+    capsys.readouterr()
+    assert command(*files, "-o", tmp_path / "mixed.toml") == 1
+    said = capsys.readouterr().err
+    assert "2 mountings or persons" in said and "a.mcap, b.mcap; c.mcap" in said
+    assert not (tmp_path / "mixed.toml").exists()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
+from ...calibration import ArmCalibration
 from ...measurements.remedy import Remedy
 from .choose import Selection
 from .read import read_recording
@@ -51,7 +53,8 @@ def read_arm(
     recording : Recording
         Corrected.
     calibration : ArmCalibration or None
-        Of its arm: None without a file, or where it holds none.
+        Of its arm: None without a file, or where it holds none; with the factors of sigma that the file
+        holds.
 
     Raises
     ------
@@ -64,6 +67,7 @@ def read_arm(
         return remedy.applied(recording, store), None
     from calib.file import read_calibration
     from calib.imu.correction import corrected
+    from calib.sigma import sigma_factors_of
     from calib.world.gravity_from_base import with_gravity
 
     calibration = read_calibration(calibration_file)
@@ -74,6 +78,7 @@ def read_arm(
     )
     recording = remedy.applied(recording, store)
     recording = with_gravity(corrected(recording, calibration, store), calibration)
+    factors = sigma_factors_of(calibration)
     if not calibration.arms:  # sensors, clocks, frames: the arm is found from the motion
-        return recording, None
-    return recording, calibration.arm(recording.side)
+        return recording, ArmCalibration(recording.side, sigma_factors=factors) if factors else None
+    return recording, replace(calibration.arm(recording.side), sigma_factors=factors)

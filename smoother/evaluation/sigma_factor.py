@@ -1,0 +1,194 @@
+"""By what factor sigma would have to grow to hold, from hidden gaps of the user's own recording.
+
+Samples inside a gap hang together; what can be exchanged for another is the gap. So the quantile is that of
+hierarchical conformal prediction (Lee, Barber and Willett 2023, "Distribution-free inference with
+hierarchical data", eq 7; with groups of one sample: Vovk, Gammerman and Shafer 2005; Lei et al. 2018): every
+gap weighs 1 / (K + 1), shared by its samples, and the gap to come weighs the rest. A sample of the next gap
+then lies inside with at least the level's probability, whatever the errors look like, if the next gap is
+like the hidden ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from ..recording import FloatArray
+
+#: Levels of the regions that are asked for.
+LEVELS = (0.5, 0.95)
+#: So many gaps are needed for the last level (K / (K + 1) must reach it).
+ENOUGH_GAPS = 19
+#: A factor below 1 needs this many gaps, and holds with this probability over gaps drawn again.
+FIRM_GAPS, FIRM = 60, 0.95
+DRAWS = 400
+#: Beyond this factor it is not sigma that is wrong.
+LARGEST_FACTOR = 10.0
+
+
+@dataclass(frozen=True)
+class LengthFactor:
+    """What hidden gaps of one length ask of sigma.
+
+    Attributes
+    ----------
+    length_s : float, s
+    count : int
+        Gaps behind it: of this length, or of all lengths together where `pooled`.
+    pooled : bool
+        The gaps of this length alone are too few.
+    factor_50, factor_95 : float
+        By which sigma would have to be multiplied for the 50 and the 95 % region to hold.
+    level : float
+        What `factor_95` holds: 0.95, or less where there are too few gaps even together.
+    factor : float
+        What sigma is to be multiplied by: below 1 only on firm evidence.
+    """
+
+    length_s: float
+    count: int
+    pooled: bool
+    factor_50: float
+    factor_95: float
+    level: float
+    factor: float
+
+    def to_dict(self) -> dict[str, float | int | bool]:
+        """Plain values by name."""
+        return asdict(self)
+
+
+def needed_factors(error_m: FloatArray, stated: FloatArray, noise: FloatArray) -> FloatArray:
+    """The factor of sigma with which each error would lie just inside the region of each of `LEVELS`.
+
+    Solves e' (f^2 P + N)^-1 e = c for f, by bisection in the axes in which P and N are both diagonal.
+
+    Parameters
+    ----------
+    error_m : ndarray, shape (n, 3), m
+        Answer minus reference.
+    stated : ndarray, shape (n, 3, 3), m^2
+        Covariance of the answer, P.
+    noise : ndarray, shape (3, 3), m^2
+        Of the reference, N; zero for a truth.
+
+    Returns
+    -------
+    factors : ndarray, shape (n, 2)
+        Zero where the reference's noise alone explains the error; nan where there is no answer.
+    """
+    factors = np.full((len(error_m), len(LEVELS)), np.nan)
+    rows = np.flatnonzero(np.isfinite(error_m).all(axis=1) & np.isfinite(stated).all(axis=(1, 2)))
+    if len(rows):
+        eigen, axes = np.linalg.eigh(stated[rows])
+        rows, eigen, axes = (part[eigen.min(axis=1) > 0.0] for part in (rows, eigen, axes))
+    if not len(rows):
+        return factors
+    whiten = np.swapaxes(axes, 1, 2) / np.sqrt(eigen)[:, :, None]
+    noises, turn = np.linalg.eigh(whiten @ noise @ np.swapaxes(whiten, 1, 2))
+    noises = np.maximum(noises, 0.0)
+    squared = np.einsum("nji,njk,nk->ni", turn, whiten, error_m[rows]) ** 2
+    for column, level in enumerate(LEVELS):
+        limit = float(chdtri(3.0, 1.0 - level))
+        low, high = np.zeros(len(rows)), squared.sum(axis=1) / limit
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            outside = (squared / np.maximum(middle[:, None] + noises, 1e-300)).sum(axis=1) > limit
+            low, high = np.where(outside, middle, low), np.where(outside, high, middle)
+        factors[rows, column] = np.sqrt(high)
+    return factors
+
+
+def hierarchical_quantile(groups: Sequence[FloatArray], level: float) -> float:
+    """Conformal quantile over groups of values: infinite where there are fewer groups than it takes.
+
+    Parameters
+    ----------
+    groups : sequence of ndarray, shape (n_k,)
+        Each with at least one value, none of them nan.
+    level : float
+    """
+    values = np.concatenate(groups)
+    share = np.repeat([1.0 / (len(groups) + 1) / len(group) for group in groups], [len(g) for g in groups])
+    order = np.argsort(values)
+    reached = np.flatnonzero(np.cumsum(share[order]) >= level - 1e-12)
+    return float(values[order[reached[0]]]) if len(reached) else float("inf")
+
+
+def length_factors(gaps: Sequence[tuple[float, FloatArray]]) -> tuple[LengthFactor, ...]:
+    """The factors by length of gap.
+
+    Parameters
+    ----------
+    gaps : sequence of (length in s, `needed_factors` of its samples)
+        Gaps without any answer count for nothing.
+
+    Returns
+    -------
+    factors : tuple of LengthFactor
+        Lengths increase; empty where no gap has an answer.
+    """
+    known = [(length, needed[np.isfinite(needed).all(axis=1)]) for length, needed in gaps]
+    known = [(length, needed) for length, needed in known if len(needed)]
+    together = [needed for _, needed in known]
+    rows = []
+    for length_s in sorted({length for length, _ in known}):
+        own = [needed for length, needed in known if length == length_s]
+        pooled = len(own) < ENOUGH_GAPS < len(together) + 1 and len(own) < len(together)
+        rows.append(_factor(length_s, together if pooled else own, pooled))
+    return tuple(rows)
+
+
+def _factor(length_s: float, groups: list[FloatArray], pooled: bool) -> LengthFactor:
+    half, most = LEVELS
+    level = min(most, len(groups) / (len(groups) + 1))
+    factor_50 = hierarchical_quantile([needed[:, 0] for needed in groups], half)
+    factor_95 = hierarchical_quantile([needed[:, 1] for needed in groups], level)
+    factor = max(factor_95, 1.0) if len(groups) < FIRM_GAPS else _firm(groups, factor_95)
+    return LengthFactor(length_s, len(groups), pooled, factor_50, factor_95, level, factor)
+
+
+def _firm(groups: list[FloatArray], factor_95: float) -> float:
+    """The factor itself, or, below 1, what it hardly exceeds when gaps are drawn again (bootstrap)."""
+    if factor_95 >= 1.0:
+        return factor_95
+    rng = np.random.default_rng(0)
+    columns = [needed[:, 1] for needed in groups]
+    drawn = [
+        hierarchical_quantile([columns[k] for k in rng.integers(len(columns), size=len(columns))], LEVELS[1])
+        for _ in range(DRAWS)
+    ]
+    return min(float(np.quantile(drawn, FIRM)), 1.0)
+
+
+def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
+    """What the factors mean, in words; empty without any.
+
+    Parameters
+    ----------
+    factors : sequence of LengthFactor
+        See `length_factors`.
+    """
+    if not factors:
+        return []
+    listed = "; ".join(
+        f"{row.length_s:g} s by {row.factor_95:.2f} ({row.count} gaps{', all lengths' if row.pooled else ''})"
+        for row in factors
+    )
+    sentences = [f"for the 95 % region to hold in hidden gaps sigma would have to be multiplied: {listed}"]
+    fewest = min(factors, key=lambda row: row.level)
+    if fewest.level < LEVELS[1]:
+        sentences.append(
+            f"{fewest.count} gaps are too few for 95 %: the largest error of them is taken, which holds in"
+            f" {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are needed (--repetitions, or several"
+            " recordings)"
+        )
+    if max(row.factor for row in factors) > LARGEST_FACTOR:
+        sentences.append(
+            f"a factor above {LARGEST_FACTOR:g} is no matter of sigma: some gaps are recovered wrongly, look"
+            " whether clock, axes and mounting are right"
+        )
+    return sentences

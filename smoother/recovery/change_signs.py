@@ -1,0 +1,175 @@
+"""Signs that something changed while the recording ran: the strap slipped, the camera was pushed.
+
+Both leave an answer that looks well on either side of the change. Down, as the IMU feels it, shows them: a
+sensor that sits otherwise from one moment to the next feels down elsewhere without having turned, and a
+camera that was pushed has down elsewhere in its frame from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..linalg import runs, unit
+from ..measurements.rejection import Rejection
+from ..measurements.segment import without_spikes
+from ..recording import FloatArray, ImuStream, Recording
+from ..result import Recovery
+
+#: Down before and after a moment is averaged over these times, s; both must show the jump.
+BEFORE_AFTER_S = (3.0, 5.0)
+STEP_S = 0.5
+#: A jump of down is one from here on, degrees, and so many times what is usual in the recording: simulated
+#: arms and BROAD's fast trials stay below 9, a strap that slips by 15 shows 9 to 18.
+JUMP_DEG, JUMP_TIMES_USUAL = 9.0, 3.0
+#: The IMU is looked at in batches of this length, s.
+BATCH_S = 60.0
+#: Samples farther apart than this, in usual distances, are a pause.
+PAUSE_SAMPLES = 5.0
+#: Down in the camera's frame is averaged over this time, s; a change needs two such means on both sides.
+MEAN_S = 6.0
+#: A change of it is one from here on, degrees and sigmas; sound recordings stay below 0.7 degrees.
+PUSHED_DEG, PUSHED_SIGMAS = 1.5, 4.0
+#: The least sigma of one such mean, degrees.
+MEAN_SIGMA_DEG = 0.4
+#: Fewer filled samples are not worth a word.
+FEW_FILLED = 5
+
+
+def strap_slipped(imu: ImuStream, gyroscope_bias: FloatArray) -> Iterator[str]:
+    """The IMU's down jumps although the gyroscope felt no turn.
+
+    Parameters
+    ----------
+    imu : ImuStream
+    gyroscope_bias : ndarray, shape (3,), rad/s
+        As it was estimated.
+    """
+    found = [
+        jumps
+        for first, last in _batches(imu)
+        if len(jumps := down_jumps(imu.select(slice(first, last)), gyroscope_bias))
+    ]
+    if not found:
+        return
+    jumps = np.concatenate(found)
+    angle_deg, at_s = jumps[int(np.argmax(jumps[:, 1]))][::-1]
+    if angle_deg > max(JUMP_DEG, JUMP_TIMES_USUAL * float(np.median(jumps[:, 1]))):
+        yield (
+            f"at about {at_s:.0f} s the IMU's sense of down jumps by {angle_deg:.0f} degrees without a turn"
+            " that its gyroscope felt: the strap slipped, the sensor was taken off, or samples are missing"
+        )
+
+
+def _batches(imu: ImuStream) -> Iterator[tuple[int, int]]:
+    """Rows of batches without a pause, each reaching into the next by what the longest mean needs."""
+    t = np.asarray(imu.t_s)
+    if len(t) < 3:
+        return
+    distance = np.diff(t)
+    for run in runs(np.asarray(distance <= PAUSE_SAMPLES * np.median(distance))):
+        first, end = run.start, run.stop + 1
+        while first < end:
+            last = int(np.searchsorted(t[:end], t[first] + BATCH_S))
+            yield first, last
+            if last >= end:
+                break
+            first = int(np.searchsorted(t, t[last - 1] - 2.0 * max(BEFORE_AFTER_S)))
+
+
+def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
+    """Angles between down before and after moments of a batch.
+
+    The gyroscope takes specific force to one frame; its mean over some seconds is gravity but for the change
+    of velocity over that time.
+
+    Returns
+    -------
+    jumps : ndarray, shape (n, 2)
+        Time, s, and the angle, degrees; the smaller one of those over the two lengths of time.
+    """
+    t, turning = np.asarray(imu.t_s), without_spikes(imu).gyro - gyroscope_bias
+    step = np.diff(t)[:, None]
+    turns = Rotation.from_rotvec(0.5 * (turning[1:] + turning[:-1]) * step).as_matrix()
+    R = np.empty((len(t), 3, 3))
+    R[0] = np.eye(3)
+    for k, turn in enumerate(turns):
+        R[k + 1] = R[k] @ turn
+    force = np.einsum("nij,nj->ni", R, imu.acc)
+    total = np.vstack([np.zeros(3), np.cumsum(0.5 * (force[1:] + force[:-1]) * step, axis=0)])
+    longest = max(BEFORE_AFTER_S)
+    at = np.arange(t[0] + longest, t[-1] - longest, STEP_S)
+    middle = np.searchsorted(t, at)
+    smallest = np.full(len(at), np.inf)
+    for length_s in BEFORE_AFTER_S:
+        first, last = np.searchsorted(t, at - length_s), np.searchsorted(t, at + length_s)
+        before, after = unit(total[middle] - total[first]), unit(total[last] - total[middle])
+        cosine = np.clip(np.einsum("ni,ni->n", before, after), -1.0, 1.0)
+        smallest = np.minimum(smallest, np.degrees(np.arccos(cosine)))
+    return np.column_stack([at, smallest])
+
+
+def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[str]:
+    """Down in the camera's frame is another one from some moment on.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Its orientations take the specific force into the camera's frame.
+    recording : Recording
+        What it was made of; with an IMU on the camera nothing is said, as it may move.
+    """
+    if recording.base_imu is not None or len(recovery) != len(recording.imu):
+        return
+    at_s, down = _down_in_camera(recovery, recording.imu)
+    count = len(at_s)
+    if count < 4:
+        return
+    best = (0.0, 0.0, 0.0)
+    for k in range(2, count - 1):
+        before, after = down[:k], down[k:]
+        spread = [np.sum((part - part.mean(axis=0)) ** 2) / (len(part) - 1) for part in (before, after)]
+        variance = [max(value, np.radians(MEAN_SIGMA_DEG) ** 2) for value in spread]
+        sigma_deg = np.degrees(np.sqrt(variance[0] / len(before) + variance[1] / len(after)))
+        cosine = float(unit(before.mean(axis=0)) @ unit(after.mean(axis=0)))
+        angle_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        best = max(best, (angle_deg / sigma_deg, angle_deg, 0.5 * (at_s[k - 1] + at_s[k])))
+    sigmas, angle_deg, changed_s = best
+    if angle_deg > PUSHED_DEG and sigmas > PUSHED_SIGMAS:
+        yield (
+            f"from about {changed_s:.0f} s on down is {angle_deg:.1f} degrees elsewhere in the camera's"
+            " frame: was the camera pushed, or the sensor turned on the arm?"
+        )
+
+
+def _down_in_camera(recovery: Recovery, imu: ImuStream) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) and mean directions (n, 3) of specific force in {K}, over `MEAN_S` each."""
+    start_s = float(recovery.t_s[0])
+    number = np.floor((np.asarray(recovery.t_s) - start_s) / MEAN_S).astype(int)
+    total, samples = np.zeros((number[-1] + 1, 3)), np.zeros(number[-1] + 1)
+    row = 0
+    for batch in recovery.batches():
+        rows = slice(row, row + len(batch))
+        known = np.isfinite(batch.quaternion).all(axis=1)
+        R_K_A = Rotation.from_quat(batch.quaternion[known], scalar_first=True)
+        np.add.at(total, number[rows][known], R_K_A.apply(np.asarray(imu.acc[rows])[known]))
+        np.add.at(samples, number[rows][known], 1.0)
+        row = rows.stop
+    enough = samples > 0.5 * MEAN_S * imu.rate_hz
+    times = start_s + MEAN_S * (np.arange(len(samples)) + 0.5)
+    directions: FloatArray = unit(total[enough])
+    return np.asarray(times[enough], dtype=float), directions
+
+
+def skeleton_filled(recovery: Recovery) -> Iterator[str]:
+    """A program filled the skeleton's gaps and called that tracked."""
+    if recovery.residuals is None:
+        return
+    count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
+    if count > FEW_FILLED:
+        yield (
+            f"a program filled gaps of the skeleton and called them tracked ({count} samples of joints on"
+            " lines or cubics): they count as not seen; export the skeleton without filling and filtering"
+        )

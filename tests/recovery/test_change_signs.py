@@ -1,0 +1,179 @@
+"""What changes while a recording runs: strap, camera; and what of a skeleton was filled in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes import ALONE, there
+from scipy.spatial.transform import Rotation
+
+from smoother import Recording, smooth
+from smoother.config import Anatomy
+from smoother.io import import_broad
+from smoother.measurements.interpolation import interpolated
+from smoother.recording import JOINTS, JointState
+from smoother.recovery.change_signs import down_jumps, strap_slipped
+from smoother.recovery.trust import judged
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+
+
+@cache
+def made(seed: int = 1, preset: str = "realistic") -> SimulatedArm:
+    return simulate_arm(ArmSimulation.preset(preset, protocol="random", duration_s=40.0), seed)
+
+
+def slipped(arm: SimulatedArm, degrees: float) -> Recording:
+    """The strap turns about the forearm half-way, between two samples."""
+    imu, R_F_A = arm.recording.imu, arm.calibration.R_F_A
+    assert R_F_A is not None
+    turn = Rotation.from_rotvec(degrees * R_F_A[1], degrees=True).inv()
+    late = (imu.t_s > np.mean(imu.t_s[[0, -1]]))[:, None]
+    acc, gyro = (np.where(late, turn.apply(values), values) for values in (imu.acc, imu.gyro))
+    return replace(arm.recording, imu=replace(imu, acc=acc, gyro=gyro), truth=None)
+
+
+def pushed(arm: SimulatedArm, degrees: float) -> Recording:
+    """The camera tilts half-way."""
+    tracks = arm.recording.arm
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    late = (tracks.t_s > np.mean(tracks.t_s[[0, -1]]))[:, None, None]
+    position = np.where(late, tracks.position @ turn.T, tracks.position)
+    return replace(arm.recording, arm=replace(tracks, position=position), truth=None)
+
+
+def filled(arm: SimulatedArm) -> Recording:
+    """Straight lines through all gaps, called tracked."""
+    tracks = arm.recording.arm
+    position, state = tracks.position.copy(), tracks.state.copy()
+    for joint in tracks.present:
+        seen, column = tracks.tracked(joint), JOINTS.index(joint)
+        for axis in range(3):
+            position[:, column, axis] = np.interp(tracks.t_s, tracks.t_s[seen], position[seen, column, axis])
+        state[:, column] = JointState.TRACKED
+    return replace(arm.recording, arm=replace(tracks, position=position, state=state), truth=None)
+
+
+@pytest.mark.parametrize(("seed", "preset"), [(1, "realistic"), (4, "azure"), (8, "white")])
+def test_a_strap_that_slips_is_told_and_dated(seed: int, preset: str):
+    arm = made(seed, preset)
+    assert not list(strap_slipped(arm.recording.imu, np.zeros(3)))
+    recording = slipped(arm, 15.0)
+    (sentence,) = strap_slipped(recording.imu, np.zeros(3))
+    middle_s = float(np.mean(recording.imu.t_s[[0, -1]]))
+    assert abs(float(sentence.split("about ")[1].split(" s")[0]) - middle_s) < 2.0
+    assert "the strap slipped" in sentence
+
+
+def test_the_answer_is_not_trusted_then():
+    recovery = smooth(slipped(made(), 15.0), config=ALONE)
+    assert recovery.estimates.trusted is False
+    assert "without a turn that its gyroscope felt" in recovery.estimates.verdict
+
+
+def test_a_long_recording_in_batches_and_a_pause():
+    """Three arms one after the other with a pause between: no jump at the pause, the slip is found."""
+    sound, wrong = made().recording.imu, slipped(made(), 15.0).imu
+    length_s = float(np.ptp(sound.t_s)) + 5.0
+
+    def joined(imus: list) -> object:
+        return replace(
+            sound,
+            t_s=np.concatenate([imu.t_s + k * length_s for k, imu in enumerate(imus)]),
+            acc=np.concatenate([imu.acc for imu in imus]),
+            gyro=np.concatenate([imu.gyro for imu in imus]),
+        )
+
+    assert not list(strap_slipped(joined([sound, sound, sound]), np.zeros(3)))
+    (sentence,) = strap_slipped(joined([sound, sound, wrong]), np.zeros(3))
+    assert float(sentence.split("about ")[1].split(" s")[0]) > 2 * length_s
+
+
+def test_a_camera_that_is_pushed_is_a_caution():
+    sound = smooth(replace(made().recording, truth=None), config=ALONE)
+    assert not any("pushed" in caution for caution in sound.estimates.cautions)
+    recovery = smooth(pushed(made(), 6.0), config=ALONE)
+    assert any("was the camera pushed" in caution for caution in recovery.estimates.cautions)
+
+
+def test_a_filled_skeleton_counts_as_not_seen():
+    arm = made()
+    recovery = smooth(filled(arm), config=ALONE)
+    assert any("a program filled gaps" in caution for caution in recovery.estimates.cautions)
+    longest = max(gap.length_s for gap in recovery.gaps)
+    true = smooth(replace(arm.recording, truth=None), config=ALONE)
+    assert longest == pytest.approx(max(gap.length_s for gap in true.gaps), abs=0.2)
+
+
+@pytest.mark.parametrize("kind", ["line", "cubic", "by frame"])
+def test_fillings_are_found_and_what_is_seen_is_kept(kind: str):
+    rng = np.random.default_rng(5)
+    t = np.sort(np.arange(0.0, 20.0, 1 / 30) + rng.uniform(0, 0.004, 600))
+    x = np.column_stack([0.3 * np.sin((1 + k) * t) for k in range(3)]) + 0.004 * rng.normal(size=(600, 3))
+    clean, at = x.copy(), t if kind != "by frame" else np.arange(600.0)
+    gap = slice(200, 230)
+    ends = [198, 199, 230, 231] if kind == "cubic" else [199, 230]
+    for axis in range(3):
+        line = np.polyfit(at[ends] - at[215], clean[ends, axis], len(ends) - 1)
+        x[gap, axis] = np.polyval(line, at[gap] - at[215])
+    found = interpolated(t, x, np.ones(600, bool))
+    assert found[gap].mean() > 0.9
+    found[197:233] = False  # the samples that the cubic was drawn through lie on it too
+    assert not found.any()
+    assert not interpolated(t, clean, np.ones(600, bool)).any()
+
+
+def test_no_sign_without_noise():
+    """A curve without noise is a simulation or a reference, not a filled camera's."""
+    t = np.arange(0.0, 10.0, 1 / 30)
+    assert not interpolated(t, np.column_stack([t, t**2, 0 * t]), np.ones(len(t), bool)).any()
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "trial", ["07_undisturbed_fast_rotation_B.mat", "14_undisturbed_slow_translation_with_breaks_B.mat"]
+)
+def test_a_real_sensor_never_jumps(trial: str):
+    imu = import_broad(there("broad", trial)).imu
+    assert not list(strap_slipped(imu, np.zeros(3)))
+    assert down_jumps(imu.select(slice(0, 5000)), np.zeros(3))[:, 1].max() < 9.0
+
+
+def judged_with(**changes: object) -> tuple[bool | None, str]:
+    """The verdict on a sound recovery of an arm whose calibration or IMU is another."""
+    recording = replace(made().recording, truth=None)
+    recovery = solved()
+    if "imu" in changes:
+        recording = replace(recording, imu=changes["imu"])
+    if "calibration" in changes:
+        recovery = replace(recovery, calibration=changes["calibration"])
+    estimates = judged(recovery, recording, Anatomy.ADULT).estimates
+    return estimates.trusted, estimates.verdict
+
+
+@cache
+def solved() -> Recovery:
+    return smooth(replace(made().recording, truth=None), config=ALONE)
+
+
+def test_a_hand_called_the_wrist_is_asked_for():
+    arm = solved().calibration
+    assert arm is not None and arm.upper_arm is not None
+    hand = arm.lever_arms["hand"]
+    without = {joint: lever for joint, lever in arm.lever_arms.items() if joint != "hand"}
+    assert "is the hand called the wrist" not in judged_with(calibration=replace(arm, lever_arms=without))[1]
+    swapped = replace(arm, lever_arms=without | {"wrist": hand})
+    assert "is the hand called the wrist" in judged_with(calibration=swapped)[1]
+
+
+@pytest.mark.parametrize(("limit", "trusted", "words"), [(13.0, True, "less certain"), (9.0, False, "wider")])
+def test_a_range_that_is_too_small(limit: float, trusted: bool, words: str):
+    imu = made().recording.imu
+    acc = np.clip(imu.acc, -limit, limit)
+    verdict = judged_with(imu=replace(imu, acc=acc))
+    share = float((np.abs(acc) == limit).any(axis=1).mean())
+    assert (share > 0.02) is not trusted and share > 0.001
+    assert verdict[0] is trusted and words in verdict[1]
