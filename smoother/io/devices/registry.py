@@ -1,0 +1,73 @@
+"""The table of importers, and which of them a file belongs to."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+
+from ...errors import RecordingError
+from .head import first_rows
+from .protocol import DeviceFormat, FileHead
+
+#: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
+FORMATS: tuple[str, ...] = ()
+
+
+@cache
+def formats() -> tuple[DeviceFormat, ...]:
+    """All importers, in the order of the table."""
+    importers = []
+    for entry in FORMATS:
+        module, _, name = entry.partition(":")
+        importers.append(getattr(import_module(f".{module}", __package__), name)())
+    return tuple(importers)
+
+
+def format_named(key: str) -> DeviceFormat:
+    """The importer of that key.
+
+    Parameters
+    ----------
+    key : str
+        As `unocclude import formats` lists it.
+
+    Raises
+    ------
+    RecordingError
+        There is none of that name; the message lists them.
+    """
+    for importer in formats():
+        if importer.key == key.strip().lower():
+            return importer
+    raise RecordingError(
+        f"{key} is no format; formats are {', '.join(importer.key for importer in formats())}."
+    )
+
+
+def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+    """The importer that a file belongs to, by what is in it.
+
+    Parameters
+    ----------
+    head : FileHead
+        The file's beginning.
+    kinds : tuple of str
+        Importers of these kinds come first ("imu", "skeleton", "recording").
+
+    Returns
+    -------
+    DeviceFormat or None
+        None where no importer recognises it.
+    """
+    recognised = [importer for importer in formats() if importer.recognises(head)]
+    wanted = [importer for importer in recognised if importer.kind in kinds]
+    return next(iter(wanted or recognised), None)
+
+
+def unknown_file(head: FileHead) -> RecordingError:
+    """The sentence about a file that no importer recognises."""
+    titles = ", ".join(importer.title for importer in formats())
+    return RecordingError(
+        f"{head.path} is of no known format (known are {titles}); it begins with: {first_rows(head)}."
+        f" `unocclude import describe {head.path}` helps to describe it in a recording.toml."
+    )
