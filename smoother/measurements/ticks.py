@@ -9,6 +9,7 @@ which the stamps do not catch up is one of the sensor, and stays.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def counted(counter: IntArray, wraps: int) -> tuple[IntArray, int]:
 
 
 def needs_counting(t_s: FloatArray) -> bool:
-    """Whether so many stamps (N,) repeat, go back or follow too closely that they are not the samples' own."""
+    """Whether so many stamps (N,) repeat, go back or come too close that they are not the samples' own."""
     dt = np.diff(t_s)
     if len(dt) < FEWEST:
         return bool((dt <= 0).any())
@@ -157,7 +158,7 @@ def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | N
     edges = [0, *pauses, len(t_s)]
     even = np.empty(len(t_s))
     rates: list[float] = []
-    for first, stop in zip(edges[:-1], edges[1:], strict=True):
+    for first, stop in pairwise(edges):
         rows = slice(first, stop)
         level, slopes = _level(departure[rows], number[rows], tick)
         even[rows] = tick * number[rows] + level
@@ -193,8 +194,8 @@ def _pauses(t_s: FloatArray, departure: FloatArray, tick: float) -> list[tuple[i
     def lasts(step: float, jump: float) -> bool:
         return abs(step) > max(0.5 * abs(jump), 0.6 * least) and (step > 0) == (jump > 0)
 
-    candidates = np.flatnonzero((dt > least) | (dt < -PAUSE_S)) + 1
-    candidates = np.array([r for r in candidates if lasts(step_over(r, r), dt[r - 1])], np.int64)
+    jumps = (np.flatnonzero((dt > least) | (dt < -PAUSE_S)) + 1).tolist()
+    candidates = np.array([r for r in jumps if lasts(step_over(r, r), float(dt[r - 1]))], np.int64)
     pauses: list[tuple[int, float]] = []
     for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > before) + 1):
         if not len(group):

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import interpolate
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
-from ...recording import FloatArray
+from ...recording import BoolArray, FloatArray
 from .protocol import ImuTable
 
 
@@ -53,21 +53,22 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
             f"{source}: accelerometer and gyroscope share too few samples; export both from the same"
             " recording."
         )
-    mag = next((table for table in tables if table.mag is not None), None)
+    mag = next((t for t in tables if t.mag is not None and t.t_s is not None), None)
     notes = [note for table in tables for note in table.notes]
     notes.append(
         f"The accelerometer ({_rate(acc.t_s):.1f} Hz) was interpolated to the gyroscope's times"
         f" ({_rate(at):.1f} Hz)."
     )
     if not keep.all():
-        notes.append(f"{int((~keep).sum())} samples of the gyroscope have no accelerometer and were left out.")
+        count = int((~keep).sum())
+        notes.append(f"{count} samples of the gyroscope have no accelerometer and were left out.")
     return replace(
         gyro,
         name=gyro.name or acc.name,
         t_s=at[keep],
         acc=interpolate(acc.t_s, acc.acc, at[keep]),
         gyro=None if gyro.gyro is None else gyro.gyro[keep],
-        mag=None if mag is None else interpolate(mag.t_s, mag.mag, at[keep]),
+        mag=None if mag is None else _at(mag.t_s, mag.mag, at[keep]),
         counter=None,
         units=", ".join(dict.fromkeys(unit for unit in (acc.units, gyro.units) if unit)),
         notes=notes,
@@ -89,13 +90,17 @@ def _only(tables: list[ImuTable], part: str, name: str, source: str) -> ImuTable
     raise RecordingError(f"{source} holds {len(having)} {name}s; name one accelerometer and one gyroscope.")
 
 
-def _in_a_pause(t_s: FloatArray, at: FloatArray) -> FloatArray:
+def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:
     """Times (M,) that lie in a pause of samples at `t_s` (N,)."""
     dt = np.diff(t_s)
     pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
     row = np.clip(np.searchsorted(t_s, at, side="right") - 1, 0, max(len(dt) - 1, 0))
     exact = at == t_s[np.clip(np.searchsorted(t_s, at), 0, len(t_s) - 1)]
     return np.asarray((dt[row] > pause_s) & ~exact if len(dt) else np.zeros(len(at), bool))
+
+
+def _at(t_s: FloatArray | None, values: FloatArray | None, at: FloatArray) -> FloatArray | None:
+    return None if t_s is None or values is None else interpolate(t_s, values, at)
 
 
 def _rate(t_s: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -93,8 +94,8 @@ def _times(
     if t_s is None:
         if rate_hz is None or not 0 < rate_hz < 1e6:
             raise RecordingError(
-                f"{source} has neither times nor a rate of its {what}; export them as well, or give rate_hz in a"
-                f" recording.toml (`unocclude import describe {source}` prints one)."
+                f"{source} has neither times nor a rate of its {what}; export them as well, or give rate_hz"
+                f" in a recording.toml (`unocclude import describe {source}` prints one)."
             )
         number = np.arange(count) if number is None else number
         lost = int(number[-1]) + 1 - len(number) if len(number) else 0
@@ -216,7 +217,7 @@ def _rows(table: ImuTable, keep: BoolArray | IntArray, why: str) -> ImuTable:
     """The samples to keep (or all in another order), and a sentence on what was done."""
     if keep.dtype == bool and keep.all():
         return table
-    columns = {
+    columns: dict[str, Any] = {
         name: None if getattr(table, name) is None else getattr(table, name)[keep]
         for name in ("t_s", "acc", "gyro", "mag", "counter")
     }

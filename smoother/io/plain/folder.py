@@ -98,7 +98,7 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     for name, section in description.imu.items():
         file.imus.append(_imu(folder / section.file, name, section))
     if description.truth is not None:
-        file.poses.append(_truth(folder / description.truth.file))
+        file.poses.append(read_pose_table(folder / description.truth.file))
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
         *((a.topic, "unocclude.Skeleton", a.stamp_ns) for a in file.arms[:1]),
@@ -188,7 +188,8 @@ def _refuse_unknown(path: Path, column: str, cells: list[str], unknown: list[str
     raise RecordingError(f"{path}, line {row + 2}: {column} {cells[row]!r} is not known; it is {allowed}.")
 
 
-def _truth(path: Path) -> PoseSamples:
+def read_pose_table(path: Path) -> PoseSamples:
+    """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_table`."""
     turn = ("qw", "qx", "qy", "qz")
     columns, _ = read_table(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
     position = vectors(columns, *"xyz")
