@@ -1,0 +1,323 @@
+"""Delimited text as devices and spreadsheets write it, read fast and forgivingly."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from .date_cells import seconds_of_dates
+from .head import decode, shown
+from .table_layout import TableLayout, layout_of, split_line
+
+#: Cells without a value, in lower case.
+MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
+_PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
+_WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
+_QUOTED = re.compile(r'"[^"]*"')
+
+
+class Sheet:
+    """A table of text.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    layout : TableLayout
+        Its separator, preamble, names, units and width.
+    notes : list of str
+        What was dropped or counts as missing, a sentence each; grows while columns are read.
+    """
+
+    def __init__(
+        self, path: Path, layout: TableLayout, table: Any, line_numbers: Sequence[int], notes: list[str]
+    ) -> None:
+        self.path = path
+        self.layout = layout
+        self.notes = notes
+        self._table = table
+        self._line_numbers = line_numbers
+        self._numbers: dict[int, FloatArray] = {}
+
+    def __len__(self) -> int:
+        return self._table.num_rows
+
+    def find(self, *labels: str) -> int | None:
+        """Number of the first column (from 0) that has one of these labels; the first label first."""
+        for label in labels:
+            if label in self.layout.labels:
+                return self.layout.labels.index(label)
+        return None
+
+    def unit(self, column: int) -> str:
+        """Unit of a column as the file states it, "" where it does not."""
+        return self.layout.units[column] if column < len(self.layout.units) else ""
+
+    def name(self, column: int) -> str:
+        """Name of a column for messages."""
+        written = self.layout.names[column] if self.layout.names else ""
+        return f"column {written or column + 1}"
+
+    def line(self, row: int) -> int:
+        """Line of the file (from 1) in which a row stands."""
+        return self._line_numbers[row] + 1
+
+    def texts(self, column: int) -> list[str]:
+        """Cells of a column as text, without blanks around them."""
+        return self._trimmed(column).to_pylist()
+
+    def numbers(self, column: int) -> FloatArray:
+        """A column of numbers.
+
+        Parameters
+        ----------
+        column : int
+            Its number, from 0.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            nan where the cell is empty, or no finite number (a note says how many).
+
+        Raises
+        ------
+        RecordingError
+            More than half of the cells that are not empty are no numbers.
+        """
+        if column not in self._numbers:
+            self._numbers[column] = self._read_numbers(column)
+        return self._numbers[column]
+
+    def vectors(self, columns: Sequence[int]) -> FloatArray:
+        """Columns of numbers side by side, shape (n, number of columns)."""
+        return np.stack([self.numbers(column) for column in columns], axis=1)
+
+    def times(self, column: int) -> tuple[FloatArray, bool]:
+        """A column of numbers, or of dates.
+
+        Parameters
+        ----------
+        column : int
+            Its number, from 0.
+
+        Returns
+        -------
+        times : ndarray, shape (n,)
+            Numbers in the file's unit; of dates, seconds since 1970 (of times of day, since midnight).
+        dates : bool
+            Whether they were dates or times of day.
+
+        Raises
+        ------
+        RecordingError
+            More than half of the cells are neither.
+        """
+        sample = [cell for cell in self.texts(column)[:50] if cell]
+        if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
+            return self.numbers(column), False
+        seconds = seconds_of_dates(self.texts(column))
+        wrong = np.flatnonzero(~np.isfinite(seconds))
+        if 2 * len(wrong) > len(seconds):
+            raise self._wrong(column, int(wrong[0]), "time")
+        return seconds, True
+
+    def _trimmed(self, column: int) -> Any:
+        import pyarrow.compute as pc
+
+        return pc.utf8_trim_whitespace(self._table.column(column).combine_chunks())
+
+    def _read_numbers(self, column: int) -> FloatArray:
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        text = self._trimmed(column)
+        empty = pc.is_in(pc.utf8_lower(text), value_set=pa.array(MISSING))
+        text = pc.if_else(empty, pa.scalar(None, pa.string()), text)
+        try:
+            numbers = pc.cast(text, pa.float64())
+        except pa.ArrowException:
+            comma = pc.match_substring_regex(text, _WITH_COMMA)
+            text = pc.if_else(comma, pc.replace_substring(text, ",", ".", max_replacements=1), text)
+            plain = pc.match_substring_regex(text, _PLAIN)
+            text = pc.if_else(plain, text, pa.scalar(None, pa.string()))
+            numbers = pc.cast(text, pa.float64())
+        values = np.array(numbers.to_numpy(zero_copy_only=False), dtype=float)
+        filled = ~empty.to_numpy(zero_copy_only=False)
+        wrong = np.flatnonzero(filled & ~np.isfinite(values))
+        if len(wrong):
+            values[wrong] = np.nan
+            if 2 * len(wrong) > np.count_nonzero(filled):
+                raise self._wrong(column, int(wrong[0]), "number")
+            self._note_wrong(column, wrong)
+        return values
+
+    def _cell(self, column: int, row: int) -> str:
+        return shown(self._table.column(column)[row].as_py(), 40)
+
+    def _wrong(self, column: int, row: int, what: str) -> RecordingError:
+        return RecordingError(
+            f"{self.path}, line {self.line(row)}: '{self._cell(column, row)}' in"
+            f" {shown(self.name(column), 60)} is no {what}, and most of its column are none; export the file again."
+        )
+
+    def _note_wrong(self, column: int, rows: np.ndarray) -> None:
+        count = "1 cell" if len(rows) == 1 else f"{len(rows):,} cells"
+        self.notes.append(
+            f"{count} of {shown(self.name(column), 60)} {'is' if len(rows) == 1 else 'are'} no number and "
+            f"count as missing ('{self._cell(column, int(rows[0]))}' in line {self.line(int(rows[0]))})."
+        )
+
+
+def read_sheet(path: Path, expected: str = "a table") -> Sheet:
+    """Read a delimited text file.
+
+    A byte-order mark, UTF-16, a `sep=` line, a preamble, a line of units, quotes, trailing separators, a
+    header that is repeated, decimal commas and a last line that is cut off do no harm.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        What it should be, for messages ("a table of an Xsens DOT").
+
+    Returns
+    -------
+    Sheet
+        Its rows; columns become numbers when they are asked for.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is no text, or holds no table.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    text = decode(raw)
+    if not text.strip():
+        what = "is empty" if not raw.strip() else "is no text"
+        raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
+    return sheet_of_text(path, text, expected)
+
+
+def sheet_of_text(path: Path, text: str, expected: str = "a table") -> Sheet:
+    """The table in a text (see `read_sheet`).
+
+    Parameters
+    ----------
+    path : Path
+        Where it is from, for messages.
+    text : str
+        The text, decoded.
+    expected : str
+        What it should be, for messages.
+
+    Returns
+    -------
+    Sheet
+        Its rows.
+
+    Raises
+    ------
+    RecordingError
+        There is no table in it.
+    """
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")
+    whole_end = not lines[-1].strip()
+    layout = layout_of(lines)
+    if layout is None:
+        seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
+        raise RecordingError(
+            f"{path} should be {expected}, but no rows of numbers were found; it begins: {seen}"
+        )
+    rows, numbers, notes = _even_rows(lines, layout, whole_end)
+    table = _parse(path, rows, layout)
+    return Sheet(path, layout, table, numbers, notes)
+
+
+def _even_rows(
+    lines: list[str], layout: TableLayout, whole_end: bool
+) -> tuple[list[str], Sequence[int], list[str]]:
+    """Rows with equally many cells, the indices of their lines, and what was done to get there."""
+    first, width = layout.first_row, layout.width
+    rows = lines[first:]
+    numbers: Sequence[int] = range(first, len(lines))
+    mark = "\t" if layout.separator == " " else layout.separator
+    if layout.separator == " ":
+        rows = ["\t".join(row.replace('"', "").split()) for row in rows]
+    counts = [_separators(row, mark) for row in rows]
+    usual = Counter(counts).most_common(1)[0][0]
+    header = lines[layout.header].strip() if layout.header >= 0 else None
+    if usual == width - 1 and counts.count(usual) == len(rows) and header not in rows:
+        return rows, numbers, []
+    even, indices, short, long, repeated = [], [], 0, 0, 0
+    for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
+        if not row.strip(mark + " "):
+            continue
+        if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
+            repeated += 1
+            continue
+        if count < usual and at == len(rows) - 1 and not whole_end:
+            continue  # said below
+        cells_needed = width - 1
+        if count < cells_needed:
+            short += count < usual
+            row += mark * (cells_needed - count)
+        elif count > cells_needed:
+            cells = split_line(row, mark)
+            if any(cells[width:]):
+                long += 1
+                continue
+            row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
+        even.append(row)
+        indices.append(first + at)
+    notes = []
+    if not whole_end and counts[-1] < usual:
+        notes.append("The last line is cut off and was left out.")
+    if repeated:
+        notes.append(f"{repeated} repeated headers among the rows were left out.")
+    if short:
+        notes.append(f"{short} rows are shorter than the others; what they lack counts as missing.")
+    if long:
+        notes.append(f"{long} rows with more cells than columns were left out.")
+    return even, indices, notes
+
+
+def _separators(row: str, mark: str) -> int:
+    return (_QUOTED.sub("", row) if '"' in row else row).count(mark)
+
+
+def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
+    """An Arrow table of text columns."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names = [str(at) for at in range(layout.width)]
+    data = "\n".join(rows).encode("utf-8", errors="replace")
+    try:
+        return arrow_csv.read_csv(
+            pa.BufferReader(data),
+            arrow_csv.ReadOptions(
+                column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
+            ),
+            arrow_csv.ParseOptions(
+                delimiter="\t" if layout.separator == " " else layout.separator,
+                invalid_row_handler=lambda _: "skip",
+            ),
+            arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowException as error:
+        raise RecordingError(f"{path} cannot be read as a table: {shown(str(error), 120)}.") from error
