@@ -178,15 +178,17 @@ def import_files(
     bodies = [_skeleton(reader, path, reports) for path in skeletons]
     sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
     streams = [Timed(report.path, _all_times(tables), False) for tables, report in bodies]
-    streams += [Timed(topic, _times(table), True) for topic, table, _ in sensors]
+    streams += [Timed(topic, times_of(table), True) for topic, table, _ in sensors]
     shift, sentences = shifts(streams, imu_starts_at_s)
 
     first = skeletons[0] if skeletons else imus[0].paths[0]
     file = RecordingFile(first, notes=sentences)
     for number, (tables, report) in enumerate(bodies):
-        _add_skeleton(file, tables, report, number, shift[number])
+        report.topics.append("/skeleton" if number == 0 else f"/skeleton_{number + 1}")
+        add_skeleton(file, tables, report.path, report.topics[-1], shift[number])
     for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):
-        _add_imu(file, topic, table, report, moved_s)
+        add_imu(file, topic, table, report.path, moved_s)
+        report.topics.append(topic)
     file.notes = [note for report in reports for note in report.notes] + file.notes
     return file, reports
 
@@ -203,7 +205,7 @@ def _skeleton(
     report = _report(reports, path, importer)
     frames = _all_times(tables)
     report.count, report.rate_hz, report.units = len(frames), _rate(frames), tables[0].units
-    report.notes += [f"{path.name}: {note}" for t in tables for note in dict.fromkeys(t.notes)]
+    report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
     numbers = f"{len(tables)} bodies" if len(tables) > 1 else "1 body"
     report.sentence = _line(path.name, importer.title, report, f"{report.count:,} frames, {numbers}")
     if any(table.relative for table in tables):
@@ -234,10 +236,9 @@ def _sensors(
             raise RecordingError(f"{path} ({importer.title}) holds no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
         report = _report(reports, path, importer)
-        report.count, report.rate_hz = len(_times(tables[0])), _rate(_times(tables[0]))
+        report.count, report.rate_hz = len(times_of(tables[0])), _rate(times_of(tables[0]))
         report.units = tables[0].units
-        report.notes += [f"{path.name}: {note}" for t in tables for note in t.notes if note]
-        report.notes = list(dict.fromkeys(report.notes))
+        report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
         names = f"{len(tables)} sensors ({', '.join(t.name for t in tables)}), " if len(tables) > 1 else ""
         report.sentence = _line(path.name, importer.title, report, f"{report.count:,} samples", names)
         parts += tables
@@ -281,12 +282,30 @@ def _named(
     return named
 
 
-def _add_skeleton(
-    file: RecordingFile, tables: list[SkeletonTable], report: FileReport, number: int, shift_s: float
+def add_skeleton(
+    file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
 ) -> None:
-    """Put the arms of a file's bodies into the recording; all of them share its frames."""
-    topic = "/skeleton" if number == 0 else f"/skeleton_{number + 1}"
-    stamps = [nanoseconds(_times(table) + shift_s, 0) for table in tables]
+    """Put the arms of a file's bodies into a recording; all of them share its frames.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        The recording.
+    tables : list of SkeletonTable
+        Bodies with mended times.
+    source : str
+        The file, for messages.
+    topic : str
+        What to write them to.
+    shift_s : float, s
+        What to add to the times.
+
+    Raises
+    ------
+    RecordingError
+        No joint of a forearm is tracked, or the positions are in no metres.
+    """
+    stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
     frames = np.unique(np.concatenate(stamps))
     rows = JointRows()
     for table, stamp in zip(tables, stamps, strict=True):
@@ -304,26 +323,30 @@ def _add_skeleton(
     arms = rows.arms(frames, topic, "camera", first.frame)
     for arm in arms:
         if arm.tracked:
-            clean_arm(arm, report.path)
+            clean_arm(arm, source)
     if not any(arm.tracked for arm in arms):
         raise RecordingError(
-            f"{report.path}: no elbow, wrist, hand or strap is tracked in any frame ({', '.join(JOINTS)} are"
+            f"{source}: no elbow, wrist, hand or strap is tracked in any frame ({', '.join(JOINTS)} are"
             " read); record again with the arm in view."
         )
     file.arms += arms
-    report.topics.append(topic)
     if file.camera_frame is None and file.gravity_hint is None:
         file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
 
 
-def _add_imu(file: RecordingFile, topic: str, table: ImuTable, report: FileReport, shift_s: float) -> None:
-    """Put an IMU into the recording, if its units can be."""
+def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
+    """Put an IMU with mended times into a recording, if its units can be; as `add_skeleton`."""
     assert table.acc is not None and table.gyro is not None
-    stamp = nanoseconds(_times(table) + shift_s, 0)
+    stamp = nanoseconds(times_of(table) + shift_s, 0)
     samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
-    clean_imu(samples, report.path)
+    clean_imu(samples, source)
     file.imus.append(samples)
-    report.topics.append(topic)
+
+
+def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
+    """Times of a table that was mended."""
+    assert table.t_s is not None
+    return table.t_s
 
 
 def _report(reports: list[FileReport], path: Path, importer: DeviceFormat) -> FileReport:
@@ -337,13 +360,8 @@ def _line(name: str, title: str, report: FileReport, count: str, names: str = ""
     return f"{name}: {title}, {names}{report.rate_hz:.1f} Hz, {count}{units}"
 
 
-def _times(table: ImuTable | SkeletonTable) -> FloatArray:
-    assert table.t_s is not None  # mended tables have times
-    return table.t_s
-
-
 def _all_times(tables: list[SkeletonTable]) -> FloatArray:
-    return np.unique(np.concatenate([_times(table) for table in tables]))
+    return np.unique(np.concatenate([times_of(table) for table in tables]))
 
 
 def _rate(t_s: FloatArray) -> float:
