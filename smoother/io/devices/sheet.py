@@ -164,7 +164,8 @@ class Sheet:
     def _wrong(self, column: int, row: int, what: str) -> RecordingError:
         return RecordingError(
             f"{self.path}, line {self.line(row)}: '{self._cell(column, row)}' in"
-            f" {shown(self.name(column), 60)} is no {what}, and most of its column are none; export the file again."
+            f" {shown(self.name(column), 60)} is no {what}, and most of its column are"
+            " none; export the file again."
         )
 
     def _note_wrong(self, column: int, rows: np.ndarray) -> None:
