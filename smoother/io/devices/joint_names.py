@@ -27,6 +27,25 @@ KINECT_V2 = (
     " WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight"
     " SpineShoulder HandTipLeft ThumbLeft HandTipRight ThumbRight"
 ).split()
+#: OpenPose's BODY_25, whose first 18 are not those of its COCO model.
+BODY_25 = (
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee LAnkle REye"
+    " LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
+).split()
+OPENPOSE_18 = (
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist RHip RKnee RAnkle LHip LKnee LAnkle REye LEye"
+    " REar LEar"
+).split()
+#: COCO's 17 keypoints; HALPE_26 and COCO's 133 of the whole body begin with them.
+COCO_17 = (
+    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist"
+    " right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+).split()
+#: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
+POINT_SETS = {
+    17: COCO_17, 18: OPENPOSE_18, 25: BODY_25, 26: COCO_17, 32: AZURE, 33: BLAZEPOSE, 133: COCO_17,
+    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
+}  # fmt: skip
 
 #: Words that say nothing of which joint is meant.
 _NOISE = {

@@ -82,20 +82,25 @@ def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False)
     RecordingError
         They are normalised image coordinates.
     """
-    middle = _middle_of_hips(raw)
     fits = unit_by_arm(raw.position)
-    about_hips = middle is not None and bool(np.abs(middle).max() < _ABOUT_HIPS_M)
+    is_about_hips = about_hips(raw)
     if not world and fits is not None and fits[0] in ("mm", "cm") and not normalised:
         return raw.skeletons(Conventions())
-    if normalised or (not about_hips and (_in_image(raw) or (fits is None and not world))):
+    if normalised or (not is_about_hips and (_in_image(raw) or (fits is None and not world))):
         raise RecordingError(
             f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which are no"
             " metres; export pose_world_landmarks of the same video."
         )
-    if about_hips or world or middle is None:
+    if is_about_hips or world or _middle_of_hips(raw) is None:
         raw.notes.append(RELATIVE_NOTE)
         return raw.skeletons(Conventions("m", CameraFrame.OPTICAL, relative=True))
     return raw.skeletons(Conventions())
+
+
+def about_hips(raw: RawSkeleton) -> bool:
+    """Whether the middle of the hips is the origin."""
+    middle = _middle_of_hips(raw)
+    return middle is not None and bool(np.abs(middle).max() < _ABOUT_HIPS_M)
 
 
 def _middle_of_hips(raw: RawSkeleton) -> FloatArray | None:
@@ -109,7 +114,11 @@ def _middle_of_hips(raw: RawSkeleton) -> FloatArray | None:
 
 
 def _in_image(raw: RawSkeleton) -> bool:
-    """Whether x and y of the shoulders and elbows lie between 0 and 1 in nearly all frames, as in an image."""
+    """Whether x and y of shoulders and elbows lie between 0 and 1 in nearly all frames, y down, as in an image."""
+    hips = [rows[:, 1] for name, rows in raw.rest if name.part == "hip"]
+    shoulders = [rows[:, 1] for joint, rows in raw.position.items() if joint.startswith("shoulder")]
+    if hips and shoulders and np.nanmedian(np.concatenate(shoulders)) > np.nanmedian(np.concatenate(hips)):
+        return False
     rows = [rows[:, :2] for joint, rows in raw.position.items() if joint.startswith(("shoulder", "elbow"))]
     if not rows:
         return False
