@@ -67,7 +67,7 @@ class SkeletonTable:
     frame : CameraFrame, optional
         Where the format settles the axes.
     gravity_hint : ndarray, shape (3,), optional
-        Direction of down in the axes of the positions, where the axes are a room's (y up, say) and no camera's.
+        Direction of down in the axes of the positions, where they are a room's (y up, say) and no camera's.
     rate_hz : float, Hz, optional
         Rate that the file or its format states.
     relative : bool
