@@ -22,6 +22,7 @@ from . import (
     doctor,
     export,
     gaps,
+    import_files,
     import_strap,
     imports,
     info,
@@ -99,6 +100,12 @@ _add(app, doctor.doctor, "doctor")
 
 _imports = _app("Make a recording of other formats.")
 _imports.command("csv", epilog=_CSV_EXAMPLE)(imports.csv)
+_add(
+    _imports,
+    import_files.files,
+    "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap",
+)
+_add(_imports, import_files.formats, "import formats")
 _add(_imports, imports.broad, "import broad 01_trial.mat -o trial.mcap")
 _add(_imports, imports.utd_mhad, "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap")
 _add(_imports, import_strap.strap, "import strap session.mcap -o with_strap.mcap")

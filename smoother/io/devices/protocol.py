@@ -66,6 +66,8 @@ class SkeletonTable:
         `JointState` values of the same joints.
     frame : CameraFrame, optional
         Where the format settles the axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Direction of down in the axes of the positions, where they are a room's (y up, say) and no camera's.
     rate_hz : float, Hz, optional
         Rate that the file or its format states.
     relative : bool
@@ -81,6 +83,7 @@ class SkeletonTable:
     position: dict[str, FloatArray]
     state: dict[str, NDArray[np.int8]]
     frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
     rate_hz: float | None = None
     relative: bool = False
     units: str = ""

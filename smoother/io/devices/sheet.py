@@ -203,7 +203,9 @@ def read_sheet(path: Path, expected: str = "a table") -> Sheet:
     return sheet_of_text(path, text, expected)
 
 
-def sheet_of_text(path: Path, text: str, expected: str = "a table") -> Sheet:
+def sheet_of_text(
+    path: Path, text: str, expected: str = "a table", layout: TableLayout | None = None
+) -> Sheet:
     """The table in a text (see `read_sheet`).
 
     Parameters
@@ -214,6 +216,8 @@ def sheet_of_text(path: Path, text: str, expected: str = "a table") -> Sheet:
         The text, decoded.
     expected : str
         What it should be, for messages.
+    layout : TableLayout, optional
+        Where the table is, where that is known; else it is looked for.
 
     Returns
     -------
@@ -229,7 +233,7 @@ def sheet_of_text(path: Path, text: str, expected: str = "a table") -> Sheet:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
     whole_end = not lines[-1].strip()
-    layout = layout_of(lines)
+    layout = layout or layout_of(lines)
     if layout is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
         raise RecordingError(
