@@ -58,7 +58,9 @@ class BareKinect:
     key: str = "kinect-numbers"
     title: str = "Azure Kinect or Kinect v2 joints without a header"
     kind: str = "skeleton"
-    recognised_by: str = "no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms"
+    recognised_by: str = (
+        "no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms"
+    )
 
     def recognises(self, head: FileHead) -> bool:
         """Whether rows have so many numbers, and both arms an arm's length in them."""
@@ -87,7 +89,8 @@ class BareKinect:
         order = _order_of(rows)
         if order is None:
             raise RecordingError(
-                f"{path}: {rows.shape[1]} numbers a row are not 32 joints of an Azure Kinect or 25 of a Kinect v2"
+                f"{path}: {rows.shape[1]} numbers a row are not 32 joints of an Azure Kinect or 25 of a"
+                " Kinect v2"
                 " in their SDK's order; export the table with a header."
             )
         raw = RawSkeleton(path, {}, notes=list(sheet.notes))

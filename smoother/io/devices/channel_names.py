@@ -13,7 +13,7 @@ from .joint_names import words_of
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import ImuTable
 
-_ACC = {"acc", "accel", "accelerometer", "acceleration", "acceleration", "accelerations", "acce"}
+_ACC = {"acc", "accel", "accelerometer", "acceleration", "accelerations", "acce"}
 _GYRO = {
     *("gyr", "gyro", "gyroscope", "gyroscopes", "angvel", "angular", "omega", "rotationrate", "gyration"),
     *("turn", "gyros", "ang"),
@@ -21,9 +21,35 @@ _GYRO = {
 _MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
 _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}
 #: Words that say that it is no raw signal of a sensor.
-_DERIVED = {"free", "linear", "quat", "quaternion", "euler", "orientation", "angle", "norm", "magnitude", "bias"}
+_DERIVED = {
+    "free",
+    "linear",
+    "quat",
+    "quaternion",
+    "euler",
+    "orientation",
+    "angle",
+    "norm",
+    "magnitude",
+    "bias",
+}
 _NOISE = {
-    *("velocity", "rate", "field", "x", "y", "z", "channel", "ch", "cal", "calibrated", "raw", "wr", "ln", "data"),
+    *(
+        "velocity",
+        "rate",
+        "field",
+        "x",
+        "y",
+        "z",
+        "channel",
+        "ch",
+        "cal",
+        "calibrated",
+        "raw",
+        "wr",
+        "ln",
+        "data",
+    ),
     *("stream", "lsl", "ms", "s", "deg", "rad", "g", "imu", "sensor"),
 }
 #: A gyroscope's values beyond this are deg/s, whatever moved: 60 rad/s is 3400 deg/s.
@@ -118,7 +144,12 @@ def _of_letters(words: Sequence[str]) -> str:
 
 
 def imu_of(
-    name: str, t_s: FloatArray, values: FloatArray, sensor: SensorChannels, units: Sequence[str], rate: float | None
+    name: str,
+    t_s: FloatArray,
+    values: FloatArray,
+    sensor: SensorChannels,
+    units: Sequence[str],
+    rate: float | None,
 ) -> tuple[ImuTable | None, str]:
     """A sensor's samples in SI units.
 

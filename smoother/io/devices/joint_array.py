@@ -71,10 +71,13 @@ def _loaded(path: Path) -> NDArray[np.float64]:
         array = np.load(path, allow_pickle=False)
     except (ValueError, OSError, EOFError, MemoryError, SyntaxError) as error:
         raise RecordingError(
-            f"{path} is no array of numbers that numpy can read ({str(error)[:80]}); save it again with numpy.save."
+            f"{path} is no array of numbers that numpy can read ({str(error)[:80]}); save it again with"
+            " numpy.save."
         ) from error
     if array.dtype.kind not in "fiu":
-        raise RecordingError(f"{path} holds {array.dtype} and not numbers; save an array of frames x points x 3.")
+        raise RecordingError(
+            f"{path} holds {array.dtype} and not numbers; save an array of frames x points x 3."
+        )
     if array.ndim == 2:
         for width in (3, 4):
             if array.shape[1] % width == 0 and array.shape[1] // width in POINT_SETS:

@@ -62,12 +62,22 @@ def xyz_of(value: Any) -> tuple[float, float, float, float]:
     """x, y, z and confidence of a point as a list or a mapping; nan for what is missing."""
     if isinstance(value, Mapping):
         small = {str(key).lower(): entry for key, entry in value.items()}
-        inner = next((small[key] for key in ("position", "pos", "xyz", "location", "point") if key in small), None)
+        inner = next(
+            (small[key] for key in ("position", "pos", "xyz", "location", "point") if key in small), None
+        )
         if inner is not None:
             x, y, z, _ = xyz_of(inner)
         else:
             x, y, z = (number(small.get(axis)) for axis in "xyz")
-        names = ("visibility", "confidence", "confidence_level", "state", "trackingstate", "tracking_state", "score")
+        names = (
+            "visibility",
+            "confidence",
+            "confidence_level",
+            "state",
+            "trackingstate",
+            "tracking_state",
+            "score",
+        )
         share = next((number(small[name]) for name in names if name in small), float("nan"))
         return x, y, z, share
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) >= 3:
@@ -84,7 +94,15 @@ def number(value: Any) -> float:
         return float(value) if abs(value) < 1e300 else float("nan")
     if isinstance(value, str):
         word = value.lower().rpartition("_")[2]
-        levels = {"none": 0.0, "nottracked": 0.0, "low": 1.0, "inferred": 1.0, "medium": 2.0, "tracked": 2.0, "high": 3.0}
+        levels = {
+            "none": 0.0,
+            "nottracked": 0.0,
+            "low": 1.0,
+            "inferred": 1.0,
+            "medium": 2.0,
+            "tracked": 2.0,
+            "high": 3.0,
+        }
         if word in levels:
             return levels[word]
         try:

@@ -58,7 +58,11 @@ class KinectJson:
         text = head.text.lstrip()
         if not text.startswith(("{", "[")):
             return False
-        return '"joint_positions"' in text or ('"bodies"' in text and '"timestamp' in text) or "k4abt" in text.lower()
+        return (
+            '"joint_positions"' in text
+            or ('"bodies"' in text and '"timestamp' in text)
+            or "k4abt" in text.lower()
+        )
 
     def read(self, path: Path) -> list[SkeletonTable]:
         """Read all bodies.
@@ -101,7 +105,7 @@ def _number_of(body: Mapping[str, Any]) -> float:
 
 def _add_body(rows: _Rows, body: Mapping[str, Any], order: list[str]) -> None:
     """Joints of one body; those that it lacks get nan."""
-    value = next((body[name] for name in _POSITIONS if name in body), [])
+    value: Any = next((body[name] for name in _POSITIONS if name in body), [])
     if isinstance(value, Mapping):
         named = {str(name): xyz_of(point) for name, point in value.items()}
     elif isinstance(value, list):

@@ -24,10 +24,31 @@ _JOINT = (
 )
 _TIME = ("timestamp", "time", "t", "seconds", "time stamp", "device timestamp", "relative time", "elapsed")
 _FRAME = ("frame", "frame number", "frame index", "frame id", "frame idx", "frame no", "framenumber")
-_BODY = ("body id", "bodyid", "body idx", "body", "tracking id", "trackingid", "person", "person id", "id", "user id")
-_STATE = ("state", "tracking state", "trackingstate", "confidence", "confidence level", "visibility", "conf", "score")
+_BODY = (
+    "body id",
+    "bodyid",
+    "body idx",
+    "body",
+    "tracking id",
+    "trackingid",
+    "person",
+    "person id",
+    "id",
+    "user id",
+)
+_STATE = (
+    "state",
+    "tracking state",
+    "trackingstate",
+    "confidence",
+    "confidence level",
+    "visibility",
+    "conf",
+    "score",
+)
 _AXES = tuple(
-    (axis, f"position {axis}", f"pos {axis}", f"world {axis}", f"{axis} world", f"{axis} position") for axis in "xyz"
+    (axis, f"position {axis}", f"pos {axis}", f"world {axis}", f"{axis} world", f"{axis} position")
+    for axis in "xyz"
 )
 
 
@@ -72,7 +93,8 @@ class LongSkeleton:
         columns = _columns_of(sheet.layout.names)
         if columns is None:
             raise RecordingError(
-                f"{path} has no columns for joint, x, y, z and a time or frame; export a row a joint with these."
+                f"{path} has no columns for joint, x, y, z and a time or frame; export a row a joint with"
+                " these."
             )
         names, kind = _joints(sheet, columns.joint, path)
         raw = _gathered(sheet, columns, names, kind, path)
@@ -105,9 +127,12 @@ def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
     if not all(cell.isdigit() for cell in different):
         lower = {"".join(c for c in cell.lower() if c.isalnum()) for cell in different}
         kind = (
-            "azure" if any("navel" in cell or "clavicle" in cell for cell in lower)
-            else "kinect" if any(cell.startswith(("spinebase", "spineshoulder", "jointtype")) for cell in lower)
-            else "blazepose" if any("pinky" in cell or "mouth" in cell for cell in lower)
+            "azure"
+            if any("navel" in cell or "clavicle" in cell for cell in lower)
+            else "kinect"
+            if any(cell.startswith(("spinebase", "spineshoulder", "jointtype")) for cell in lower)
+            else "blazepose"
+            if any("pinky" in cell or "mouth" in cell for cell in lower)
             else ""
         )
         return cells, kind
@@ -116,7 +141,8 @@ def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
         if last == len(order) - 1:
             return [order[int(cell)] for cell in cells], kind
     raise RecordingError(
-        f"{path}: joints are numbered 0 to {last}, which is neither a Kinect v2 (24), an Azure Kinect (31) nor"
+        f"{path}: joints are numbered 0 to {last}, which is neither a Kinect v2 (24), an Azure Kinect (31)"
+        " nor"
         " BlazePose (32); export their names."
     )
 
@@ -133,10 +159,15 @@ def _gathered(sheet: Sheet, columns: _Columns, names: list[str], kind: str, path
     assert key is not None
     body = np.zeros(len(key)) if columns.body is None else body_numbers(sheet, columns.body)
     forward = (np.diff(key[np.isfinite(key)]) >= 0).all()
-    number = np.cumsum(np.append(True, key[1:] != key[:-1])) if forward else np.unique(key, return_inverse=True)[1]
+    number = (
+        np.cumsum(np.append(True, key[1:] != key[:-1])) if forward else np.unique(key, return_inverse=True)[1]
+    )
     first_of: dict[tuple[int, float], int] = {}  # a row of the skeleton is one frame and body
     row = np.array(
-        [first_of.setdefault(pair, len(first_of)) for pair in zip(number.tolist(), body.tolist(), strict=True)]
+        [
+            first_of.setdefault(pair, len(first_of))
+            for pair in zip(number.tolist(), body.tolist(), strict=True)
+        ]
     )
     count, first = len(first_of), np.unique(row, return_index=True)[1]
     raw.time = None if time is None else time[first]

@@ -48,14 +48,20 @@ class McapFile:
         tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
         tables += [
             ImuTable(
-                imu.topic.strip("/"), seconds(imu.stamp_ns, 0), imu.acc, imu.gyro, imu.mag, units="m/s^2, rad/s"
+                imu.topic.strip("/"),
+                seconds(imu.stamp_ns, 0),
+                imu.acc,
+                imu.gyro,
+                imu.mag,
+                units="m/s^2, rad/s",
             )
             for imu in file.imus
         ]
         if not tables:
             listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
             raise RecordingError(
-                f"{path} holds no IMU and no skeleton that can be read (topics: {shown(listed or 'none', 150)});"
+                f"{path} holds no IMU and no skeleton that can be read (topics:"
+                f" {shown(listed or 'none', 150)});"
                 " record sensor_msgs/Imu and the body tracking's MarkerArray."
             )
         tables[0].notes += file.notes
@@ -70,9 +76,7 @@ class McapFile:
 def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
     """One body of the arms that it has."""
     first = arms[0]
-    table = SkeletonTable(
-        first.body, seconds(first.stamp_ns, 0), {}, {}, first.camera_frame, units="m"
-    )
+    table = SkeletonTable(first.body, seconds(first.stamp_ns, 0), {}, {}, first.camera_frame, units="m")
     for arm in arms:
         for at, joint in enumerate(JOINTS):
             if (arm.state[:, at] != 0).any():

@@ -19,7 +19,8 @@ from .wide_skeleton import header_of, read_wide, share_states
 #: World landmarks have the middle of the hips within this of their origin, m.
 _ABOUT_HIPS_M = 0.06
 RELATIVE_NOTE = (
-    "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the place in"
+    "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the"
+    " place in"
     " the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
 )
 
@@ -37,7 +38,9 @@ class MediapipeTable:
     key: str = "mediapipe"
     title: str = "MediaPipe world landmarks, table"
     kind: str = "skeleton"
-    recognised_by: str = "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
+    recognised_by: str = (
+        "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
+    )
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header numbers landmarks, or names some that only BlazePose has."""
@@ -88,7 +91,8 @@ def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False)
         return raw.skeletons(Conventions())
     if normalised or (not is_about_hips and (_in_image(raw) or (fits is None and not world))):
         raise RecordingError(
-            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which are no"
+            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which"
+            " are no"
             " metres; export pose_world_landmarks of the same video."
         )
     if is_about_hips or world or _middle_of_hips(raw) is None:
@@ -114,7 +118,7 @@ def _middle_of_hips(raw: RawSkeleton) -> FloatArray | None:
 
 
 def _in_image(raw: RawSkeleton) -> bool:
-    """Whether x and y of shoulders and elbows lie between 0 and 1 in nearly all frames, y down, as in an image."""
+    """Whether shoulders and elbows lie between 0 and 1 in x and y, y down, as in an image."""
     hips = [rows[:, 1] for name, rows in raw.rest if name.part == "hip"]
     shoulders = [rows[:, 1] for joint, rows in raw.position.items() if joint.startswith("shoulder")]
     if hips and shoulders and np.nanmedian(np.concatenate(shoulders)) > np.nanmedian(np.concatenate(hips)):

@@ -24,7 +24,9 @@ class NamedJoints:
     key: str = "joint-table"
     title: str = "table of joints by name (FreeMoCap, Pose2Sim and others)"
     kind: str = "skeleton"
-    recognised_by: str = "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
+    recognised_by: str = (
+        "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
+    )
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header names an elbow and a wrist of one side."""

@@ -25,19 +25,30 @@ _WORLD = (
 )  # fmt: skip
 _POINTS = (
     "pose_keypoints_3d", "keypoints3D", "keypoints_3d", "keypoints3d", "landmarks_3d", "joints_3d",
-    "pose_landmarks", "poseLandmarks", "landmarks", "landmark", "keypoints", "joints", "points", "pose", "body",
-    "positions", "data",
+    "pose_landmarks", "poseLandmarks", "landmarks", "landmark", "keypoints", "joints", "points", "pose",
+    "body", "positions", "data",
 )  # fmt: skip
-_FRAMES = ("frames", "positions", "poses", "results", "data", "motion", "pose_data", "instance_info", "records")
+_FRAMES = (
+    "frames",
+    "positions",
+    "poses",
+    "results",
+    "data",
+    "motion",
+    "pose_data",
+    "instance_info",
+    "records",
+)
 _TIMES = (
     ("timestamp_ms", 1e-3), ("timestampMs", 1e-3), ("time_ms", 1e-3), ("timestamp_us", 1e-6),
-    ("timestamp_s", 1.0), ("time_s", 1.0), ("time_sec", 1.0), ("timestamp", None), ("time", None), ("t", None),
+    ("timestamp_s", 1.0), ("time_s", 1.0), ("time_sec", 1.0), ("timestamp", None), ("time", None),
+    ("t", None),
 )  # fmt: skip
 _NUMBERS = ("frame", "frame_number", "frameNumber", "frame_index", "frame_id", "frame_idx", "index")
 _RATES = ("fps", "frame_rate", "frameRate", "framerate", "sampling_rate", "video_fps")
 _MARK = re.compile(
-    r'"(pose_?)?world_?landmarks"|"pose_keypoints_[23]d"|"keypoints_?3d"|"[^"]{0,40}(right|left|r|l)[_ .]?wrist"'
-    r'|"[^"]{0,20}wrist[_ .]?(right|left|r|l)"|"(pose_?)?landmarks?"',
+    r'"(pose_?)?world_?landmarks"|"pose_keypoints_[23]d"|"keypoints_?3d"'
+    r'|"[^"]{0,40}(right|left|r|l)[_ .]?wrist"|"[^"]{0,20}wrist[_ .]?(right|left|r|l)"|"(pose_?)?landmarks?"',
     re.IGNORECASE,
 )
 
@@ -107,13 +118,18 @@ def _frames_of(value: Any) -> list[tuple[str, Any]]:
             inner = value.get(name)
             if isinstance(inner, list | Mapping) and len(inner) and not _is_points(inner):
                 return _frames_of(inner)
+        lists = {str(key): rows for key, rows in value.items() if isinstance(rows, list) and rows}
         columns = {
-            str(key): rows for key, rows in value.items()
-            if isinstance(rows, list) and joint_name(str(key)) is not None and rows and isinstance(rows[0], list | Mapping)
-        }  # fmt: skip
+            key: rows
+            for key, rows in lists.items()
+            if joint_name(key) is not None and isinstance(rows[0], list | Mapping)
+        }
         if columns:  # a list of positions by joint
             count = max(map(len, columns.values()))
-            return [("", {key: rows[at] for key, rows in columns.items() if at < len(rows)}) for at in range(count)]
+            return [
+                ("", {key: rows[at] for key, rows in columns.items() if at < len(rows)})
+                for at in range(count)
+            ]
         if value and all(_is_number(str(key)) for key in value):
             return [(str(key), frame) for key, frame in value.items()]
         return [("", value)]
@@ -140,13 +156,16 @@ def _add(frames: _Frames, key: str, frame: Any, path: Path) -> None:
         count = next((number(frame[name]) for name in _NUMBERS if name in frame), float("nan"))
         if "pose_keypoints_2d" in frame and "pose_keypoints_3d" not in frame:
             raise RecordingError(
-                f"{path} holds keypoints in the image (pose_keypoints_2d), which are no place in space; triangulate"
+                f"{path} holds keypoints in the image (pose_keypoints_2d), which are no place in space;"
+                " triangulate"
                 " them (Pose2Sim, OpenPose with --3d) and give the file that makes."
             )
     digits = re.search(r"\d+(\.\d+)?", key)
     value, world = _points_in(frame, path)
     frames.time.append(time)
-    frames.frame.append(float(digits.group()) if digits else count if np.isfinite(count) else len(frames.frame))
+    frames.frame.append(
+        float(digits.group()) if digits else count if np.isfinite(count) else len(frames.frame)
+    )
     frames.scale = frames.scale or scale
     frames.world |= world
     frames.points.append(_by_name(value))
@@ -193,7 +212,11 @@ def _by_name(value: Any) -> dict[str, tuple[float, float, float, float]]:
         if not width:
             return {}
         value = [value[at : at + width] for at in range(0, len(value), width)]
-    own = [str(point["name"]) for point in value if isinstance(point, Mapping) and isinstance(point.get("name"), str)]
+    own = [
+        str(point["name"])
+        for point in value
+        if isinstance(point, Mapping) and isinstance(point.get("name"), str)
+    ]
     names = own if len(own) == len(value) else POINT_SETS.get(len(value), [])
     return {name: xyz_of(point) for name, point in zip(names, value, strict=False)}
 
@@ -205,7 +228,9 @@ def _raw(path: Path, frames: _Frames) -> RawSkeleton:
     raw.frame = np.array(frames.frame)
     nothing = (float("nan"),) * 4
     order = {name: at for at, name in enumerate(BLAZEPOSE)}
-    for name in sorted({name for frame in frames.points for name in frame}, key=lambda name: order.get(name, 99)):
+    for name in sorted(
+        {name for frame in frames.points for name in frame}, key=lambda name: order.get(name, 99)
+    ):
         meaning = joint_name(name)
         if meaning is None or (meaning.joint and meaning.kind == "skin"):
             continue

@@ -78,7 +78,8 @@ class RosBag1:
             raise
         except Exception as error:  # whatever a damaged file leads the library into
             raise RecordingError(
-                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex` may mend"
+                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
+                " may mend"
                 " it, or record again."
             ) from error
 
@@ -106,9 +107,12 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     ]
     tables += [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
     if not tables:
-        listed = ", ".join(sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections}))
+        listed = ", ".join(
+            sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
+        )
         raise RecordingError(
-            f"{path} holds no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)}); record"
+            f"{path} holds no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
+            " record"
             " the IMU's topic and the body tracking's."
         )
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
@@ -134,7 +138,9 @@ def _imu(topic: str, rows: np.ndarray, fields: dict[str, list[tuple[float, ...]]
     if len(near) == 1 and len(fields[near[0]]) > 1:
         samples = np.array(fields[near[0]])
         samples = samples[np.argsort(samples[:, 0], kind="stable")]
-        table.mag = interpolate(samples[:, 0], samples[:, 1:], np.clip(rows[:, 0], samples[0, 0], samples[-1, 0]))
+        table.mag = interpolate(
+            samples[:, 0], samples[:, 1:], np.clip(rows[:, 0], samples[0, 0], samples[-1, 0])
+        )
     return table
 
 
@@ -148,9 +154,9 @@ def _add_bodies(rows: _Rows, message: Any, log_ns: int) -> None:
             rows.foreign += 1
         elif joint in _NUMBERED:
             by_body.setdefault(body, {})[joint] = _xyz(marker.pose.position)
-    for body, points in by_body.items() or [(None, {})]:
+    for number, points in by_body.items() or [(None, {})]:
         rows.time.append(stamp)
-        rows.body.append(float("nan") if body is None else float(body))
+        rows.body.append(float("nan") if number is None else float(number))
         rows.points.append(points)
 
 

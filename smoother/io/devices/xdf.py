@@ -71,11 +71,16 @@ class XdfFile:
         skeletons = [table for stream in streams for table in _skeletons(stream, path)]
         imus, reasons = _imus(streams, path)
         if not skeletons and not imus:
-            listed = "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams) or "none with numbers"
+            listed = (
+                "; ".join(f"{s.name} ({s.kind}, {len(s.labels)} channels)" for s in streams)
+                or "none with numbers"
+            )
             why = f"; {reasons[0]}" if reasons else ""
             raise RecordingError(
-                f"{path} holds no stream of an accelerometer, a gyroscope or joints by its channels' labels (streams:"
-                f" {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x, WristRight_X and units."
+                f"{path} holds no stream of an accelerometer, a gyroscope or joints by its channels' labels"
+                " (streams:"
+                f" {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x, WristRight_X"
+                " and units."
             )
         for reason in reasons:
             (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")
@@ -89,7 +94,7 @@ def _loaded(path: Path) -> list[dict[str, Any]]:
         import pyxdf
     except ImportError:
         raise RecordingError(
-            f"{path}: XDF files are read by the library pyxdf; install it with: pip install 'unocclude[devices]'"
+            f"{path}: XDF files are read by the library pyxdf; install it with: pip install pyxdf"
         ) from None
     try:
         with _silent("pyxdf"):
@@ -180,7 +185,9 @@ def _skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
         {joint: guessed_states(values[:, column]) for joint, column in columns.confidence.items()},
         time=stream.t_s,
         time_scale=1.0,
-        body=None if columns.body is None else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
+        body=None
+        if columns.body is None
+        else np.where(values[:, columns.body] > 0, values[:, columns.body], np.nan),
         rest=[(name, values[:, triple]) for name, triple in columns.rest],
     )
     if raw.body is not None and not np.isfinite(raw.body).any():

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording import JOINTS, CameraFrame, IntArray, JointState
+from ...recording import JOINTS, JointState
 from ...runtime.column import Column
 from ...runtime.store import Store
 from ..mcap.messages import Topic, TopicMessages
@@ -37,7 +37,13 @@ def json_kind(topic: Topic) -> str:
     if topic.encoding != "json":
         return ""
     name = re.split(r"[./]", topic.schema)[-1].lower()
-    kinds = {"imu": "imu", "magneticfield": "field", "posestamped": "pose", "poseinframe": "pose", "skeleton": "skeleton"}
+    kinds = {
+        "imu": "imu",
+        "magneticfield": "field",
+        "posestamped": "pose",
+        "poseinframe": "pose",
+        "skeleton": "skeleton",
+    }
     if name in kinds:
         return kinds[name]
     text = topic.schema_data[:20_000].decode("utf-8", "replace")
@@ -85,7 +91,10 @@ class JsonDecoder:
 
     def feed(self, messages: TopicMessages) -> None:
         """Take a batch of messages."""
-        stamps, delays, values, joints = [], [], [], []
+        stamps: list[int] = []
+        delays: list[int] = []
+        values: list[tuple[float, ...]] = []
+        joints: list[tuple[float, ...]] = []
         spans = zip(messages.start.tolist(), messages.stop.tolist(), messages.log_ns.tolist(), strict=True)
         for start, stop, log_ns in spans:
             try:
@@ -116,9 +125,13 @@ class JsonDecoder:
             message_of, body, side, joint_of, state = table[:, :5].astype(np.int64).T
             self._rows.add_joints(message_of, body, side, joint_of, state, table[:, 5:])
 
+
+class JsonStream(JsonDecoder):
+    """IMU samples, magnetic fields or poses in JSON."""
+
     def stream(self) -> ImuSamples | FieldSamples | PoseSamples | None:
         """All samples, or None where there are none."""
-        if not self._count or self.kind == "skeleton":
+        if not self._count:
             return None
         stamp, values = self._stamps.done(), self._values.done()
         name = self.topic.name
@@ -132,15 +145,15 @@ class JsonDecoder:
         shift = int(np.median(self._delay.done()))
         return ImuSamples(name, self.frame_id, stamp, values[:, :3], values[:, 3:6], mag, shift)
 
-    def found(self) -> tuple[IntArray, list[ArmFrames]]:
-        """Stamps of all messages, ns, and all arms; asked for once."""
-        stamps = self._stamps.done() if self._count else np.zeros(0, np.int64)
-        camera_frame: CameraFrame | None = None
-        return stamps, self._rows.arms(stamps, self.topic.name, self.frame_id, camera_frame)
+
+class JsonSkeleton(JsonDecoder):
+    """Skeletons in JSON."""
 
     def arms(self) -> list[ArmFrames]:
         """All arms; asked for once."""
-        return self.found()[1]
+        if not self._count:
+            return []
+        return self._rows.arms(self._stamps.done(), self.topic.name, self.frame_id, None)
 
 
 def stamp_ns(message: Mapping[str, Any]) -> int:
@@ -150,7 +163,9 @@ def stamp_ns(message: Mapping[str, Any]) -> int:
     date (protobuf's JSON), or a number of seconds.
     """
     header = message.get("header")
-    stamp = header.get("stamp") if isinstance(header, Mapping) else message.get("timestamp", message.get("stamp"))
+    stamp = (
+        header.get("stamp") if isinstance(header, Mapping) else message.get("timestamp", message.get("stamp"))
+    )
     if isinstance(stamp, Mapping):
         whole = int(stamp.get("sec", stamp.get("secs", stamp.get("seconds", 0))))
         part = next((stamp[name] for name in ("nanosec", "nsec", "nsecs", "nanos") if name in stamp), 0)
@@ -161,7 +176,7 @@ def stamp_ns(message: Mapping[str, Any]) -> int:
             raise ValueError("no date")
         whole = int(datetime.fromisoformat(date.group(1)).replace(tzinfo=UTC).timestamp())
         return whole * SECOND_NS + int((date.group(2) or "0").ljust(9, "0"))
-    return int(round(float(stamp) * 1e9)) if isinstance(stamp, int | float) and abs(stamp) < 9e9 else 0
+    return round(float(stamp) * 1e9) if isinstance(stamp, int | float) and abs(stamp) < 9e9 else 0
 
 
 def _xyz(value: Any) -> tuple[float, float, float]:
@@ -174,7 +189,9 @@ def _xyz(value: Any) -> tuple[float, float, float]:
 
 def _imu(message: Mapping[str, Any]) -> tuple[float, ...]:
     mag = message.get("magnetic_field", message.get("magneticField"))
-    acc = message["linear_acceleration"] if "linear_acceleration" in message else message["linearAcceleration"]
+    acc = (
+        message["linear_acceleration"] if "linear_acceleration" in message else message["linearAcceleration"]
+    )
     gyro = message["angular_velocity"] if "angular_velocity" in message else message["angularVelocity"]
     return (*_xyz(acc), *_xyz(gyro), *((_NAN,) * 3 if mag is None else _xyz(mag)))
 
@@ -205,7 +222,10 @@ def _skeleton(message: Mapping[str, Any]) -> list[tuple[float, ...]]:
 _VALUES: dict[str, Any] = {"imu": _imu, "field": _field, "pose": _pose, "skeleton": _skeleton}
 
 
-def json_decoder(topic: Topic, store: Store | None = None) -> JsonDecoder | None:
+def json_decoder(topic: Topic, store: Store | None = None) -> JsonStream | JsonSkeleton | None:
     """The decoder of a topic in JSON; None for others."""
     kind = json_kind(topic)
-    return JsonDecoder(topic, kind, store or Store()) if kind else None
+    if not kind:
+        return None
+    store = store or Store()
+    return JsonSkeleton(topic, kind, store) if kind == "skeleton" else JsonStream(topic, kind, store)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection
-from typing import TypeGuard, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from .choose import Selection, choose
 from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
-from .json_messages import JsonDecoder, json_decoder
+from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 
@@ -30,7 +30,10 @@ METADATA = "unocclude.recording"
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
 
-AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonDecoder
+AnyDecoder = (
+    ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
+)
+SKELETONS = (SkeletonDecoder, MarkerDecoder, JsonSkeleton)
 
 
 def open_recording(
@@ -92,7 +95,9 @@ def open_recording(
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
-        file.notes.append(f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone.")
+        file.notes.append(
+            f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone."
+        )
     _take_metadata(file)
     return file
 
@@ -102,22 +107,17 @@ def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     if topic.name.startswith(RESULT_PREFIX):
         return None
     decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or json_decoder(topic, store)
-    is_reference = isinstance(decoder, PoseDecoder) or (isinstance(decoder, JsonDecoder) and decoder.kind == "pose")
-    is_reference |= topic.name.startswith(TRUTH_PREFIX) and _is_skeleton(decoder)
+    is_pose = isinstance(decoder, PoseDecoder) or (isinstance(decoder, JsonStream) and decoder.kind == "pose")
+    is_reference = is_pose or (topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS))
     return None if is_reference and not truth else decoder
-
-
-def _is_skeleton(decoder: AnyDecoder | None) -> TypeGuard[SkeletonDecoder | MarkerDecoder | JsonDecoder]:
-    """Whether it decodes skeletons."""
-    return isinstance(decoder, SkeletonDecoder | MarkerDecoder) or (
-        isinstance(decoder, JsonDecoder) and decoder.kind == "skeleton"
-    )
 
 
 def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
     """Whether these and an IMU are among the topics that had messages."""
     decoders = [decoder[id(topic)] for topic in topics]
-    is_imu = any(isinstance(d, ImuDecoder) or (isinstance(d, JsonDecoder) and d.kind == "imu") for d in decoders)
+    is_imu = any(
+        isinstance(d, ImuDecoder) or (isinstance(d, JsonStream) and d.kind == "imu") for d in decoders
+    )
     return is_imu and set(only) <= {topic.name for topic in topics}
 
 
@@ -209,7 +209,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
             file.notes.append(
                 f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
             )
-        if _is_skeleton(decoder):
+        if isinstance(decoder, SKELETONS):
             arms = decoder.arms()
             file.arms += arms
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):

@@ -10,8 +10,8 @@ import struct
 
 from .layout import MessageLayout
 
-
-#: Encapsulations of plain messages (DDS-XTypes 1.3, table 39): CDR, and XCDR2 of final types, big and little endian.
+#: Encapsulations of plain messages (DDS-XTypes 1.3, table 39): CDR, and XCDR2 of final types; widest
+#: alignment and byte order.
 _PLAIN = {b"\0\0": (8, ">"), b"\0\1": (8, "<"), b"\0\6": (4, ">"), b"\0\7": (4, "<")}
 
 
