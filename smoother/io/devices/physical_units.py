@@ -53,6 +53,9 @@ _OTHERS = (
 _UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
 _BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s*$")
 
+#: What stands in brackets behind a name and belongs to it: dv[1], Acc (x).
+_INDEX = re.compile(r"\d+|[xyzw]", re.IGNORECASE)
+
 
 def plain_unit(text: str) -> str:
     """A unit in the form that the tables above have it: `[m/s²]` is "m/s^2", `°/s` is "deg/s"."""
@@ -72,6 +75,6 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str) -> tuple[str, str]:
     """A column's name without the unit in brackets behind it, and that unit ("" where there is none)."""
     bracketed = _BRACKETED.search(name)
-    if bracketed and bracketed.start():
+    if bracketed and bracketed.start() and not _INDEX.fullmatch(bracketed.group(1).strip()):
         return name[: bracketed.start()].strip(), bracketed.group(1).strip()
     return name.strip(), ""

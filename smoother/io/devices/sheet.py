@@ -49,13 +49,6 @@ class Sheet:
     def __len__(self) -> int:
         return self._table.num_rows
 
-    def find(self, *labels: str) -> int | None:
-        """Number of the first column (from 0) that has one of these labels; the first label first."""
-        for label in labels:
-            if label in self.layout.labels:
-                return self.layout.labels.index(label)
-        return None
-
     def unit(self, column: int) -> str:
         """Unit of a column as the file states it, "" where it does not."""
         return self.layout.units[column] if column < len(self.layout.units) else ""

@@ -16,6 +16,8 @@ from .physical_units import is_unit, split_unit
 SEPARATORS = (";", "\t", ",", " ")
 #: So many lines at the beginning settle the layout.
 LAYOUT_LINES = 400
+#: How columns put stem and axis together.
+AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")
 _NUMBER = re.compile(
     r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null", re.IGNORECASE
 )
@@ -57,6 +59,51 @@ class TableLayout:
     header: int
     first_row: int
     width: int
+
+    def find(self, *labels: str) -> int | None:
+        """Number of the first column (from 0) that has one of these labels; the first label first."""
+        for label in labels:
+            if label in self.labels:
+                return self.labels.index(label)
+        return None
+
+    def axes(self, *stems: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
+        """Numbers of the columns of a vector, labelled by one of these stems and the axes' signs.
+
+        Parameters
+        ----------
+        *stems : str
+            What stands before the axis ("acc" for `Acc_X`, `acc x`, `accX`); the first that fits counts.
+        signs : sequence of str
+            Signs of the three axes, tried in turn ("xyz", "123").
+
+        Returns
+        -------
+        tuple of int or None
+            Columns of x, y and z, whatever their order in the file.
+        """
+        for stem in stems:
+            for form in AXIS_FORMS:
+                for sign in signs:
+                    columns = [self.find(form.format(stem, axis).strip()) for axis in sign]
+                    if None not in columns:
+                        return columns[0], columns[1], columns[2]  # type: ignore[return-value]
+        return None
+
+    def stated(self, *subjects: str) -> str:
+        """What the preamble says of a subject ("120Hz" behind "OutputRate:"), "" where it says nothing."""
+        for line in self.preamble:
+            plain = line.strip().lstrip("/#%").strip().strip('"')
+            for subject in subjects:
+                if plain.lower().startswith(subject):
+                    return plain[len(subject) :].strip(' :=,;\t"')
+        return ""
+
+    def stated_number(self, *subjects: str) -> float | None:
+        """The number that the preamble states of a subject; None where it states none above zero."""
+        number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
+        value = float(number.group().replace(",", ".")) if number else 0.0
+        return value if value > 0 else None
 
 
 def split_line(line: str, separator: str) -> list[str]:

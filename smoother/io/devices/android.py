@@ -1,0 +1,309 @@
+"""Sensor logs of Android phones and Wear OS watches, and of other programs that write plain tables."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from .imu_checks import WRONG_SCALE, holds_gravity, turn_scale
+from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
+from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
+from .protocol import FileHead, ImuTable
+from .sheet import Sheet
+from .table_layout import TableLayout, is_data, layout_of, split_line
+
+_TIMES = (
+    *(
+        "timestamp",
+        "time",
+        "t",
+        "timestamp_ns",
+        "time_ns",
+        "sensor_timestamp",
+        "sensortimestamp",
+        "event_timestamp",
+    ),
+    *(
+        "eventtimestamp",
+        "timestamp_nano",
+        "timestamp_us",
+        "timestamp_ms",
+        "time_ms",
+        "time_us",
+        "time_s",
+        "unix_time",
+    ),
+    *(
+        "unixtime",
+        "epoch",
+        "epoch_ms",
+        "epoch_ns",
+        "elapsed_ns",
+        "elapsed_ms",
+        "seconds_elapsed",
+        "seconds",
+        "elapsed",
+    ),
+    *(
+        "elapsedrealtime",
+        "elapsedrealtimenanos",
+        "elapsed_realtime_nanos",
+        "time since start in ms",
+        "datetime",
+    ),
+    *(
+        "date",
+        "t_s",
+        "ts",
+        "milliseconds",
+        "nanoseconds",
+        "timestamp(ns)",
+        "systemtime",
+        "system_time",
+        "phone_time",
+    ),
+)
+_ACC = (
+    "acc",
+    "accel",
+    "accelerometer",
+    "acceleration",
+    "a",
+    "total acceleration",
+    "totalacceleration",
+    "accelerometer_acc",
+)
+_GYRO = (
+    "gyr",
+    "gyro",
+    "gyroscope",
+    "g",
+    "w",
+    "angular velocity",
+    "angular_velocity",
+    "rotation rate",
+    "rotationrate",
+    "omega",
+)
+_BARE = ("", "value", "values", "v", "axis")
+_WITHOUT_G = (
+    "linear acceleration",
+    "linear_acceleration",
+    "linearacceleration",
+    "linacc",
+    "user acceleration",
+)
+_SIGNS = ("xyz", "012", "123")
+_KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
+_SUFFIX = re.compile(r"(?:_|\s|\(|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)\)?$")
+#: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
+_RATES = (3.0, 2500.0)
+#: Sizes that are gravity in m/s^2, and in g.
+_IS_GRAVITY, _IS_ONE_G = (8.0, 12.0), (0.85, 1.15)
+#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
+_FAST = 40.0
+
+
+class AndroidLog(ImuSheetFormat):
+    """A time and one or two vectors; Android's units are m/s^2 and rad/s, and others are said.
+
+    Layout: Android's `SensorEvent` (values in m/s^2 with gravity up, rad/s, timestamp in ns since boot).
+    """
+
+    key = "android"
+    title = "sensor log of Android or Wear OS"
+    recognised_by = "a time (timestamp, time, seconds_elapsed ..) beside acc x, gyro x or plain x, y, z"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file is of this layout, also of four columns without header; never raises."""
+        layout = layout_of(head.lines) if head.text else None
+        if layout is None or not self.fits(layout):
+            return False
+        if layout.names:
+            return True
+        rows = [split_line(line, layout.separator) for line in head.lines[layout.first_row :][:200]]
+        rows = [row for row in rows if len(row) == layout.width and all(map(is_data, row))]
+        try:
+            times = np.array([float(row[0].replace(",", ".")) for row in rows])
+        except ValueError:
+            return False
+        return len(times) > 3 and times[0] > 1e6 and _time_unit("", times) is not None
+
+    def fits(self, layout: TableLayout) -> bool:
+        """Whether there is a time and a vector; four columns without header are a time and a vector."""
+        if not layout.names:
+            return layout.width == 4
+        vectors = (layout.axes(*stems, signs=_SIGNS) for stems in (_ACC, _GYRO, _WITHOUT_G, _BARE))
+        return _time_column(layout) is not None and any(vector is not None for vector in vectors)
+
+    def tables(self, sheet: Sheet) -> list[ImuTable]:
+        """One sensor, or the half of one; of a log with a column of sensor names, its two halves."""
+        layout = sheet.layout
+        t_s, notes = _times(sheet)
+        acc, gyro = (layout.axes(*stems, signs=_SIGNS) for stems in (_ACC, _GYRO))
+        bare = (1, 2, 3) if not layout.names else layout.axes(*_BARE, signs=_SIGNS)
+        if acc is None and gyro is None and bare is not None:
+            kinds = layout.find(*_KIND)
+            named = _by_name(sheet, kinds, bare, t_s, notes) if kinds is not None else []
+            return named or [_by_size(sheet, bare, t_s, notes)]
+        if acc is None and gyro is None:
+            raise RecordingError(
+                f"{sheet.path} is a {self.title} of acceleration without gravity; log the raw accelerometer"
+                " and the"
+                " gyroscope."
+            )
+        table = ImuTable(name="", t_s=t_s, acc=None, gyro=None, notes=notes)
+        units = []
+        if acc is not None:
+            unit = plain_unit(sheet.unit(acc[0])) or _acceleration_unit(sheet.vectors(acc), notes, sheet)
+            table.acc = specific_force(sheet, acc, unit)
+            units.append((acc, unit))
+        if gyro is not None:
+            unit = plain_unit(sheet.unit(gyro[0])) or _turning_unit(sheet.vectors(gyro), notes)
+            table.gyro = angular_velocity(sheet, gyro, unit)
+            stated = bool(sheet.unit(gyro[0]))
+            scale = None if stated else turn_scale(table)
+            if scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
+                unit = "deg/s" if unit == "rad/s" else "rad/s"
+                table.gyro = angular_velocity(sheet, gyro, unit)
+                notes.append(
+                    f"The accelerometer turns with the gyroscope only in {unit}, so that unit counts."
+                )
+            units.append((gyro, unit))
+        table.units = units_said(sheet, *units)
+        return [table]
+
+
+def _time_column(layout: TableLayout) -> int | None:
+    exact = layout.find(*_TIMES)
+    if exact is not None:
+        return exact
+    first = layout.labels[0]
+    return 0 if first.startswith(("time", "timestamp", "elapsed", "epoch")) else None
+
+
+def _times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
+    """Times in s, and what was decided about their unit."""
+    column = _time_column(sheet.layout) if sheet.layout.names else 0
+    times, dates = sheet.times(column or 0)
+    if dates:
+        return times, []
+    label = sheet.layout.labels[column or 0] if sheet.layout.labels else ""
+    stated = plain_unit(sheet.unit(column or 0))
+    suffix = _SUFFIX.search(label)
+    if stated in TIME:
+        return times * TIME[stated], []
+    said = {"n": "ns", "u": "us", "m": "ms", "s": "s"}[suffix.group(1)[0]] if suffix else ""
+    said = "us" if suffix and suffix.group(1).startswith("micro") else said
+    unit = _time_unit(said, times)
+    if unit is None:
+        raise RecordingError(
+            f"{sheet.path} has times in {sheet.name(column or 0)} that are no s, ms, us or ns of a sensor"
+            " at 3 to 2,500"
+            " Hz; describe it in a recording.toml (`unocclude import describe` prints one)."
+        )
+    return times * TIME[unit], [] if said == unit else [f"Times are in {unit}, by the rate that they give."]
+
+
+def _time_unit(stated: str, times: FloatArray) -> str | None:
+    """Unit in which times give a rate that a sensor may have; the stated one where it does."""
+    dt = np.diff(times[np.isfinite(times)])
+    dt = dt[dt > 0]
+    if not len(dt):
+        return None
+    mean = float(np.minimum(dt, 20 * np.median(dt)).mean())
+    fitting = [unit for unit in ("s", "ms", "us", "ns") if _RATES[0] < 1 / (mean * TIME[unit]) < _RATES[1]]
+    return stated if stated in fitting else next(iter(fitting), None)
+
+
+def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:
+    """The halves of a log whose rows name their sensor; () where the names say nothing."""
+    names = np.array([text.lower() for text in sheet.texts(kinds)])
+    values, tables = sheet.vectors(columns), []
+    for part, units in (("acc", ACCELERATION), ("gyr", ANGULAR_VELOCITY)):
+        rows = np.array(
+            [part in name and "lin" not in name and "uncal" not in name for name in names], dtype=bool
+        )
+        if not rows.any():
+            continue
+        written = names[rows][0]
+        stated = next(
+            (unit for unit in ("deg/s", "dps", "rad/s", "m/s^2", "g") if written.endswith(f"_{unit}")), ""
+        )
+        own: list[str] = list(notes)
+        if part == "acc":
+            unit = stated or _acceleration_unit(values[rows], own, sheet)
+        else:
+            unit = stated or _turning_unit(values[rows], own)
+        half = ImuTable(
+            "", t_s[rows], None, None, units=unit, notes=[*own, f"Rows of '{written[:40]}' were read."]
+        )
+        if part == "acc":
+            half.acc = values[rows] * units[unit]
+        else:
+            half.gyro = values[rows] * units[unit]
+        tables.append(half)
+    return tables
+
+
+def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) -> ImuTable:
+    """A vector whose columns do not say what it is, by its unit or the size of its values."""
+    stated = plain_unit(sheet.unit(columns[0]))
+    values = sheet.vectors(columns)
+    size = np.linalg.norm(values, axis=1)
+    size = size[np.isfinite(size)]
+    if not len(size):
+        raise RecordingError(f"{sheet.path} holds no samples; export it again.")
+    half = ImuTable("", t_s, None, None, notes=notes)
+    low, median, high = np.percentile(size, (25, 50, 75))
+    one_g = _IS_ONE_G[0] < median < _IS_ONE_G[1] and high - low < 0.3
+    if stated in ACCELERATION or (not stated and (_IS_GRAVITY[0] < median < _IS_GRAVITY[1] or one_g)):
+        unit = stated or ("g" if one_g else "m/s^2")
+        half.acc = specific_force(sheet, columns, unit)
+        if half.acc is not None and not holds_gravity(half.acc):
+            raise RecordingError(
+                f"{sheet.path} holds acceleration without gravity; log the raw accelerometer"
+                " (TotalAcceleration)."
+            )
+        what = "an accelerometer"
+    else:
+        unit = stated or ("deg/s" if np.percentile(size, 99) > _FAST else "rad/s")
+        half.gyro = angular_velocity(sheet, columns, unit)
+        what = "a gyroscope"
+    half.units = unit
+    if not stated:
+        half.notes.append(
+            f"The columns do not say what they are; by the size of its values this is {what} in {unit}."
+        )
+    return half
+
+
+def _acceleration_unit(values: FloatArray, notes: list[str], sheet: Sheet) -> str:
+    """Unit of an accelerometer that states none: m/s^2 as on Android, or g where gravity is 1."""
+    size = np.linalg.norm(values, axis=1)
+    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
+        notes.append("The accelerometer states no unit; gravity is 1, so it is in g.")
+        return "g"
+    if 700 < median < 1300:
+        notes.append("The accelerometer states no unit; gravity is 1000, so it is in mg.")
+        return "mg"
+    if not 0.35 < median / 9.81 < 2:
+        raise RecordingError(
+            f"{sheet.path} states no unit of acceleration, and its usual size of {median:.3g} is neither"
+            " 9.81 m/s^2"
+            " nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
+        )
+    notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
+    return "m/s^2"
+
+
+def _turning_unit(values: FloatArray, notes: list[str]) -> str:
+    """Unit of a gyroscope that states none: rad/s as on Android, or deg/s where it is too fast for that."""
+    fast = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
+    unit = "deg/s" if fast > _FAST else "rad/s"
+    notes.append(f"The gyroscope states no unit; by the size of its values it is in {unit}.")
+    return unit
