@@ -29,7 +29,9 @@ class AzureKinectTable:
     key: str = "azure-kinect"
     title: str = "Azure Kinect or Orbbec body tracking, table"
     kind: str = "skeleton"
-    recognised_by: str = "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
+    recognised_by: str = (
+        "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
+    )
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header names joints that only this SDK has."""

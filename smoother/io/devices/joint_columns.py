@@ -167,9 +167,7 @@ def _taken_apart(at: int, name: str) -> _Column | None:
     return _Column(at, " ".join(rest), axis, "world" in words, bool(_NORMALISED & set(words)))
 
 
-def _named(
-    by_key: dict[str, dict[int | None, int]], found: JointColumns
-) -> dict[str, dict[int | None, int]]:
+def _named(by_key: dict[str, dict[int | None, int]], found: JointColumns) -> dict[str, dict[int | None, int]]:
     """Landmarks by their names where the columns number them (from 0 or 1)."""
     numbers: dict[int, dict[int | None, int]] = {}
     for key, columns in by_key.items():

@@ -30,7 +30,20 @@ KINECT_V2 = (
 
 #: Words that say nothing of which joint is meant.
 _NOISE = {
-    *("k", "4", "abt", "k4abt", "joint", "joints", "type", "body", "pose", "landmark", "landmarks", "keypoint"),
+    *(
+        "k",
+        "4",
+        "abt",
+        "k4abt",
+        "joint",
+        "joints",
+        "type",
+        "body",
+        "pose",
+        "landmark",
+        "landmarks",
+        "keypoint",
+    ),
     *("world", "marker", "pos", "position", "skeleton", "lm", "kp", "kpt", "bone", "global", "filtered"),
     *("unfiltered", "3d", "3", "d", "rigid", "tracked", "coords", "coordinate", "coordinates"),
 }

@@ -26,7 +26,9 @@ class KinectV2Table:
     key: str = "kinect-v2"
     title: str = "Kinect v2 joints, table"
     kind: str = "skeleton"
-    recognised_by: str = "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
+    recognised_by: str = (
+        "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
+    )
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the header names joints that only this SDK has."""

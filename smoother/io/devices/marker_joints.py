@@ -59,20 +59,22 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
     require_arm(position, path, "markers", list(markers.names))
     notes = [*markers.notes, "; ".join(sentences) + "."]
     if skin:
-        notes.append("Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a bone's.")
+        notes.append(
+            "Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a bone's."
+        )
     if (fits := unit_by_arm(position)) is None or fits[0] != "m":
         notes.append(f"Arms have no arm's length in the file's unit ({markers.unit}); check its unit.")
     is_camera = any("k4abt" in name.lower() for name in markers.names)
     frame, down, words = _axes(points, y_up, is_camera)
     notes.append(words)
     state = {
-        joint: np.where(np.isfinite(rows).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED).astype(np.int8)
+        joint: np.where(np.isfinite(rows).all(axis=1), JointState.TRACKED, JointState.NOT_TRACKED).astype(
+            np.int8
+        )
         for joint, rows in position.items()
     }
     rate = markers.rate_hz if np.isfinite(markers.rate_hz) else None
-    return SkeletonTable(
-        0, markers.t_s, position, state, frame, down, rate, units=markers.unit, notes=notes
-    )
+    return SkeletonTable(0, markers.t_s, position, state, frame, down, rate, units=markers.unit, notes=notes)
 
 
 def require_arm(position: dict[str, FloatArray], path: Path, what: str, names: list[str]) -> None:
@@ -121,7 +123,15 @@ def _axes(
             f"Axes count as {axis_words(*upright)}: so the body stands or sits in most frames.",
         )
     if camera:
-        return CameraFrame.OPTICAL, None, "Axes count as the depth camera's (y down): the body does not show it."
+        return (
+            CameraFrame.OPTICAL,
+            None,
+            "Axes count as the depth camera's (y down): the body does not show it.",
+        )
     if y_up:
         return None, down_of(1, 1), "Axes count as y up, as the format has it; the body does not show it."
-    return None, None, "Which axis is up is not known: the file does not state it and the body does not show it."
+    return (
+        None,
+        None,
+        "Which axis is up is not known: the file does not state it and the body does not show it.",
+    )

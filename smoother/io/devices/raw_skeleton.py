@@ -107,7 +107,9 @@ class RawSkeleton:
         time, seconds, rate = self._times(conventions)
         position = {joint: rows * metres for joint, rows in self.position.items()}
         state = {
-            joint: without_position(self.state[joint], rows) if joint in self.state else tracked_where_finite(rows)
+            joint: without_position(self.state[joint], rows)
+            if joint in self.state
+            else tracked_where_finite(rows)
             for joint, rows in position.items()
         }
         pattern = SkeletonTable(
@@ -115,7 +117,9 @@ class RawSkeleton:
         )
         tables = BodyRows(time, self.body, position, state).skeletons(pattern, seconds)
         if not tables:
-            raise RecordingError(f"{self.path} holds no frame with a body; record again with the person in view.")
+            raise RecordingError(
+                f"{self.path} holds no frame with a body; record again with the person in view."
+            )
         return tables
 
     def _drop_empty(self) -> None:
@@ -126,7 +130,8 @@ class RawSkeleton:
         there = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
         if filled and not there:
             raise RecordingError(
-                f"{self.path} names joints and holds no position of any; record again with the person in view."
+                f"{self.path} names joints and holds no position of any; record again with the person in"
+                " view."
             )
         self.position = there
         self.rest = [(name, without_origin(rows)) for name, rows in self.rest]
@@ -139,19 +144,19 @@ class RawSkeleton:
             if conventions.unit and not np.isfinite(length):
                 return conventions.unit, METRES[conventions.unit]
             raise RecordingError(
-                f"{self.path}: upper arms and forearms are {length:.3g} long, which is an arm's length neither in"
+                f"{self.path}: upper arms and forearms are {length:.3g} long, which is an arm's length"
+                " neither in"
                 " m nor in cm nor in mm; export positions in metres, not pixels or parts of the image."
             )
         unit, metres = fits
         if conventions.unit and unit != conventions.unit:
             self.notes.append(
-                f"Positions count as {unit}, not {conventions.unit} as the format has them as a rule: arms are"
+                f"Positions count as {unit}, not {conventions.unit} as the format has them as a rule: arms"
+                " are"
                 f" {length * metres:.2f} m long so."
             )
         elif not conventions.unit:
-            self.notes.append(
-                f"Positions count as {unit}: half an arm is {length * metres:.2f} m long so."
-            )
+            self.notes.append(f"Positions count as {unit}: half an arm is {length * metres:.2f} m long so.")
         return unit, metres
 
     def _axes(self, conventions: Conventions) -> tuple[CameraFrame | None, FloatArray | None]:
@@ -167,26 +172,33 @@ class RawSkeleton:
             if upright is None or stated is None or upright != (1, -stated[1]):
                 return conventions.frame, None
             self.notes.append(
-                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or sits in"
+                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or"
+                " sits in"
                 " most frames."
             )
             return frame_of(*upright, camera=True), None
         if upright is None:
-            self.notes.append("Which axis is up is not known: the file does not state it, nor does the body show it.")
+            self.notes.append(
+                "Which axis is up is not known: the file does not state it, nor does the body show it."
+            )
             return None, None
         self.notes.append(f"Axes count as {axis_words(*upright)}: so the body stands or sits in most frames.")
         return frame_of(*upright, camera=False), down_of(*upright)
 
     def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
-        """By what rows are told apart, seconds in a unit of it (None: no times), the rate where none is there."""
+        """By what rows are told apart, seconds in a unit of it (None: no times), the rate where none is"
+        " there."""
         if self.time is not None and np.isfinite(self.time).any():
             scale = time_unit(self.time, self.time_scale)
             if scale is None:
                 raise RecordingError(
-                    f"{self.path}: its times make no camera's rate in s, ms, us or ns; export the times of the frames."
+                    f"{self.path}: its times make no camera's rate in s, ms, us or ns; export the times of"
+                    " the frames."
                 )
             if scale != self.time_scale:
-                self.notes.append(f"Times count as {SCALE_NAMES.get(scale, scale)}: so they make a camera's rate.")
+                self.notes.append(
+                    f"Times count as {SCALE_NAMES.get(scale, scale)}: so they make a camera's rate."
+                )
             return self.time, scale, None
         rate = self.rate_hz or conventions.rate_hz
         if self.rate_hz is None:

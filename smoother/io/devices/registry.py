@@ -10,7 +10,21 @@ from .head import first_rows
 from .protocol import DeviceFormat, FileHead
 
 #: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
-FORMATS: tuple[str, ...] = ()
+FORMATS: tuple[str, ...] = (
+    "xsens_mt:XsensMt",
+    "xsens_dot:XsensDot",
+    "mvnx:Mvnx",
+    "shimmer:Shimmer",
+    "apdm:Apdm",
+    "apdm_hdf:ApdmHdf",
+    "ximu:Ximu",
+    "nilspod:NilsPod",
+    "metamotion:MetaMotion",
+    "sensorlog:SensorLog",
+    "phyphox:Phyphox",
+    "axivity:Axivity",
+    "android:AndroidLog",  # behind the others: its columns are the least particular
+)
 
 
 @cache

@@ -27,7 +27,7 @@ class TrcSkeleton:
 
     def recognises(self, head: FileHead) -> bool:
         """Whether a line of markers' names is among the first ones."""
-        first = [line.strip(" \t,;\"").lower() for line in head.lines[:12]]
+        first = [line.strip(' \t,;"').lower() for line in head.lines[:12]]
         return any(line.startswith("frame#") for line in first)
 
     def read(self, path: Path) -> list[SkeletonTable]:

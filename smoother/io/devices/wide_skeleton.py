@@ -87,7 +87,10 @@ def state_numbers(sheet: Sheet, column: int) -> FloatArray:
     sample = next((cell for cell in cells if cell), "")
     if not any(character.isalpha() for character in sample) or sample.lower() == "nan":
         return sheet.numbers(column)
-    code = {cell: _WORDS.get(cell.lower(), _WORDS.get(cell.lower().rpartition("_")[2], np.nan)) for cell in set(cells)}
+    code = {
+        cell: _WORDS.get(cell.lower(), _WORDS.get(cell.lower().rpartition("_")[2], np.nan))
+        for cell in set(cells)
+    }
     return np.array([code[cell] for cell in cells])
 
 
@@ -133,7 +136,8 @@ def guessed_states(confidence: FloatArray) -> NDArray[np.int8]:
 
 
 def inferred_throughout(raw: RawSkeleton) -> None:
-    """Joints that are not tracked in any frame and have positions all the same count as inferred, with a note."""
+    """Joints that are not tracked in any frame and have positions all the same count as inferred, with a"
+    " note."""
     joints = []
     for joint, state in raw.state.items():
         there = np.isfinite(raw.position[joint]).all(axis=1) & (raw.position[joint] != 0).any(axis=1)
@@ -142,7 +146,8 @@ def inferred_throughout(raw: RawSkeleton) -> None:
             joints.append(joint)
     if joints:
         raw.notes.append(
-            f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they count as inferred, so"
+            f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they count as"
+            " inferred, so"
             " they are kept and not measured by."
         )
 
