@@ -5,28 +5,54 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+
+def _listed(names: str) -> list[str]:
+    return names.split()
+
+
 #: Joints of an arm that are read from files.
 ARM = ("shoulder", "elbow", "wrist", "hand")
 #: 33 landmarks of BlazePose in their order (MediaPipe's documentation of the pose landmarker).
-BLAZEPOSE = (
+BLAZEPOSE = _listed(
     "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear"
     " mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist"
     " left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee"
     " right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index"
-).split()
+)
 #: 32 joints of the Azure Kinect Body Tracking SDK (`k4abt_joint_id_t`), which Orbbec's wrapper uses too.
-AZURE = (
+AZURE = _listed(
     "PELVIS SPINE_NAVEL SPINE_CHEST NECK CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT"
     " HANDTIP_LEFT THUMB_LEFT CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT"
     " THUMB_RIGHT HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT HEAD"
     " NOSE EYE_LEFT EAR_LEFT EYE_RIGHT EAR_RIGHT"
-).split()
+)
 #: 25 joints of the Kinect v2's SDK (`JointType`).
-KINECT_V2 = (
+KINECT_V2 = _listed(
     "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight"
     " WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight"
     " SpineShoulder HandTipLeft ThumbLeft HandTipRight ThumbRight"
-).split()
+)
+#: OpenPose's BODY_25, whose first 18 are not those of its COCO model.
+BODY_25 = _listed(
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee LAnkle"
+    " REye"
+    " LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
+)
+OPENPOSE_18 = _listed(
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist RHip RKnee RAnkle LHip LKnee LAnkle REye LEye"
+    " REar LEar"
+)
+#: COCO's 17 keypoints; HALPE_26 and COCO's 133 of the whole body begin with them.
+COCO_17 = _listed(
+    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
+    " left_wrist"
+    " right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+)
+#: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
+POINT_SETS = {
+    17: COCO_17, 18: OPENPOSE_18, 25: BODY_25, 26: COCO_17, 32: AZURE, 33: BLAZEPOSE, 133: COCO_17,
+    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
+}  # fmt: skip
 
 #: Words that say nothing of which joint is meant.
 _NOISE = {

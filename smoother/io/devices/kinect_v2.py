@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from ...recording import CameraFrame
@@ -36,7 +37,7 @@ class KinectV2Table:
         if not find_joint_columns(names).has_arm():
             return False
         words = [words_of(name) for name in names]
-        pairs = {pair for row in words for pair in zip(row, row[1:], strict=False)}
+        pairs = {pair for row in words for pair in pairwise(row)}
         return bool(pairs & {("spine", "base"), ("spine", "shoulder"), ("spine", "mid"), ("hand", "tip")})
 
     def read(self, path: Path) -> list[SkeletonTable]:

@@ -60,7 +60,8 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
     notes = [*markers.notes, "; ".join(sentences) + "."]
     if skin:
         notes.append(
-            "Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a bone's."
+            "Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a"
+            " bone's."
         )
     if (fits := unit_by_arm(position)) is None or fits[0] != "m":
         notes.append(f"Arms have no arm's length in the file's unit ({markers.unit}); check its unit.")

@@ -186,8 +186,7 @@ class RawSkeleton:
         return frame_of(*upright, camera=False), down_of(*upright)
 
     def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
-        """By what rows are told apart, seconds in a unit of it (None: no times), the rate where none is"
-        " there."""
+        """What tells frames apart, seconds in a unit of it (None: no times), the rate without times."""
         if self.time is not None and np.isfinite(self.time).any():
             scale = time_unit(self.time, self.time_scale)
             if scale is None:

@@ -11,6 +11,20 @@ from .protocol import DeviceFormat, FileHead
 
 #: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
 FORMATS: tuple[str, ...] = (
+    "xdf:XdfFile",
+    "rosbag1:RosBag1",
+    "mcap_file:McapFile",
+    "joint_array:JointArray",
+    "c3d:C3dSkeleton",
+    "trc:TrcSkeleton",
+    "kinect_json:KinectJson",
+    "pose_json:PoseJson",
+    "azure_kinect:AzureKinectTable",
+    "kinect_v2:KinectV2Table",
+    "mediapipe:MediapipeTable",
+    "named_joints:NamedJoints",
+    "long_skeleton:LongSkeleton",
+    "bare_kinect:BareKinect",
     "xsens_mt:XsensMt",
     "xsens_dot:XsensDot",
     "mvnx:Mvnx",

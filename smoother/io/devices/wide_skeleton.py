@@ -136,8 +136,7 @@ def guessed_states(confidence: FloatArray) -> NDArray[np.int8]:
 
 
 def inferred_throughout(raw: RawSkeleton) -> None:
-    """Joints that are not tracked in any frame and have positions all the same count as inferred, with a"
-    " note."""
+    """Joints with positions that are never tracked count as inferred, with a note."""
     joints = []
     for joint, state in raw.state.items():
         there = np.isfinite(raw.position[joint]).all(axis=1) & (raw.position[joint] != 0).any(axis=1)
