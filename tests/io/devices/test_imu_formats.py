@@ -407,3 +407,29 @@ def test_fifty_thousand_rows_in_under_a_second(tmp_path: Path):
     start = time.perf_counter()
     (table,) = read(path, "xsens-dot")
     assert time.perf_counter() - start < 1.0 and len(table.acc) == 50_000
+
+
+@pytest.mark.parametrize(
+    "header, units",
+    [
+        ("Time,Accel-X (g),Accel-Y (g),Accel-Z (g),Gyro-X (d/s),Gyro-Y (d/s),Gyro-Z (d/s)", "g, d/s"),
+        ("time_ns,acc_x_g,acc_y_g,acc_z_g,gyro_x_dps,gyro_y_dps,gyro_z_dps", "g, dps"),
+        ("Timestamp;accX;accY;accZ;gyrX;gyrY;gyrZ", "g, deg/s"),
+        ("timestamp,gyroscope_x,gyroscope_y,gyroscope_z,accelerometer_x,accelerometer_y,accelerometer_z", ""),
+    ],
+)
+def test_other_plain_tables(tmp_path: Path, header: str, units: str):
+    separator = ";" if ";" in header else ","
+    first, second = (ACC / GRAVITY, DEG) if units else (GYRO, ACC)
+    (table,) = read(written(tmp_path, header, *rows(NANOS, first, second, separator=separator)), "android")
+    if units:
+        check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), NANOS * 1e-9)
+        assert table.units == units
+    else:
+        check(table, printed(ACC), printed(GYRO), NANOS * 1e-9)
+
+
+def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
+    header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
+    with pytest.raises(RecordingError, match="without gravity; record the accelerometer"):
+        read(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
