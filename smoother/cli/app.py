@@ -22,6 +22,7 @@ from . import (
     doctor,
     export,
     gaps,
+    import_describe,
     import_files,
     import_strap,
     imports,
@@ -106,6 +107,7 @@ _add(
     "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap",
 )
 _add(_imports, import_files.formats, "import formats")
+_add(_imports, import_describe.describe, "import describe sensor.csv > session/recording.toml")
 _add(_imports, imports.broad, "import broad 01_trial.mat -o trial.mcap")
 _add(_imports, imports.utd_mhad, "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap")
 _add(_imports, import_strap.strap, "import strap session.mcap -o with_strap.mcap")

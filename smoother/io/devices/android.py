@@ -114,7 +114,7 @@ class AndroidLog(ImuSheetFormat):
     """
 
     key = "android"
-    title = "sensor log of Android or Wear OS"
+    title = "plain sensor log (Android, Wear OS and the like)"
     recognised_by = "a time (timestamp, time, seconds_elapsed ..) beside acc x, gyro x or plain x, y, z"
 
     def recognises(self, head: FileHead) -> bool:

@@ -16,7 +16,7 @@ _GRAVITY = (0.6, 1.7)
 _FASTEST = 70.0
 #: Rotation is compared with gravity's over this time, s.
 _OVER_S = 0.4
-#: A unit is wrong by 57.3 where the scale lies beyond this factor (in fast motion it falls to 0.2).
+#: A unit is wrong by 57.3 where the scale lies beyond this factor; fast motion lowers it to 0.2.
 WRONG_SCALE = 7.5
 #: The comparison counts from this correlation on.
 _CLEAR = 0.5
@@ -66,8 +66,8 @@ def turn_scale(table: ImuTable) -> float | None:
     """How much faster gravity turns in the sensor's axes than its gyroscope says.
 
     In slow motion da/dt = a x w (a specific force, w angular velocity, both in the sensor's axes); the
-    scale is the least squares factor of w, both averaged over 0.4 s. It is 1 for a sensor in the right units, 57.3 for
-    a gyroscope in rad/s that was read as deg/s.
+    scale is the least squares factor of w, both averaged over 0.4 s. It is 1 for a sensor in the right
+    units, 57.3 for a gyroscope in rad/s that was read as deg/s.
 
     Parameters
     ----------

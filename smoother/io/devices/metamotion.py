@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from ...errors import RecordingError
+from .imu_checks import holds_gravity
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import FileHead, ImuTable
@@ -43,7 +44,8 @@ class MetaMotion(ImuSheetFormat):
         """Whether the columns are MetaBase's; a table without header has six of them."""
         if not layout.names:
             return layout.width >= 6
-        return layout.find(*_EPOCHS) is not None and layout.find("elapsed") is not None
+        elapsed = layout.find("elapsed")
+        return layout.find(*_EPOCHS) is not None and elapsed is not None and layout.units[elapsed] == "s"
 
     def tables(self, sheet: Sheet) -> list[ImuTable]:
         """The one sensor of the file: `acc` or `gyro`."""
@@ -66,12 +68,18 @@ class MetaMotion(ImuSheetFormat):
             )
         acc = columns if unit in ACCELERATION else None
         gyro = columns if acc is None else None
+        force = specific_force(sheet, acc, unit)
+        if force is not None and not holds_gravity(force):
+            raise RecordingError(
+                f"{sheet.path} is a MetaMotion CSV of acceleration without gravity; record the"
+                " accelerometer, not sensor fusion."
+            )
         epoch = sheet.layout.find(*_EPOCHS) or 0
         return [
             ImuTable(
                 name="",
                 t_s=sheet.numbers(epoch) * 1e-3,
-                acc=specific_force(sheet, acc, unit),
+                acc=force,
                 gyro=angular_velocity(sheet, gyro, unit),
                 units=units_said(sheet, (acc, unit), (gyro, unit)),
                 notes=notes,

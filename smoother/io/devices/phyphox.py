@@ -10,9 +10,11 @@ from .protocol import ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout
 
-_WITH_G = ("acceleration", "accelerometer", "accelerometer acceleration")
-_WITHOUT_G = ("linear acceleration", "lin. acc.", "acceleration without g")
-_TURNING = ("gyroscope", "gyroscope rotation", "angular velocity", "rotation rate", "gyro")
+#: In the languages of the app; phyphox writes its columns as it shows them.
+_TIME = ("time", "zeit", "temps", "tiempo", "tempo", "t")
+_WITH_G = ("acceleration", "accelerometer", "beschleunigung", "accélération", "aceleración", "accelerazione")
+_WITHOUT_G = ("linear acceleration", "lineare beschleunigung", "accélération linéaire", "aceleración lineal")
+_TURNING = ("gyroscope", "gyroscope rotation", "rotation rate", "gyroskop", "giroscopio", "angular velocity")
 
 
 class Phyphox(ImuSheetFormat):
@@ -24,7 +26,7 @@ class Phyphox(ImuSheetFormat):
 
     def fits(self, layout: TableLayout) -> bool:
         """Whether the columns are phyphox's, whose units are always in the header."""
-        time = layout.find("time")
+        time = layout.find(*_TIME)
         if time is None or plain_unit(layout.units[time]) != "s":
             return False
         vectors = [layout.axes(*_WITH_G), layout.axes(*_TURNING), layout.axes(*_WITHOUT_G), layout.axes("")]
@@ -48,7 +50,7 @@ class Phyphox(ImuSheetFormat):
         return [
             ImuTable(
                 name="",
-                t_s=seconds(sheet, layout.find("time")),
+                t_s=seconds(sheet, layout.find(*_TIME)),
                 acc=force,
                 gyro=angular_velocity(sheet, gyro),
                 units=units_said(sheet, (acc, ""), (gyro, "")),

@@ -25,6 +25,19 @@ FORMATS: tuple[str, ...] = (
     "named_joints:NamedJoints",
     "long_skeleton:LongSkeleton",
     "bare_kinect:BareKinect",
+    "xsens_mt:XsensMt",
+    "xsens_dot:XsensDot",
+    "mvnx:Mvnx",
+    "shimmer:Shimmer",
+    "apdm:Apdm",
+    "apdm_hdf:ApdmHdf",
+    "ximu:Ximu",
+    "nilspod:NilsPod",
+    "metamotion:MetaMotion",
+    "sensorlog:SensorLog",
+    "phyphox:Phyphox",
+    "axivity:Axivity",
+    "android:AndroidLog",  # behind the others: its columns are the least particular
 )
 
 

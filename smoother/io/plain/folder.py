@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import FloatArray, IntArray, JointState, Recording
 from ..devices.files import add_imu, add_skeleton, times_of
+from ..devices.head import shown
 from ..devices.pairing import paired
 from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton
@@ -122,7 +123,8 @@ def _describe(folder: Path) -> _Description:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         what = {"extra_forbidden": "is not known here", "missing": "is missing"}.get(
-            first["type"], f"is {first['input']!r}, but: {first['msg'][:1].lower()}{first['msg'][1:]}"
+            first["type"],
+            f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
         )
         raise RecordingError(f"{path}: {where} {what}; mend it.") from error
 
@@ -218,7 +220,9 @@ def _refuse_unknown(path: Path, column: str, cells: list[str], unknown: list[str
         "state": "tracked, inferred or not_tracked",
     }[column]
     row = next(i for i, cell in enumerate(cells) if cell in unknown)
-    raise RecordingError(f"{path}, line {row + 2}: {column} {cells[row]!r} is not known; it is {allowed}.")
+    raise RecordingError(
+        f"{path}, line {row + 2}: {column} '{shown(cells[row], 40)}' is not known; it is {allowed}."
+    )
 
 
 def read_pose_table(path: Path) -> PoseSamples:
