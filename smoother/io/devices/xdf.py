@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import CameraFrame
+from ..markers.trajectories import METRES
 from .channel_names import find_sensors, imu_of, stem_of
 from .head import shown
 from .joint_columns import find_joint_columns
@@ -199,7 +200,9 @@ def _skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
         else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
         else None
     )  # fmt: skip
-    return raw.skeletons(Conventions("", frame))
+    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
+    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
+    return raw.skeletons(Conventions(unit, frame))
 
 
 def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:

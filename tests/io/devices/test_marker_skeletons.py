@@ -18,7 +18,7 @@ from smoother.recording import CameraFrame, JointState
 FRAMES = 30
 
 
-def read(path: Path, key: str):  # noqa: ANN201
+def read(path: Path, key: str):
     importer = recognise(read_head(path))
     assert importer is not None
     assert importer.key == key

@@ -41,7 +41,7 @@ def test_mkv_extractor(tmp_path: Path) -> None:
     assert_allclose(table.t_s, 0.200219 + 0.033333 * np.arange(FRAMES), atol=1e-9)
     assert set(table.position) == set(ARM)
     for joint in ARM:  # half of the last printed digit, and the shift of body 1
-        wanted = made.expected(joint, FRAMES, "optical") + [0.1, 0, 0]
+        wanted = made.expected(joint, FRAMES, "optical") + np.array([0.1, 0, 0])
         assert_allclose(table.position[joint], wanted, atol=1e-9)
     assert (table.state["wrist_right"] == JointState.TRACKED).all()
     assert (table.state["hand_right"] == JointState.INFERRED).all()
@@ -119,7 +119,9 @@ def test_kinect_v2_without_header(tmp_path: Path, per_joint: int, leading: int) 
 @pytest.mark.parametrize("style", ["{}_{}", "{}.{}", "{} {}", "joint_{}_{}", "{}({})"])
 def test_kinect_v2_by_name(tmp_path: Path, style: str) -> None:
     joints = made.kinect_v2(FRAMES)
-    header = ["Time", "TrackingId"] + [style.format(n, f) for n in KINECT_V2 for f in ("X", "Y", "Z", "State")]
+    header = ["Time", "TrackingId"] + [
+        style.format(n, f) for n in KINECT_V2 for f in ("X", "Y", "Z", "State")
+    ]
     words = ["Tracked", "Inferred", "NotTracked"]
     rows: list[list[object]] = [header]
     for at in range(FRAMES):
@@ -158,7 +160,9 @@ def mediapipe_rows(points: np.ndarray, style: str) -> list[list[object]]:
     return rows
 
 
-@pytest.mark.parametrize("style", ["{axis}{at}", "landmark_{at}_{axis}", "{name}_{axis}", "{name}.world.{axis}"])
+@pytest.mark.parametrize(
+    "style", ["{axis}{at}", "landmark_{at}_{axis}", "{name}_{axis}", "{name}.world.{axis}"]
+)
 def test_mediapipe_world_landmarks(tmp_path: Path, style: str) -> None:
     points = made.landmarks(FRAMES)
     (table,) = read(write(tmp_path / "a.csv", mediapipe_rows(points, style)), "mediapipe")
@@ -200,7 +204,7 @@ def test_low_visibility_is_inferred(tmp_path: Path) -> None:
 @pytest.mark.parametrize("z_up", [True, False])
 def test_any_table_of_joints(tmp_path: Path, unit: str, scale: float, z_up: bool) -> None:
     names = ["right_shoulder", "right_elbow", "right_wrist", "left_hip", "right_hip", "nose"]
-    points = np.stack([made.part(name, FRAMES) for name in names], axis=1) + [3.0, 0.0, 2.0]
+    points = np.stack([made.part(name, FRAMES) for name in names], axis=1) + np.array([3.0, 0.0, 2.0])
     points = points[:, :, [0, 2, 1]] * [1, -1, 1] if z_up else points
     header = [f"body_{name}_{axis}" for name in names for axis in "xyz"]
     rows: list[list[object]] = [["t_s", *header]]
