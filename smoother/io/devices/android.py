@@ -106,6 +106,12 @@ _IS_GRAVITY, _IS_ONE_G = (8.0, 12.0), (0.85, 1.15)
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
 _FAST = 40.0
 
+#: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
+_SENSOR_LOGGER = (
+    "The signs count as Android's, gravity up; on an iPhone, Sensor Logger writes the opposite unless"
+    " 'Standardise Units & Frames' is on."
+)
+
 
 class AndroidLog(ImuSheetFormat):
     """A time and one or two vectors; Android's units are m/s^2 and rad/s, and others are said.
@@ -143,6 +149,8 @@ class AndroidLog(ImuSheetFormat):
         """One sensor, or the half of one; of a log with a column of sensor names, its two halves."""
         layout = sheet.layout
         t_s, notes = _times(sheet)
+        if {"time", "seconds_elapsed"} <= set(layout.labels):
+            notes.append(_SENSOR_LOGGER)
         acc, gyro = (layout.axes(*stems, signs=_SIGNS) for stems in (_ACC, _GYRO))
         bare = (1, 2, 3) if not layout.names else layout.axes(*_BARE, signs=_SIGNS)
         if acc is None and gyro is None and bare is not None:

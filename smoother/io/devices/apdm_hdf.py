@@ -52,7 +52,8 @@ class ApdmHdf:
             import h5py
         except ImportError:
             raise RecordingError(
-                f"{path} is HDF5, which needs the package h5py: pip install h5py, or export CSV instead."
+                f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
+                " (or export CSV)."
             ) from None
         try:
             with h5py.File(path, "r") as file:

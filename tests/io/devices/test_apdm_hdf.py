@@ -26,7 +26,7 @@ def test_without_h5py_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = tmp_path / "a.h5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RecordingError, match="pip install h5py, or export CSV"):
+    with pytest.raises(RecordingError, match=r"pip install h5py \(or export CSV"):
         read(path)
 
 
