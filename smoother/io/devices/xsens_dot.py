@@ -38,7 +38,7 @@ class XsensDot(ImuSheetFormat):
         """Whether the columns are a DOT's, and not those of MT Manager."""
         if layout.find("sampletimefine", "packetcounter") is None or _of_mt_manager(layout):
             return False
-        return layout.find("acc_x", "dv[1]", "dv_x", *_FUSED) is not None
+        return layout.find("acc_x", "gyr_x", "dv[1]", "dv_x", "iv_x", *_FUSED) is not None
 
     def tables(self, sheet: Sheet) -> list[ImuTable]:
         """One sensor."""
