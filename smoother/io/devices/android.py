@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
-from .imu_checks import WRONG_SCALE, holds_gravity, turn_scale
+from .imu_checks import holds_gravity, with_settled_unit
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
 from .protocol import FileHead, ImuTable
@@ -172,17 +172,10 @@ class AndroidLog(ImuSheetFormat):
         if gyro is not None:
             unit = plain_unit(sheet.unit(gyro[0])) or _turning_unit(sheet.vectors(gyro), notes)
             table.gyro = angular_velocity(sheet, gyro, unit)
-            stated = bool(sheet.unit(gyro[0]))
-            scale = None if stated else turn_scale(table)
-            if scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
-                unit = "deg/s" if unit == "rad/s" else "rad/s"
-                table.gyro = angular_velocity(sheet, gyro, unit)
-                notes.append(
-                    f"The accelerometer turns with the gyroscope only in {unit}, so that unit counts."
-                )
+            table.gyro_unit_assumed = not sheet.unit(gyro[0])
             units.append((gyro, unit))
         table.units = units_said(sheet, *units)
-        return [table]
+        return [with_settled_unit(table)]
 
 
 def _time_column(layout: TableLayout) -> int | None:
@@ -280,6 +273,7 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
     else:
         unit = stated or ("deg/s" if np.percentile(size, 99) > _FAST else "rad/s")
         half.gyro = angular_velocity(sheet, columns, unit)
+        half.gyro_unit_assumed = not stated
         what = "a gyroscope"
     half.units = unit
     if not stated:

@@ -42,6 +42,7 @@ def sort_files(
     imus: list[ImuFiles] = []
     halves: dict[str, list[Path]] = {"acc": [], "gyro": []}
     passed_over: list[str] = []
+    refused: list[RecordingError] = []
     for path in _files(paths, output):
         head = read_head(path)
         importer = recognise(head)
@@ -50,7 +51,13 @@ def sort_files(
                 f"{path.name} is of no known format and was passed over; it begins: {first_rows(head, 100)}."
             )
             continue
-        tables = reader.read(path, importer)
+        try:
+            tables = reader.read(path, importer)
+        except RecordingError as error:
+            if path in paths:
+                raise
+            refused.append(error)
+            continue
         if any(isinstance(table, SkeletonTable) for table in tables):
             skeletons.append(path)
         sensors = [table for table in tables if isinstance(table, ImuTable)]
@@ -59,6 +66,9 @@ def sort_files(
         elif sensors:
             halves["acc" if sensors[0].acc is not None else "gyro"].append(path)
     imus += _joined(halves)
+    if refused and not (skeletons and imus):
+        raise refused[0]
+    passed_over += [f"passed over: {error}" for error in refused]
     if paths and not skeletons and not imus:
         known = ", ".join(importer.title for importer in formats())
         seen = " ".join(passed_over[:2]) or "It is empty."

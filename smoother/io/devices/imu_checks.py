@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...recording import FloatArray
@@ -54,6 +56,34 @@ def size_notes(table: ImuTable) -> list[str]:
                 " probably rad/s; check the export."
             )
     return notes
+
+
+def with_settled_unit(table: ImuTable) -> ImuTable:
+    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it.
+
+    Parameters
+    ----------
+    table : ImuTable
+        With both sensors, in SI units as far as they are known.
+
+    Returns
+    -------
+    ImuTable
+        The same, or with the gyroscope scaled by 57.3 or its inverse; a note says so.
+    """
+    scale = turn_scale(table) if table.gyro_unit_assumed else None
+    if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:
+        return table
+    unit, factor = ("deg/s", np.pi / 180) if scale < 1 else ("rad/s", 180 / np.pi)
+    said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
+    other = "rad/s" if unit == "deg/s" else "deg/s"
+    return replace(
+        table,
+        gyro=table.gyro * factor,
+        units=table.units.replace(other, unit),
+        notes=[*table.notes, said],
+        gyro_unit_assumed=False,
+    )
 
 
 def holds_gravity(acc: FloatArray) -> bool:

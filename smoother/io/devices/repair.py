@@ -238,9 +238,25 @@ def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> Skele
 
 def _said(keep: BoolArray | IntArray, why: str) -> str:
     if keep.dtype == bool:
-        return f"{int((~keep).sum())} {why}."
+        count = int((~keep).sum())
+        return f"1 {_one(why)}." if count == 1 else f"{count} {why}."
     moved = int((keep != np.arange(len(keep))).sum())
     return f"{moved} rows were not in the order of their stamps and were put into it."
+
+
+def _one(why: str) -> str:
+    """A sentence's plural, of one."""
+    for many, one in (
+        ("rows", "row"),
+        ("samples", "sample"),
+        ("frames", "frame"),
+        (" are ", " is "),
+        ("were left", "was left"),
+        ("stamps repeat or go", "stamp repeats or goes"),
+        ("that repeat ", "that repeats "),
+    ):
+        why = why.replace(many, one)
+    return why
 
 
 def _times_said(count: int) -> str:

@@ -158,7 +158,8 @@ def place_of(sheet: Sheet, column: Column | list[Column]) -> int | None:
         wanted = column if names is sheet.layout.names else " ".join(column.lower().split())
         if wanted in names:
             return list(names).index(wanted)
-    return sheet.find(" ".join(column.lower().split()))
+    plain = " ".join(column.lower().split())  # as written, or without the unit in brackets
+    return sheet.layout.labels.index(plain) if plain in sheet.layout.labels else None
 
 
 def needed_place(sheet: Sheet, what: str, column: Column | list[Column]) -> int:
