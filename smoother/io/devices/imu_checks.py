@@ -37,25 +37,26 @@ def size_notes(table: ImuTable) -> list[str]:
     list of str
         What looks wrong, and what it would fit.
     """
-    notes = []
-    if table.acc is not None:
-        notes += _gravity_notes(table.acc)
-    if table.gyro is not None and len(table.gyro):
-        fast = float(np.nanpercentile(np.abs(table.gyro), 99)) if np.isfinite(table.gyro).any() else 0.0
-        scale = turn_scale(table)
-        if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
-            notes.append(
-                "The gyroscope is some 57 times larger than the accelerometer turns with it: the file's"
-                " rad/s are"
-                " probably deg/s; check the export."
-            )
-        elif scale is not None and scale > WRONG_SCALE:
-            notes.append(
-                "The gyroscope is some 57 times smaller than the accelerometer turns with it: the file's"
-                " deg/s are"
-                " probably rad/s; check the export."
-            )
-    return notes
+    return [*(_gravity_notes(table.acc) if table.acc is not None else []), *turn_notes(table)]
+
+
+def turn_notes(table: ImuTable) -> list[str]:
+    """A sentence where the gyroscope does not turn as gravity does in its sensor, by 57.3; else none."""
+    if table.gyro is None or not np.isfinite(table.gyro).any():
+        return []
+    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
+    scale = turn_scale(table)
+    if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
+        return [
+            "The gyroscope is some 57 times larger than the accelerometer turns with it: the file's rad/s are"
+            " probably deg/s; check the export."
+        ]
+    if scale is not None and scale > WRONG_SCALE:
+        return [
+            "The gyroscope is some 57 times smaller than the accelerometer turns with it: the file's deg/s"
+            " are probably rad/s; check the export."
+        ]
+    return []
 
 
 def with_settled_unit(table: ImuTable) -> ImuTable:
