@@ -8,12 +8,17 @@ from scipy.spatial.transform import Rotation
 GRAVITY = 9.80665
 
 
-def motion(count: int = 400, rate_hz: float = 100.0, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Specific force (n, 3) in m/s^2 and angular velocity (n, 3) in rad/s of a sensor that turns slowly."""
+def motion(
+    count: int = 400, rate_hz: float = 100.0, seed: int = 1, slower: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force (n, 3) in m/s^2 and angular velocity (n, 3) in rad/s of a sensor that turns slowly.
+
+    `slower` divides the angular velocity.
+    """
     t = np.arange(count) / rate_hz
     rng = np.random.default_rng(seed)
     phase, speed = rng.uniform(0, 6, 3), rng.uniform(0.5, 1.2, 3)
-    gyro = 1.5 * np.sin(2 * np.pi * speed * t[:, None] + phase)
+    gyro = 1.5 / slower * np.sin(2 * np.pi * speed * t[:, None] + phase)
     attitude = [Rotation.identity()]
     for rate in gyro[:-1]:
         attitude.append(attitude[-1] * Rotation.from_rotvec(rate / rate_hz))

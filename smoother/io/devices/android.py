@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
-from .imu_checks import WRONG_SCALE, holds_gravity, turn_scale
+from .imu_checks import holds_gravity, with_settled_unit
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
 from .protocol import FileHead, ImuTable
@@ -106,6 +106,12 @@ _IS_GRAVITY, _IS_ONE_G = (8.0, 12.0), (0.85, 1.15)
 #: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
 _FAST = 40.0
 
+#: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
+_SENSOR_LOGGER = (
+    "The signs count as Android's, gravity up; on an iPhone, Sensor Logger writes the opposite unless"
+    " 'Standardise Units & Frames' is on."
+)
+
 
 class AndroidLog(ImuSheetFormat):
     """A time and one or two vectors; Android's units are m/s^2 and rad/s, and others are said.
@@ -143,6 +149,8 @@ class AndroidLog(ImuSheetFormat):
         """One sensor, or the half of one; of a log with a column of sensor names, its two halves."""
         layout = sheet.layout
         t_s, notes = _times(sheet)
+        if {"time", "seconds_elapsed"} <= set(layout.labels):
+            notes.append(_SENSOR_LOGGER)
         acc, gyro = (layout.axes(*stems, signs=_SIGNS) for stems in (_ACC, _GYRO))
         bare = (1, 2, 3) if not layout.names else layout.axes(*_BARE, signs=_SIGNS)
         if acc is None and gyro is None and bare is not None:
@@ -164,17 +172,10 @@ class AndroidLog(ImuSheetFormat):
         if gyro is not None:
             unit = plain_unit(sheet.unit(gyro[0])) or _turning_unit(sheet.vectors(gyro), notes)
             table.gyro = angular_velocity(sheet, gyro, unit)
-            stated = bool(sheet.unit(gyro[0]))
-            scale = None if stated else turn_scale(table)
-            if scale is not None and not 1 / WRONG_SCALE < scale < WRONG_SCALE:
-                unit = "deg/s" if unit == "rad/s" else "rad/s"
-                table.gyro = angular_velocity(sheet, gyro, unit)
-                notes.append(
-                    f"The accelerometer turns with the gyroscope only in {unit}, so that unit counts."
-                )
+            table.gyro_unit_assumed = not sheet.unit(gyro[0])
             units.append((gyro, unit))
         table.units = units_said(sheet, *units)
-        return [table]
+        return [with_settled_unit(table)]
 
 
 def _time_column(layout: TableLayout) -> int | None:
@@ -272,6 +273,7 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
     else:
         unit = stated or ("deg/s" if np.percentile(size, 99) > _FAST else "rad/s")
         half.gyro = angular_velocity(sheet, columns, unit)
+        half.gyro_unit_assumed = not stated
         what = "a gyroscope"
     half.units = unit
     if not stated:

@@ -52,7 +52,8 @@ class ApdmHdf:
             import h5py
         except ImportError:
             raise RecordingError(
-                f"{path} is HDF5, which needs the package h5py: pip install h5py, or export CSV instead."
+                f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
+                " (or export CSV)."
             ) from None
         try:
             with h5py.File(path, "r") as file:
@@ -78,7 +79,7 @@ def _sensors(file: Any) -> list[ImuTable]:
         ]
     labels = _labels(file)
     tables = []
-    for at, (name, values, group) in enumerate(groups):
+    for name, values, group in groups:
         acc, gyro, mag = (_vector(values, kind) for kind in ("Accelerometer", "Gyroscope", "Magnetometer"))
         if acc is None or gyro is None:
             continue
@@ -86,7 +87,7 @@ def _sensors(file: Any) -> list[ImuTable]:
         rate = group.attrs.get("SampleRate", file.attrs.get("SampleRate"))
         tables.append(
             ImuTable(
-                name=_label(group) or (labels[at] if at < len(labels) else "") or name,
+                name=_label(group) or labels.get(name, "") or name,
                 t_s=None if time is None else np.asarray(time, dtype=float).ravel()[: len(acc)] * 1e-6,
                 acc=acc,
                 gyro=gyro,
@@ -119,8 +120,10 @@ def _label(group: Any) -> str:
     return _text(group.attrs.get("MonitorLabel", ""))
 
 
-def _labels(file: Any) -> list[str]:
-    return [_text(label) for label in np.ravel(file.attrs.get("MonitorLabelList", []))]
+def _labels(file: Any) -> dict[str, str]:
+    """What the wearer's places are called, by monitor (older versions)."""
+    monitors, labels = (np.ravel(file.attrs.get(key, [])) for key in ("CaseIdList", "MonitorLabelList"))
+    return {_text(monitor): _text(label) for monitor, label in zip(monitors, labels, strict=False)}
 
 
 def _text(value: Any) -> str:

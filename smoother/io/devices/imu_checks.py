@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...recording import FloatArray
@@ -35,25 +37,54 @@ def size_notes(table: ImuTable) -> list[str]:
     list of str
         What looks wrong, and what it would fit.
     """
-    notes = []
-    if table.acc is not None:
-        notes += _gravity_notes(table.acc)
-    if table.gyro is not None and len(table.gyro):
-        fast = float(np.nanpercentile(np.abs(table.gyro), 99)) if np.isfinite(table.gyro).any() else 0.0
-        scale = turn_scale(table)
-        if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
-            notes.append(
-                "The gyroscope is some 57 times larger than the accelerometer turns with it: the file's"
-                " rad/s are"
-                " probably deg/s; check the export."
-            )
-        elif scale is not None and scale > WRONG_SCALE:
-            notes.append(
-                "The gyroscope is some 57 times smaller than the accelerometer turns with it: the file's"
-                " deg/s are"
-                " probably rad/s; check the export."
-            )
-    return notes
+    return [*(_gravity_notes(table.acc) if table.acc is not None else []), *turn_notes(table)]
+
+
+def turn_notes(table: ImuTable) -> list[str]:
+    """A sentence where the gyroscope does not turn as gravity does in its sensor, by 57.3; else none."""
+    if table.gyro is None or not np.isfinite(table.gyro).any():
+        return []
+    fast = float(np.nanpercentile(np.abs(table.gyro), 99))
+    scale = turn_scale(table)
+    if fast > _FASTEST or (scale is not None and scale < 1 / WRONG_SCALE):
+        return [
+            "The gyroscope is some 57 times larger than the accelerometer turns with it: the file's rad/s are"
+            " probably deg/s; check the export."
+        ]
+    if scale is not None and scale > WRONG_SCALE:
+        return [
+            "The gyroscope is some 57 times smaller than the accelerometer turns with it: the file's deg/s"
+            " are probably rad/s; check the export."
+        ]
+    return []
+
+
+def with_settled_unit(table: ImuTable) -> ImuTable:
+    """An IMU whose gyroscope's unit, where it was assumed, is the one in which gravity turns with it.
+
+    Parameters
+    ----------
+    table : ImuTable
+        With both sensors, in SI units as far as they are known.
+
+    Returns
+    -------
+    ImuTable
+        The same, or with the gyroscope scaled by 57.3 or its inverse; a note says so.
+    """
+    scale = turn_scale(table) if table.gyro_unit_assumed else None
+    if scale is None or table.gyro is None or 1 / WRONG_SCALE < scale < WRONG_SCALE:
+        return table
+    unit, factor = ("deg/s", np.pi / 180) if scale < 1 else ("rad/s", 180 / np.pi)
+    said = f"The accelerometer turns with the gyroscope only if that is in {unit}, so that unit counts."
+    other = "rad/s" if unit == "deg/s" else "deg/s"
+    return replace(
+        table,
+        gyro=table.gyro * factor,
+        units=table.units.replace(other, unit),
+        notes=[*table.notes, said],
+        gyro_unit_assumed=False,
+    )
 
 
 def holds_gravity(acc: FloatArray) -> bool:

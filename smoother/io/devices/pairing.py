@@ -10,6 +10,7 @@ from ...errors import RecordingError
 from ...linalg import interpolate
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
 from ...recording import BoolArray, FloatArray
+from .imu_checks import turn_notes, with_settled_unit
 from .protocol import ImuTable
 
 
@@ -62,7 +63,7 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     if not keep.all():
         count = int((~keep).sum())
         notes.append(f"{count} samples of the gyroscope have no accelerometer and were left out.")
-    return replace(
+    table = replace(
         gyro,
         name=gyro.name or acc.name,
         t_s=at[keep],
@@ -73,6 +74,9 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
         units=", ".join(dict.fromkeys(unit for unit in (acc.units, gyro.units) if unit)),
         notes=notes,
     )
+    table = with_settled_unit(table)
+    table.notes.extend(note for note in turn_notes(table) if note not in table.notes)
+    return table
 
 
 _PARTS = (("acc", "accelerometer"), ("gyro", "gyroscope"))

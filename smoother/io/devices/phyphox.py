@@ -10,7 +10,7 @@ from .protocol import ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout
 
-#: In the languages of the app; phyphox writes its columns as it shows them.
+#: Also as experiments in other languages name them.
 _TIME = ("time", "zeit", "temps", "tiempo", "tempo", "t")
 _WITH_G = ("acceleration", "accelerometer", "beschleunigung", "accélération", "aceleración", "accelerazione")
 _WITHOUT_G = ("linear acceleration", "lineare beschleunigung", "accélération linéaire", "aceleración lineal")

@@ -36,6 +36,9 @@ class ImuTable:
         As written in the file, for the line that is said of it ("m/s^2, deg/s").
     notes : list of str
         What was decided or dropped in reading, a sentence each.
+    gyro_unit_assumed : bool
+        The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may
+        settle it.
     """
 
     name: str
@@ -48,6 +51,7 @@ class ImuTable:
     counter_wraps: int = 0
     units: str = ""
     notes: list[str] = field(default_factory=list)
+    gyro_unit_assumed: bool = False
 
 
 @dataclass

@@ -13,7 +13,7 @@ from statistics import median
 from .physical_units import is_unit, split_unit
 
 #: Separators in the order in which they are believed where two fit; the last is any number of blanks.
-SEPARATORS = (";", "\t", ",", " ")
+SEPARATORS = (";", "\t", "|", ",", " ")
 #: So many lines at the beginning settle the layout.
 LAYOUT_LINES = 400
 #: How columns put stem and axis together.

@@ -38,7 +38,7 @@ class XsensDot(ImuSheetFormat):
         """Whether the columns are a DOT's, and not those of MT Manager."""
         if layout.find("sampletimefine", "packetcounter") is None or _of_mt_manager(layout):
             return False
-        return layout.find("acc_x", "dv[1]", "dv_x", *_FUSED) is not None
+        return layout.find("acc_x", "gyr_x", "dv[1]", "dv_x", "iv_x", *_FUSED) is not None
 
     def tables(self, sheet: Sheet) -> list[ImuTable]:
         """One sensor."""
@@ -67,11 +67,7 @@ class XsensDot(ImuSheetFormat):
         velocity = layout.axes("dv", signs=("123", "xyz"))
         rotation = [layout.find(f"dq_{axis}", f"dq[{at}]") for at, axis in enumerate("wxyz")]
         if velocity is None or None in rotation:
-            has = (
-                "quaternions and free acceleration only"
-                if layout.find(*_FUSED) is not None
-                else "one sensor only"
-            )
+            has = _fused_only(layout, table)
             raise RecordingError(
                 f"{sheet.path} is an {self.title} that holds {has}; record 'Custom mode 5' or 'Rate"
                 " quantities',"
@@ -98,6 +94,15 @@ def _of_mt_manager(layout: TableLayout) -> bool:
     """Whether a table with DOT's column names is MT Manager's: `//` above it, or columns of its own."""
     others = ("quat_q0", "mat[1][1]", "utc_nano", "utc_year", "velinc_x", "oriinc_q0", "oriinc_w", "counter")
     return any(line.lstrip().startswith("//") for line in layout.preamble) or layout.find(*others) is not None
+
+
+def _fused_only(layout: TableLayout, table: ImuTable) -> str:
+    """What a file without both raw sensors holds, in words."""
+    if table.acc is not None:
+        return "acceleration but no angular velocity"
+    if table.gyro is not None:
+        return "angular velocity but no acceleration (free acceleration is without gravity)"
+    return "quaternions and free acceleration only" if layout.find(*_FUSED) is not None else "no raw sensors"
 
 
 def _rate(table: ImuTable) -> float | None:

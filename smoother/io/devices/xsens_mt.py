@@ -11,6 +11,7 @@ from .imu_sheet import (
     angular_velocity,
     magnetic_field,
     packet_counter,
+    seconds,
     specific_force,
     units_said,
 )
@@ -54,7 +55,7 @@ class XsensMt(ImuSheetFormat):
         t_s = None if rate else _utc(sheet)
         table = ImuTable(
             name=layout.stated("deviceid", "device id"),
-            t_s=_sample_time(sheet) if t_s is None and rate is None else t_s,
+            t_s=_stamps(sheet) if t_s is None and rate is None else t_s,
             acc=specific_force(sheet, acc, "m/s^2"),
             gyro=angular_velocity(sheet, gyro, "rad/s"),
             mag=magnetic_field(sheet, mag),
@@ -96,11 +97,11 @@ class XsensMt(ImuSheetFormat):
         )
 
 
-def _sample_time(sheet: Sheet) -> FloatArray | None:
-    """Times of SampleTimeFine; None where it is empty."""
+def _stamps(sheet: Sheet) -> FloatArray | None:
+    """Times of SampleTimeFine, else of a column Time; None where there are none."""
     column = sheet.layout.find("sampletimefine")
-    if column is None:
-        return None
+    if column is None or not np.isfinite(sheet.numbers(column)).any():
+        return seconds(sheet, sheet.layout.find("time"))
     ticks = sheet.numbers(column)
     return ticks * _TICK_S if np.isfinite(ticks).mean() > 0.5 else None
 

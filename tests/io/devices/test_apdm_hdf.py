@@ -26,7 +26,7 @@ def test_without_h5py_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = tmp_path / "a.h5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RecordingError, match="pip install h5py, or export CSV"):
+    with pytest.raises(RecordingError, match=r"pip install h5py \(or export CSV"):
         read(path)
 
 
@@ -37,7 +37,9 @@ def test_each_sensor_is_one_imu(tmp_path: Path, version: int):
     micros = 1_600_000_000_000_000 + 7_812 * np.arange(200, dtype=np.uint64)
     with h5py.File(path, "w") as file:
         if version < 5:
-            file.attrs["MonitorLabelList"] = np.array([b"Right Wrist", b"Lumbar"], dtype="S16")
+            # Not in the order of the groups.
+            file.attrs["CaseIdList"] = np.array([b"SI-001300", b"SI-001234"], dtype="S16")
+            file.attrs["MonitorLabelList"] = np.array([b"Lumbar", b"Right Wrist"], dtype="S16")
         for at, (number, label) in enumerate((("1234", "Right Wrist"), ("1300", "Lumbar"))):
             group = file.create_group(f"Sensors/{number}" if version == 5 else f"SI-00{number}")
             values = group if version == 5 else group.create_group("Calibrated")

@@ -433,3 +433,16 @@ def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
     header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
     with pytest.raises(RecordingError, match="without gravity; record the accelerometer"):
         read(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
+
+
+def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
+    from smoother.io.devices.pairing import paired
+
+    slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
+    (gyro,) = read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")
+    assert gyro.gyro_unit_assumed and gyro.units == "rad/s"
+    acc, _ = motion(seed=1, slower=4)
+    (acc_table,) = read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, acc)), "android")
+    table = paired([acc_table, gyro], "two files")
+    np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
+    assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"

@@ -39,7 +39,7 @@ def values(sheet) -> np.ndarray:
 
 
 @given(
-    separator=st.sampled_from([",", ";", "\t", " ", ", ", "; ", "  "]),
+    separator=st.sampled_from([",", ";", "\t", "|", " ", ", ", "; ", "  "]),
     comma=st.booleans(),
     trailing=st.booleans(),
     sep_line=st.sampled_from(["", "sep=,", '"sep=\t"', '"sep=,"', "sep=;"]),
