@@ -55,6 +55,7 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
         The file is no table.
     """
     sheet = read_sheet(path, expected)
+    sheet.refuse_nameless()
     columns = find_joint_columns(sheet.layout.names)
     raw = RawSkeleton(
         path,

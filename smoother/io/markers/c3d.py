@@ -12,6 +12,10 @@ from ...errors import RecordingError
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 
+#: Reading takes no longer than this, s; with a damaged length the library goes on for minutes.
+_LONGEST_S = 20
+
+
 def read_c3d(path: Path) -> Markers:
     """Read the points of a C3D file.
 
@@ -94,6 +98,7 @@ def _crashes(path: Path) -> bool:
     Its C++ reads past the end of parameters whose lengths are damaged.
     """
     import os
+    import signal
 
     import ezc3d
 
@@ -104,6 +109,7 @@ def _crashes(path: Path) -> bool:
         child = os.fork()
     if child == 0:
         try:
+            signal.alarm(_LONGEST_S)
             os.close(2)  # what the library says while it crashes is no message
             ezc3d.c3d(str(path))
         except BaseException:  # a refusal is no crash
