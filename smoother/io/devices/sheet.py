@@ -249,15 +249,19 @@ def _even_rows(
 ) -> tuple[list[str], Sequence[int], list[str]]:
     """Rows with equally many cells, the indices of their lines, and what was done to get there."""
     first, width = layout.first_row, layout.width
-    rows = lines[first:]
-    numbers: Sequence[int] = range(first, len(lines))
+    end = len(lines)
+    while end > first and not lines[end - 1].strip():
+        end -= 1
+    rows = lines[first:end]
+    numbers: Sequence[int] = range(first, end)
     mark = "\t" if layout.separator == " " else layout.separator
     if layout.separator == " ":
         rows = ["\t".join(row.replace('"', "").split()) for row in rows]
     counts = [_separators(row, mark) for row in rows]
     usual = Counter(counts).most_common(1)[0][0]
     header = lines[layout.header].strip() if layout.header >= 0 else None
-    if usual == width - 1 and counts.count(usual) == len(rows) and header not in rows:
+    # Separators behind the last column make empty columns, which do no harm.
+    if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:
         return rows, numbers, []
     even, indices, short, long, repeated = [], [], 0, 0, 0
     for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
@@ -301,7 +305,8 @@ def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [str(at) for at in range(layout.width)]
+    mark = "\t" if layout.separator == " " else layout.separator
+    names = [str(at) for at in range(max(layout.width, _separators(rows[0], mark) + 1 if rows else 0))]
     data = "\n".join(rows).encode("utf-8", errors="replace")
     try:
         return arrow_csv.read_csv(
@@ -310,7 +315,7 @@ def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
                 column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
             ),
             arrow_csv.ParseOptions(
-                delimiter="\t" if layout.separator == " " else layout.separator,
+                delimiter=mark,
                 invalid_row_handler=lambda _: "skip",
             ),
             arrow_csv.ConvertOptions(

@@ -404,9 +404,9 @@ def test_fifty_thousand_rows_in_under_a_second(tmp_path: Path):
     header = ",".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag")])
     body = rows(np.arange(COUNT), MICROS, ACC, DEG, ACC)
     path = written(tmp_path, *PREAMBLE, header, *(body * (50_000 // COUNT)))
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: others may keep the machine busy
     (table,) = read(path, "xsens-dot")
-    assert time.perf_counter() - start < 1.0 and len(table.acc) == 50_000
+    assert time.process_time() - start < 1.0 and len(table.acc) == 50_000
 
 
 @pytest.mark.parametrize(
