@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from .assumed_units import acceleration_unit, time_unit, turning_unit, unit_by_size
 from .imu_checks import holds_gravity, with_settled_unit
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
@@ -15,96 +16,26 @@ from .protocol import FileHead, ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout, is_data, layout_of, split_line
 
+#: Columns of time; units behind them (time_ms) are taken off already.
 _TIMES = (
-    *(
-        "timestamp",
-        "time",
-        "t",
-        "timestamp_ns",
-        "time_ns",
-        "sensor_timestamp",
-        "sensortimestamp",
-        "event_timestamp",
-    ),
-    *(
-        "eventtimestamp",
-        "timestamp_nano",
-        "timestamp_us",
-        "timestamp_ms",
-        "time_ms",
-        "time_us",
-        "time_s",
-        "unix_time",
-    ),
-    *(
-        "unixtime",
-        "epoch",
-        "epoch_ms",
-        "epoch_ns",
-        "elapsed_ns",
-        "elapsed_ms",
-        "seconds_elapsed",
-        "seconds",
-        "elapsed",
-    ),
-    *(
-        "elapsedrealtime",
-        "elapsedrealtimenanos",
-        "elapsed_realtime_nanos",
-        "time since start in ms",
-        "datetime",
-    ),
-    *(
-        "date",
-        "t_s",
-        "ts",
-        "milliseconds",
-        "nanoseconds",
-        "timestamp(ns)",
-        "systemtime",
-        "system_time",
-        "phone_time",
-    ),
+    *("timestamp", "time", "t", "sensor_timestamp", "sensortimestamp", "event_timestamp", "eventtimestamp"),
+    *("timestamp_nano", "unix_time", "unixtime", "epoch", "seconds_elapsed", "seconds", "elapsed", "ts"),
+    *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
+    *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
 )
-_ACC = (
-    "acc",
-    "accel",
-    "accelerometer",
-    "acceleration",
-    "a",
-    "total acceleration",
-    "totalacceleration",
-    "accelerometer_acc",
-)
+_ACC = ("acc", "accel", "accelerometer", "acceleration", "a", "total acceleration", "totalacceleration")
 _GYRO = (
-    "gyr",
-    "gyro",
-    "gyroscope",
-    "g",
-    "w",
-    "angular velocity",
-    "angular_velocity",
-    "rotation rate",
-    "rotationrate",
-    "omega",
+    *("gyr", "gyro", "gyroscope", "g", "w", "angular velocity", "angular_velocity"),
+    *("rotation rate", "rotationrate", "omega"),
 )
 _BARE = ("", "value", "values", "v", "axis")
 _WITHOUT_G = (
-    "linear acceleration",
-    "linear_acceleration",
-    "linearacceleration",
-    "linacc",
+    *("linear acceleration", "linear_acceleration", "linearacceleration", "linacc"),
     "user acceleration",
 )
 _SIGNS = ("xyz", "012", "123")
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")
-_SUFFIX = re.compile(r"(?:_|\s|\(|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)\)?$")
-#: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
-_RATES = (3.0, 2500.0)
-#: Sizes that are gravity in m/s^2, and in g.
-_IS_GRAVITY, _IS_ONE_G = (8.0, 12.0), (0.85, 1.15)
-#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
-_FAST = 40.0
+_SUFFIX = re.compile(r"(?:_|\s|\b)(ns|nano\w*|us|micro\w*|ms|milli\w*|s|sec\w*)$")
 
 #: Of the app Sensor Logger, whose columns are time, seconds_elapsed, z, y, x on both systems.
 _SENSOR_LOGGER = (
@@ -136,7 +67,7 @@ class AndroidLog(ImuSheetFormat):
             times = np.array([float(row[0].replace(",", ".")) for row in rows])
         except ValueError:
             return False
-        return len(times) > 3 and times[0] > 1e6 and _time_unit("", times) is not None
+        return len(times) > 3 and times[0] > 1e6 and time_unit("", times) is not None
 
     def fits(self, layout: TableLayout) -> bool:
         """Whether there is a time and a vector; four columns without header are a time and a vector."""
@@ -160,17 +91,16 @@ class AndroidLog(ImuSheetFormat):
         if acc is None and gyro is None:
             raise RecordingError(
                 f"{sheet.path} is a {self.title} of acceleration without gravity; log the raw accelerometer"
-                " and the"
-                " gyroscope."
+                " and the gyroscope."
             )
         table = ImuTable(name="", t_s=t_s, acc=None, gyro=None, notes=notes)
         units = []
         if acc is not None:
-            unit = plain_unit(sheet.unit(acc[0])) or _acceleration_unit(sheet.vectors(acc), notes, sheet)
+            unit = plain_unit(sheet.unit(acc[0])) or acceleration_unit(sheet.vectors(acc), notes, sheet.path)
             table.acc = specific_force(sheet, acc, unit)
             units.append((acc, unit))
         if gyro is not None:
-            unit = plain_unit(sheet.unit(gyro[0])) or _turning_unit(sheet.vectors(gyro), notes)
+            unit = plain_unit(sheet.unit(gyro[0])) or turning_unit(sheet.vectors(gyro), notes)
             table.gyro = angular_velocity(sheet, gyro, unit)
             table.gyro_unit_assumed = not sheet.unit(gyro[0])
             units.append((gyro, unit))
@@ -199,25 +129,13 @@ def _times(sheet: Sheet) -> tuple[FloatArray, list[str]]:
         return times * TIME[stated], []
     said = {"n": "ns", "u": "us", "m": "ms", "s": "s"}[suffix.group(1)[0]] if suffix else ""
     said = "us" if suffix and suffix.group(1).startswith("micro") else said
-    unit = _time_unit(said, times)
+    unit = time_unit(said, times)
     if unit is None:
         raise RecordingError(
             f"{sheet.path} has times in {sheet.name(column or 0)} that are no s, ms, us or ns of a sensor"
-            " at 3 to 2,500"
-            " Hz; describe it in a recording.toml (`unocclude import describe` prints one)."
+            " at 3 to 2,500 Hz; describe it in a recording.toml (`unocclude import describe` prints one)."
         )
     return times * TIME[unit], [] if said == unit else [f"Times are in {unit}, by the rate that they give."]
-
-
-def _time_unit(stated: str, times: FloatArray) -> str | None:
-    """Unit in which times give a rate that a sensor may have; the stated one where it does."""
-    dt = np.diff(times[np.isfinite(times)])
-    dt = dt[dt > 0]
-    if not len(dt):
-        return None
-    mean = float(np.minimum(dt, 20 * np.median(dt)).mean())
-    fitting = [unit for unit in ("s", "ms", "us", "ns") if _RATES[0] < 1 / (mean * TIME[unit]) < _RATES[1]]
-    return stated if stated in fitting else next(iter(fitting), None)
 
 
 def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes: list[str]) -> list[ImuTable]:
@@ -236,9 +154,9 @@ def _by_name(sheet: Sheet, kinds: int, columns: Columns, t_s: FloatArray, notes:
         )
         own: list[str] = list(notes)
         if part == "acc":
-            unit = stated or _acceleration_unit(values[rows], own, sheet)
+            unit = stated or acceleration_unit(values[rows], own, sheet.path)
         else:
-            unit = stated or _turning_unit(values[rows], own)
+            unit = stated or turning_unit(values[rows], own)
         half = ImuTable(
             "", t_s[rows], None, None, units=unit, notes=[*own, f"Rows of '{written[:40]}' were read."]
         )
@@ -254,15 +172,11 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
     """A vector whose columns do not say what it is, by its unit or the size of its values."""
     stated = plain_unit(sheet.unit(columns[0]))
     values = sheet.vectors(columns)
-    size = np.linalg.norm(values, axis=1)
-    size = size[np.isfinite(size)]
-    if not len(size):
+    if not np.isfinite(values).all(axis=1).any():
         raise RecordingError(f"{sheet.path} holds no samples; export it again.")
     half = ImuTable("", t_s, None, None, notes=notes)
-    low, median, high = np.percentile(size, (25, 50, 75))
-    one_g = _IS_ONE_G[0] < median < _IS_ONE_G[1] and high - low < 0.3
-    if stated in ACCELERATION or (not stated and (_IS_GRAVITY[0] < median < _IS_GRAVITY[1] or one_g)):
-        unit = stated or ("g" if one_g else "m/s^2")
+    unit = stated or unit_by_size(values, sheet.path)
+    if unit in ACCELERATION:
         half.acc = specific_force(sheet, columns, unit)
         if half.acc is not None and not holds_gravity(half.acc):
             raise RecordingError(
@@ -271,7 +185,6 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
             )
         what = "an accelerometer"
     else:
-        unit = stated or ("deg/s" if np.percentile(size, 99) > _FAST else "rad/s")
         half.gyro = angular_velocity(sheet, columns, unit)
         half.gyro_unit_assumed = not stated
         what = "a gyroscope"
@@ -281,31 +194,3 @@ def _by_size(sheet: Sheet, columns: Columns, t_s: FloatArray, notes: list[str]) 
             f"The columns do not say what they are; by the size of its values this is {what} in {unit}."
         )
     return half
-
-
-def _acceleration_unit(values: FloatArray, notes: list[str], sheet: Sheet) -> str:
-    """Unit of an accelerometer that states none: m/s^2 as on Android, or g where gravity is 1."""
-    size = np.linalg.norm(values, axis=1)
-    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
-        notes.append("The accelerometer states no unit; gravity is 1, so it is in g.")
-        return "g"
-    if 700 < median < 1300:
-        notes.append("The accelerometer states no unit; gravity is 1000, so it is in mg.")
-        return "mg"
-    if not 0.35 < median / 9.81 < 2:
-        raise RecordingError(
-            f"{sheet.path} states no unit of acceleration, and its usual size of {median:.3g} is neither"
-            " 9.81 m/s^2"
-            " nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
-        )
-    notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
-    return "m/s^2"
-
-
-def _turning_unit(values: FloatArray, notes: list[str]) -> str:
-    """Unit of a gyroscope that states none: rad/s as on Android, or deg/s where it is too fast for that."""
-    fast = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
-    unit = "deg/s" if fast > _FAST else "rad/s"
-    notes.append(f"The gyroscope states no unit; by the size of its values it is in {unit}.")
-    return unit

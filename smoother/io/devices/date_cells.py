@@ -15,6 +15,12 @@ _DATE = re.compile(
     r"(\d\d?)[:.](\d\d)[:.](\d\d)(?:[.,:_](\d+))?\s*([AaPp][Mm])?\s*"
     r"(?:Z|UTC|GMT)?\s*(?:([+-])(\d\d?):?(\d\d)?)?"
 )
+#: To the way of writing that Arrow reads: from 2026/01/31, 10:11:12,5, and a blank before +0100.
+_PLAINER = (
+    (r"^(\d{4})[/.](\d\d)[/.](\d\d)", r"\1-\2-\3"),
+    (r"(:\d\d),(\d{1,9})", r"\1.\2"),
+    (r"\s+([+-]\d\d:?\d\d|Z)$", r"\1"),
+)
 _TIME_OF_DAY = re.compile(r"(\d\d?):(\d\d):(\d\d)(?:[.,:_](\d+))?")
 _DAY_S = 86_400.0
 
@@ -47,6 +53,8 @@ def _by_arrow(cells: Sequence[str]) -> FloatArray | None:
     import pyarrow.compute as pc
 
     text = pa.array(cells, pa.string())
+    for pattern, plain in _PLAINER:
+        text = pc.replace_substring_regex(text, pattern, plain)
     for zone in (None, "UTC"):
         try:
             stamps = pc.cast(pc.cast(text, pa.timestamp("ns", zone)), pa.int64())

@@ -23,6 +23,11 @@ class ImuSheetFormat:
     """An importer of a table of inertial sensors; see `DeviceFormat`.
 
     A subclass says which layouts are its own (`fits`) and reads them (`tables`).
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        As in `DeviceFormat`.
     """
 
     key = ""

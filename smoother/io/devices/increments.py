@@ -34,3 +34,11 @@ def angular_velocity_of(rotation_increment: FloatArray, rate_hz: float) -> Float
     # At small angles the rotation vector is twice the vector part.
     factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0)
     return xyz * factor * rate_hz
+
+
+def rate_of(t_s: FloatArray | None) -> float | None:
+    """Samples a second by the usual step of stamps (n,) in any order; None where there is no step."""
+    if t_s is None:
+        return None
+    steps = np.diff(np.unique(t_s[np.isfinite(t_s)]))
+    return float(1 / np.median(steps)) if len(steps) else None

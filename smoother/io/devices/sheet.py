@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,13 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from .date_cells import seconds_of_dates
 from .head import decode, shown
-from .table_layout import TableLayout, layout_of, split_line
+from .sheet_rows import even_rows, separators_in
+from .table_layout import TableLayout, layout_of
 
 #: Cells without a value, in lower case.
 MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
 _PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
 _WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
-_QUOTED = re.compile(r'"[^"]*"')
 
 
 class Sheet:
@@ -255,68 +254,15 @@ def sheet_of_text(
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
-    whole_end = not lines[-1].strip()
     layout = layout or layout_of(lines)
     if layout is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
         raise RecordingError(
             f"{path} should be {expected}, but no rows of numbers were found; it begins: {seen}"
         )
-    rows, numbers, notes = _even_rows(lines, layout, whole_end)
+    rows, numbers, notes = even_rows(lines, layout)
     table = _parse(path, rows, layout)
     return Sheet(path, layout, table, numbers, notes)
-
-
-def _even_rows(
-    lines: list[str], layout: TableLayout, whole_end: bool
-) -> tuple[list[str], Sequence[int], list[str]]:
-    """Rows with equally many cells, the indices of their lines, and what was done to get there."""
-    first, width = layout.first_row, layout.width
-    rows = lines[first:]
-    numbers: Sequence[int] = range(first, len(lines))
-    mark = "\t" if layout.separator == " " else layout.separator
-    if layout.separator == " ":
-        rows = ["\t".join(row.replace('"', "").split()) for row in rows]
-    counts = [_separators(row, mark) for row in rows]
-    usual = Counter(counts).most_common(1)[0][0]
-    header = lines[layout.header].strip() if layout.header >= 0 else None
-    if usual == width - 1 and counts.count(usual) == len(rows) and header not in rows:
-        return rows, numbers, []
-    even, indices, short, long, repeated = [], [], 0, 0, 0
-    for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
-        if not row.strip(mark + " "):
-            continue
-        if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
-            repeated += 1
-            continue
-        if count < usual and at == len(rows) - 1 and not whole_end:
-            continue  # said below
-        cells_needed = width - 1
-        if count < cells_needed:
-            short += count < usual
-            row += mark * (cells_needed - count)
-        elif count > cells_needed:
-            cells = split_line(row, mark)
-            if any(cells[width:]):
-                long += 1
-                continue
-            row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
-        even.append(row)
-        indices.append(first + at)
-    notes = []
-    if not whole_end and counts[-1] < usual:
-        notes.append("The last line is cut off and was left out.")
-    if repeated:
-        notes.append(f"{repeated} repeated headers among the rows were left out.")
-    if short:
-        notes.append(f"{short} rows are shorter than the others; what they lack counts as missing.")
-    if long:
-        notes.append(f"{long} rows with more cells than columns were left out.")
-    return even, indices, notes
-
-
-def _separators(row: str, mark: str) -> int:
-    return (_QUOTED.sub("", row) if '"' in row else row).count(mark)
 
 
 def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
@@ -324,7 +270,8 @@ def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [str(at) for at in range(layout.width)]
+    mark = "\t" if layout.separator == " " else layout.separator
+    names = [str(at) for at in range(max(layout.width, separators_in(rows[0], mark) + 1 if rows else 0))]
     data = "\n".join(rows).encode("utf-8", errors="replace")
     try:
         return arrow_csv.read_csv(
@@ -333,7 +280,7 @@ def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
                 column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
             ),
             arrow_csv.ParseOptions(
-                delimiter="\t" if layout.separator == " " else layout.separator,
+                delimiter=mark,
                 invalid_row_handler=lambda _: "skip",
             ),
             arrow_csv.ConvertOptions(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ...errors import RecordingError
 from .imu_sheet import (
     ImuSheetFormat,
@@ -14,7 +12,7 @@ from .imu_sheet import (
     specific_force,
     units_said,
 )
-from .increments import acceleration_of, angular_velocity_of
+from .increments import acceleration_of, angular_velocity_of, rate_of
 from .protocol import ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout
@@ -73,7 +71,7 @@ class XsensDot(ImuSheetFormat):
                 " quantities',"
                 " which hold acceleration and angular velocity."
             )
-        rate = table.rate_hz or _rate(table)
+        rate = table.rate_hz or rate_of(table.t_s)
         if rate is None:
             raise RecordingError(
                 f"{sheet.path} holds increments but neither SampleTimeFine nor OutputRate; export it again"
@@ -103,11 +101,3 @@ def _fused_only(layout: TableLayout, table: ImuTable) -> str:
     if table.gyro is not None:
         return "angular velocity but no acceleration (free acceleration is without gravity)"
     return "quaternions and free acceleration only" if layout.find(*_FUSED) is not None else "no raw sensors"
-
-
-def _rate(table: ImuTable) -> float | None:
-    if table.t_s is None or len(table.t_s) < 2:
-        return None
-    dt = np.diff(table.t_s)
-    dt = dt[dt > 0]
-    return float(1 / np.median(dt)) if len(dt) else None

@@ -15,7 +15,7 @@ from .imu_sheet import (
     specific_force,
     units_said,
 )
-from .increments import acceleration_of, angular_velocity_of
+from .increments import acceleration_of, angular_velocity_of, rate_of
 from .protocol import ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout
@@ -85,9 +85,9 @@ class XsensMt(ImuSheetFormat):
                 f"{sheet.path} is an {self.title} without raw sensors; export it again with calibrated data"
                 " (acceleration and rate of turn: Acc_X .., Gyr_X ..)."
             )
-        rate = table.rate_hz or float(
-            1 / np.median(np.diff(table.t_s if table.t_s is not None else [0.0, 1.0]))
-        )
+        rate = table.rate_hz or rate_of(table.t_s)
+        if rate is None:
+            raise RecordingError(f"{sheet.path} has increments and no times that go on; export it again.")
         table.acc = acceleration_of(sheet.vectors(velocity), rate)
         table.gyro = angular_velocity_of(sheet.vectors([at for at in rotation if at is not None]), rate)
         table.units = "VelInc in m/s, OriInc"

@@ -404,9 +404,9 @@ def test_fifty_thousand_rows_in_under_a_second(tmp_path: Path):
     header = ",".join(["PacketCounter", "SampleTimeFine", *xyz("Acc"), *xyz("Gyr"), *xyz("Mag")])
     body = rows(np.arange(COUNT), MICROS, ACC, DEG, ACC)
     path = written(tmp_path, *PREAMBLE, header, *(body * (50_000 // COUNT)))
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: others may keep the machine busy
     (table,) = read(path, "xsens-dot")
-    assert time.perf_counter() - start < 1.0 and len(table.acc) == 50_000
+    assert time.process_time() - start < 1.0 and len(table.acc) == 50_000
 
 
 @pytest.mark.parametrize(
@@ -446,3 +446,15 @@ def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
     table = paired([acc_table, gyro], "two files")
     np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
     assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
+
+
+@pytest.mark.parametrize(
+    "values, said",
+    [
+        (45 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True) + 0.3 * GYRO, "looks like a magnetometer"),
+        (9.80665 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True), "gravity as the system estimates it"),
+    ],
+)
+def test_other_vectors_of_a_phone_are_no_imu(tmp_path: Path, values: np.ndarray, said: str):
+    with pytest.raises(RecordingError, match=said):
+        read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, values)), "android")

@@ -162,7 +162,7 @@ def test_fifty_thousand_rows_are_fast():
     row = ",".join(["1629403337780.7312", *["-1.7896263181"] * 9])
     text = "\n".join([",".join(f"column {k}" for k in range(10))] + [row] * 50_000)
     read(text[:5000]).numbers(0)  # Arrow is loaded
-    start = time.perf_counter()
+    start = time.process_time()  # of this process alone: others may keep the machine busy
     sheet = read(text)
     assert sheet.vectors(range(10)).shape == (50_000, 10)
-    assert time.perf_counter() - start < 0.5
+    assert time.process_time() - start < 0.5
