@@ -129,6 +129,18 @@ def test_lost_markers(tmp_path: Path) -> None:
     assert table.state["wrist_right"][9] == JointState.TRACKED
 
 
+def test_a_unit_that_is_not_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    points = {name: 1000 * made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")}
+    made.trc(path, points, "m")
+    table = read(path, "trc")
+    assert_allclose(table.position["wrist_right"], made.part("RWrist", FRAMES), atol=1e-6)
+    assert any("The file states m" in note and "1000 times smaller" in note for note in table.notes)
+    made.trc(path, {name: 1e6 * rows for name, rows in points.items()}, "mm")
+    with pytest.raises(RecordingError, match=r"a\.trc"):
+        read(path, "trc")
+
+
 def test_no_arm(tmp_path: Path) -> None:
     path = tmp_path / "a.trc"
     made.trc(path, {name: made.part("LHip", FRAMES) for name in ("LASI", "RASI", "LWRIST")})
