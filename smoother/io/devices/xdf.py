@@ -21,7 +21,7 @@ from .joint_names import words_of
 from .pairing import paired
 from .protocol import FileHead, ImuTable, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton
-from .wide_skeleton import guessed_states
+from .wide_skeleton import kinect_states, states_of
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     raw = RawSkeleton(
         path,
         {joint: values[:, triple] for joint, triple in columns.axes.items()},
-        {joint: guessed_states(values[:, column]) for joint, column in columns.confidence.items()},
+        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
         time=stream.t_s,
         time_scale=1.0,
         body=None

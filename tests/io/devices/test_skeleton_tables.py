@@ -243,3 +243,84 @@ def test_no_body_in_view(tmp_path: Path) -> None:
     path.write_text("\n".join([header, *(";".join([*row.split(";")[:2], *["0"] * 128]) for row in rows)]))
     with pytest.raises(RecordingError, match=r"a\.csv names joints and holds no position"):
         read(path, "azure-kinect")
+
+
+@pytest.mark.parametrize(
+    "style",
+    [
+        "{name}_{axis} (mm)",
+        "{name}_pos_{axis}",
+        "{axis}_{name}",
+        "{lower}.position.{axis}",
+        "K4ABT_JOINT_{name} {axis}",
+    ],
+)
+@pytest.mark.parametrize(
+    ("time", "step"),
+    [("timestamp_usec", 33_333), ("Time", 0.033333), ("ts_ms", 33.333), ("time [s]", 0.033333)],
+)
+def test_spellings(tmp_path: Path, style: str, time: str, step: float) -> None:
+    header = [time] + [style.format(name=n, lower=n.lower(), axis=a) for n in AZURE for a in "xyz"]
+    points = 1000 * np.stack([made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
+    rows: list[list[object]] = [header, *([at * step, *points[at].ravel().tolist()] for at in range(FRAMES))]
+    (table,) = read(write(tmp_path / "a.csv", rows), "azure-kinect")
+    assert_allclose(table.t_s, 0.033333 * np.arange(FRAMES), atol=1e-9)
+    assert_allclose(table.position["hand_left"], made.expected("hand_left", FRAMES, "optical"), atol=1e-9)
+
+
+def test_lsl_kinect_with_shares_of_one(tmp_path: Path) -> None:
+    joints = made.kinect_v2(FRAMES)
+    rows: list[list[object]] = [
+        ["Timestamp"] + [f"{n}_{f}" for n in KINECT_V2 for f in ("X", "Y", "Z", "Conf")]
+    ]
+    for at in range(FRAMES):
+        rows.append(
+            [1_593_777_707.5 + at / 15, *(v for point in joints[at] for v in (*point, 1.0 - 0.5 * (at == 3)))]
+        )
+    path = write(tmp_path / "a.csv", rows)
+    path.write_text("Software : LSL_Kinect,Version : 1.0,Stream nominal rate : 15\n" + path.read_text())
+    (table,) = read(path, "kinect-v2")
+    assert table.state["wrist_left"][:5].tolist() == [2, 2, 2, 1, 2]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path: Path, seed: int) -> None:
+    """A table, damaged in twenty-five ways: no other error, and no arm of another length than an arm's."""
+    rng = np.random.default_rng(seed)
+    path = tmp_path / "a.csv"
+    made.azure_csv(path, 12, body=(1, 2) if seed % 2 else (1,))
+    whole = path.read_bytes()
+    for _ in range(25):
+        data = bytearray(whole)
+        for _ in range(int(rng.integers(1, 5))):
+            at = int(rng.integers(len(data)))
+            end = at + int(rng.choice([1, 5, 80, 2000]))
+            new = [
+                b"",
+                bytes(data[at:end]) * 2,
+                b"nan",
+                b"1e308",
+                b";;",
+                b"\n",
+                b"\0",
+                b"-",
+                b"1,5",
+                b"\xff\xfe",
+            ]
+            data[at:end] = new[int(rng.integers(len(new)))]
+        path.write_bytes(bytes(data) or b" ")
+        importer = recognise(read_head(path))
+        if importer is None:
+            continue
+        try:
+            tables = importer.read(path)
+        except RecordingError as error:
+            assert "\n" not in str(error)
+            assert len(str(error)) < 600
+            continue
+        for table in tables:
+            assert isinstance(table, SkeletonTable)
+            arm = table.position.get("elbow_right"), table.position.get("wrist_right")
+            if arm[0] is not None and arm[1] is not None:
+                length = np.linalg.norm(arm[0] - arm[1], axis=1)
+                assert not np.nanmedian(np.append(length, 0.25)) > 1.0
