@@ -76,7 +76,9 @@ def test_counters():
     number = np.delete(np.arange(70_000), [500, 501, 40_000])
     counts, restarts = counted((number + 65_000) % 65_536, 65_536)
     assert np.array_equal(counts, number) and restarts == 2
-    assert np.array_equal(counted(np.array([0, 4, 8, 16]), 0)[0], [0, 1, 2, 4])  # counts ticks of a faster clock
+    assert np.array_equal(
+        counted(np.array([0, 4, 8, 16]), 0)[0], [0, 1, 2, 4]
+    )  # counts ticks of a faster clock
     assert np.array_equal(counted(np.array([900, 901, 5, 6]), 65_536)[0], [0, 1, 2, 3])  # started anew
 
 

@@ -12,10 +12,11 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from ...units import STANDARD_GRAVITY
 from .arm_lengths import unit_by_arm
+from .imu_checks import WRONG_SCALE, turn_scale
 from .joint_columns import find_joint_columns
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
+from .protocol import ImuTable
 from .sheet import Sheet
-from .turning import gyroscope_scale
 
 #: Words of a column's name by what the column is.
 _ACCELEROMETER = r"(?:^|[^a-z])(?:a|acc|accel|accelero\w*|acceleration|lacc|specific ?force)(?=$|[^a-z])"
@@ -148,14 +149,15 @@ def _axes_of(sheet: Sheet) -> list[tuple[str, tuple[int, int, int]]]:
 def _by_magnitude(sheet: Sheet, guess: Guess) -> tuple[tuple[int, int, int] | None, ...]:
     """Accelerometer and gyroscope of a table without names: three columns whose length stays near one g."""
     columns = [column for column in range(sheet.layout.width) if _is_numeric(sheet, column)]
-    best, near = None, 0.0
+    best, near, least = None, 0.0, np.inf
     for at in range(len(columns) - 2):
         three = (columns[at], columns[at + 1], columns[at + 2])
         length = np.linalg.norm(sheet.vectors(three), axis=1)
         share = max(float(np.mean(np.abs(length / one - 1) < 0.2)) for one in (1.0, STANDARD_GRAVITY, 1000.0))
+        spread = float(np.nanstd(length) / np.nanmedian(length))
         # a part of a quaternion stays near 1 as well, and far more evenly than any force
-        if share > max(near, 0.5) and np.nanstd(length) > 0.003 * np.nanmedian(length):
-            best, near = three, share
+        if share > 0.5 and 1e-3 < spread < least:
+            best, near, least = three, share, spread
     if best is None:
         return None, None
     guess.reasons["a"] = f"the length of these three stays near one g in {100 * near:.0f} % of the rows"
@@ -263,10 +265,14 @@ def _gyroscope_unit(
         guess.keys["gyroscope_unit"] = unit
         guess.reasons["gyroscope_unit"] = "its smallest step is that of a 16-bit sensor in this unit"
         return
-    scale = None if t_s is None or acc is None else gyroscope_scale(t_s, sheet.vectors(acc), values)
+    scale = None
+    if t_s is not None and acc is not None:
+        force = sheet.vectors(acc)
+        force = force * (STANDARD_GRAVITY / _rest_length(force))
+        scale = turn_scale(ImuTable("", t_s, force, values))
     fast = float(np.nanpercentile(np.linalg.norm(values, axis=1), 99))
     if scale is not None:
-        unit = "deg/s" if scale > np.sqrt(180 / np.pi) else "rad/s"
+        unit = "deg/s" if scale < 1 / WRONG_SCALE else "rad/s"
         guess.keys["gyroscope_unit"] = unit
         guess.reasons["gyroscope_unit"] = "so it turns as gravity does in the accelerometer"
         return

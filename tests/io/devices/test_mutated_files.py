@@ -141,7 +141,7 @@ def sound_units(file: RecordingFile, exactly: bool = False) -> None:
 
 
 def test_damaged_files(tmp_path: Path):
-    """2,000 of them, spread over all layouts; none gives another exception, a wrong unit or a long message."""
+    """2,000 of them over all layouts: no other exception, no wrong unit, no long message."""
     random_ = random.Random(15)
     originals = {}
     for key, make in made.EXAMPLES.items():

@@ -16,7 +16,7 @@ from smoother.io.devices.starts import Timed, shifts
 N = 2000
 T = np.arange(N) / 100.0
 RNG = np.random.default_rng(0)
-ACC = RNG.normal(0, 1, (N, 3)) + [0, 0, 9.81]
+ACC = RNG.normal(0, 1, (N, 3)) + np.array([0, 0, 9.81])
 GYRO = RNG.normal(0, 1, (N, 3))
 
 
