@@ -43,7 +43,7 @@ EVEN = 0.04
 #: Of a level before or after a step at most about so many samples are ranked.
 QUICK = 100
 #: With fewer samples nothing is estimated.
-FEWEST = 20
+FEWEST = 50
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,10 @@ def _pauses(t_s: FloatArray, departure: FloatArray, tick: float) -> list[tuple[i
     def lasts(step: float, jump: float) -> bool:
         return abs(step) > max(0.5 * abs(jump), 0.6 * least) and (step > 0) == (jump > 0)
 
-    jumps = (np.flatnonzero((dt > least) | (dt < -PAUSE_S)) + 1).tolist()
+    jumps = np.flatnonzero((dt > least) | (dt < -PAUSE_S)) + 1
+    # With few samples beside it a burst looks like a pause; only a long jump is one all the same.
+    inside = (jumps >= before // 2) & (jumps <= len(t_s) - before // 2)
+    jumps = jumps[inside | (dt[jumps - 1] > BEFORE_S)].tolist()
     candidates = np.array([r for r in jumps if lasts(step_over(r, r), float(dt[r - 1]))], np.int64)
     pauses: list[tuple[int, float]] = []
     for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > before) + 1):

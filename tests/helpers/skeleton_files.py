@@ -13,11 +13,13 @@ from smoother.io.devices.joint_names import AZURE, BLAZEPOSE, BODY_25, KINECT_V2
 #: Parts of a standing body, m: x to its left, y up, z to its back; the origin under it.
 _PARTS = {
     "pelvis": (0.0, 0.95, 0.0), "navel": (0.0, 1.1, 0.0), "chest": (0.0, 1.25, 0.0), "neck": (0.0, 1.45, 0.0),
-    "head": (0.0, 1.6, 0.0), "nose": (0.0, 1.6, -0.1), "clavicle": (0.08, 1.42, 0.0),
-    "shoulder": (0.18, 1.4, 0.0), "elbow": (0.22, 1.12, 0.0), "wrist": (0.24, 0.9, -0.08),
+    "head": (0.0, 1.6, 0.0), "nose": (0.0, 1.6, -0.1),
+    "clavicle": (0.08, 1.42, 0.0), "shoulder": (0.18, 1.4, 0.0), "elbow": (0.22, 1.12, 0.0),
+    "wrist": (0.24, 0.9, -0.08),
     "hand": (0.25, 0.84, -0.1), "handtip": (0.25, 0.78, -0.1), "thumb": (0.22, 0.82, -0.12),
     "hip": (0.1, 0.92, 0.0), "knee": (0.1, 0.5, 0.0), "ankle": (0.1, 0.08, 0.0), "foot": (0.1, 0.02, -0.15),
-    "eye": (0.03, 1.63, -0.09), "ear": (0.07, 1.6, 0.0), "mouth": (0.02, 1.55, -0.09), "heel": (0.1, 0.03, 0.05),
+    "eye": (0.03, 1.63, -0.09), "ear": (0.07, 1.6, 0.0), "mouth": (0.02, 1.55, -0.09),
+    "heel": (0.1, 0.03, 0.05),
     "pinky": (0.27, 0.8, -0.1), "index": (0.24, 0.79, -0.11),
 }  # fmt: skip
 _ALIAS = {
@@ -97,7 +99,8 @@ def landmarks(frames: int) -> np.ndarray:
 
 def kinect_v2(frames: int) -> np.ndarray:
     """Joints (frames, 25, 3) in the Kinect v2's order and axes, m."""
-    return np.stack([part(name, frames) for name in KINECT_V2], axis=1) + [0.0, -1.0, 2.5]
+    joints = np.stack([part(name, frames) for name in KINECT_V2], axis=1)
+    return np.asarray(joints + np.array([0.0, -1.0, 2.5]))
 
 
 def body_25(frames: int) -> np.ndarray:
@@ -106,7 +109,7 @@ def body_25(frames: int) -> np.ndarray:
 
 
 def xdf(path: Path, streams: Sequence[dict[str, object]]) -> None:
-    """An XDF file: streams with `name`, `type`, `rate`, `channels` (label, unit), `t_s`, `values`, `offset`."""
+    """An XDF file of streams: `name`, `type`, `rate`, `channels`, `t_s`, `values`, `offset`."""
     out = bytearray(b"XDF:")
 
     def chunk(tag: int, content: bytes) -> None:

@@ -15,7 +15,7 @@ from .joint_names import AZURE, KINECT_V2, joint_name
 from .protocol import FileHead, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton
 from .sheet import read_sheet, sheet_of_text
-from .wide_skeleton import azure_states, inferred_throughout, kinect_states
+from .wide_skeleton import azure_states, inferred_throughout, kinect_states, states_of
 
 #: Numbers a joint: position; with a state; with a quaternion; with both.
 _PER_JOINT = (3, 4, 7, 8)
@@ -95,15 +95,16 @@ class BareKinect:
             )
         raw = RawSkeleton(path, {}, notes=list(sheet.notes))
         is_azure = len(order.joints) == len(AZURE)
+        confidence: dict[str, FloatArray] = {}
         for number, written in enumerate(order.joints):
             name = joint_name(written)
             if name is not None and name.joint:
                 raw.position[name.joint] = order.position(rows, number)
-                state = order.state(rows, number)
-                if state is not None:
-                    raw.state[name.joint] = azure_states(state) if is_azure else kinect_states(state)
+                if (state := order.state(rows, number)) is not None:
+                    confidence[name.joint] = state
             elif name is not None:
                 raw.rest.append((name, order.position(rows, number)))
+        raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
         _leading(raw, rows[:, : order.leading])
         inferred_throughout(raw)
         device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"

@@ -1,4 +1,4 @@
-"""Skeletons in C3D files: model markers and joint centres."""
+"""Skeletons in C3D files: model markers, joint centres, and Theia3D's poses of segments."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from ..markers.c3d import read_c3d
 from .marker_joints import skeleton_of
 from .protocol import FileHead, SkeletonTable
+from .segment_origins import read_segment_origins
 
 #: Processor types of a C3D file's parameters: Intel, DEC, SGI.
 _PROCESSORS = (84, 85, 86)
@@ -24,7 +25,7 @@ class C3dSkeleton:
     """
 
     key: str = "c3d"
-    title: str = "C3D model markers"
+    title: str = "C3D model markers or Theia3D segments"
     kind: str = "skeleton"
     recognised_by: str = "the second byte 0x50, and a block of parameters where the first byte points"
 
@@ -43,4 +44,5 @@ class C3dSkeleton:
         RecordingError
             The file is damaged, or none of its points is an arm's joint.
         """
-        return [skeleton_of(read_c3d(path), path, y_up=False)]
+        markers = read_segment_origins(path) or read_c3d(path)
+        return [skeleton_of(markers, path, y_up=False)]

@@ -54,6 +54,8 @@ _NOISE = {
 }
 #: A gyroscope's values beyond this are deg/s, whatever moved: 60 rad/s is 3400 deg/s.
 _FASTEST_RAD_S = 60.0
+#: What is larger is no measurement in any unit.
+_DAMAGED = 1e9
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ def imu_of(
     ImuTable or None, str
         None where a unit is neither stated nor shown by the motion, and why.
     """
+    values = np.where(np.abs(values) < _DAMAGED, values, np.nan)
     table = ImuTable(name, t_s, None, None, rate_hz=rate)
     said = []
     if "acc" in sensor.axes:

@@ -91,6 +91,7 @@ class FileReader:
     def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
         self._named = {"imu": imu_format, "skeleton": skeleton_format}
         self._tables: dict[tuple[Path, str], Tables] = {}
+        self._formats: dict[Path, DeviceFormat | None] = {}
 
     def format_of(self, path: Path, kind: str) -> DeviceFormat:
         """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
@@ -102,14 +103,20 @@ class FileReader:
         """
         if (key := self._named.get(kind)) is not None:
             return format_named(key)
-        head = read_head(path)
-        importer = recognise(head, (kind, "recording") if kind else ())
+        importer = self.recognised(path, (kind, "recording") if kind else ())
         if importer is None:
-            raise unknown_file(head)
+            raise unknown_file(read_head(path))
         if kind and importer.kind not in (kind, "recording"):
             other = "--skeleton" if importer.kind == "skeleton" else "--imu"
             raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
         return importer
+
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+        """The importer of a file, looked for once; those of the kinds first."""
+        known = self._formats.get(path)
+        if known is None or (kinds and known.kind not in kinds):
+            known = self._formats[path] = recognise(read_head(path), kinds)
+        return known
 
     def read(self, path: Path, importer: DeviceFormat) -> Tables:
         """All tables of a file.

@@ -8,7 +8,7 @@ from ...errors import RecordingError
 from .files import FileReader, ImuFiles
 from .head import first_rows, read_head
 from .protocol import ImuTable, SkeletonTable
-from .registry import formats, recognise
+from .registry import keys, unknown_file
 
 
 def sort_files(
@@ -43,10 +43,11 @@ def sort_files(
     halves: dict[str, list[Path]] = {"acc": [], "gyro": []}
     passed_over: list[str] = []
     refused: list[RecordingError] = []
-    for path in _files(paths, output):
-        head = read_head(path)
-        importer = recognise(head)
+    files = _files(paths, output)
+    for path in files:
+        importer = reader.recognised(path)
         if importer is None:
+            head = read_head(path)
             passed_over.append(
                 f"{path.name} is of no known format and was passed over; it begins: {first_rows(head, 100)}."
             )
@@ -70,9 +71,10 @@ def sort_files(
         raise refused[0]
     passed_over += [f"passed over: {error}" for error in refused]
     if paths and not skeletons and not imus:
-        known = ", ".join(importer.title for importer in formats())
+        if len(files) == 1:
+            raise unknown_file(read_head(files[0]))
         seen = " ".join(passed_over[:2]) or "It is empty."
-        raise RecordingError(f"{paths[0]} holds no file of a known format ({known}). {seen}")
+        raise RecordingError(f"{paths[0]} holds no file of a known format ({keys()}). {seen}")
     return skeletons, imus, passed_over
 
 

@@ -65,6 +65,7 @@ class ImuSheetFormat:
                 f"{path} is not of {self.title} (recognised by {self.recognised_by}); its columns are"
                 f" {shown(names, 150)}."
             )
+        sheet.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
         tables = self.tables(sheet)
         for table in tables:
             table.notes[:0] = sheet.notes

@@ -69,7 +69,7 @@ def _loaded(path: Path) -> NDArray[np.float64]:
     """The array, (frames, points, 3 or 4)."""
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, MemoryError, SyntaxError) as error:
+    except Exception as error:  # whatever a damaged header leads numpy into
         raise RecordingError(
             f"{path} is no array of numbers that numpy can read ({str(error)[:80]}); save it again with"
             " numpy.save."

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from .joint_names import ARM, BLAZEPOSE, JointName, joint_name, words_of
 
-_AXES = {"x": 0, "y": 1, "z": 2, "posx": 0, "posy": 1, "posz": 2}
+_AXES = {"x": 0, "y": 1, "z": 2, "posx": 0, "posy": 1, "posz": 2, "tx": 0, "ty": 1, "tz": 2}
 _CONFIDENCE = {
     *("c", "conf", "confidence", "state", "tracking", "tracked", "trackingstate", "visibility", "vis", "v"),
     *("score", "presence", "likelihood", "status", "level"),
@@ -26,7 +26,20 @@ _BODY = (
     *("body index", "body num", "pose id", "pose index", "pose idx", "id"),
 )
 _TIME = (
-    *("timestamp", "time stamp", "time", "t", "seconds", "device", "device timestamp", "relative time"),
+    *(
+        "timestamp",
+        "time stamp",
+        "timestamps",
+        "times",
+        "ts",
+        "date",
+        "time",
+        "t",
+        "seconds",
+        "device",
+        "device timestamp",
+        "relative time",
+    ),
     *("elapsed", "elapsed time", "datetime", "date time", "clock", "ticks", "system timestamp", "frame time"),
 )
 _FRAME = ("frame", "frame number", "frame no", "frame index", "frame idx", "frame id", "framenumber", "index")

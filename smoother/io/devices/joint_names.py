@@ -71,6 +71,7 @@ _NOISE = {
         "keypoint",
     ),
     *("world", "marker", "pos", "position", "skeleton", "lm", "kp", "kpt", "bone", "global", "filtered"),
+    *("mm", "cm", "m", "meter", "meters", "metre", "metres"),
     *("unfiltered", "3d", "3", "d", "rigid", "tracked", "coords", "coordinate", "coordinates"),
 }
 _SIDES = {"l": "left", "left": "left", "lt": "left", "r": "right", "right": "right", "rt": "right"}

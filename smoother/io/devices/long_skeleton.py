@@ -15,7 +15,7 @@ from .mediapipe import landmarks_in_metres
 from .protocol import FileHead, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton
 from .sheet import Sheet, read_sheet
-from .wide_skeleton import body_numbers, guessed_states, header_of, kinect_states, state_numbers
+from .wide_skeleton import azure_states, body_numbers, header_of, kinect_states, state_numbers, states_of
 
 _JOINT = (
     *("joint", "jointid", "joint id", "joint name", "jointname", "joint type", "jointtype", "landmark"),
@@ -176,8 +176,10 @@ def _gathered(sheet: Sheet, columns: _Columns, names: list[str], kind: str, path
     codes = {name: joint_name(name) for name in set(names)}
     written = np.array(names)
     xyz = sheet.vectors(columns.axes)
-    states = kinect_states if kind in ("azure", "kinect") else guessed_states
-    state = None if columns.state is None else states(state_numbers(sheet, columns.state))
+    state = None
+    if columns.state is not None:
+        states = azure_states if kind == "azure" else kinect_states
+        state = states_of({"all": state_numbers(sheet, columns.state)}, states)["all"]
     for name, meaning in sorted(codes.items()):
         if meaning is None:
             continue

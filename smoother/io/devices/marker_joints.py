@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import CameraFrame, FloatArray, JointState
 from ..markers.trajectories import Markers
-from .arm_lengths import axis_words, down_of, frame_of, unit_by_arm, up_axis
+from .arm_lengths import axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
 from .head import shown
 from .joint_names import JointName, joint_name
 from .protocol import SkeletonTable
 
+#: A position farther away is a damaged number.
+_FARTHEST_M = 1e6
 #: What stands for a joint if there are several, the best first.
 _ORDER = ("centre", "joint", "skin")
 
@@ -43,6 +46,8 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
     RecordingError
         No marker has the name of an arm's joint, or too few.
     """
+    in_reach = (np.abs(markers.position) < _FARTHEST_M).all(axis=2, keepdims=True)
+    markers = replace(markers, position=np.where(in_reach, markers.position, np.nan))
     named = [(joint_name(name), column) for column, name in enumerate(markers.names)]
     points = [(name, markers.position[:, column]) for name, column in named if name is not None]
     by_joint: dict[str, list[tuple[JointName, int]]] = {}
@@ -63,8 +68,7 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
             "Markers on the skin lie 1 to 4 cm beside the joint's centre: expect lengths that are not a"
             " bone's."
         )
-    if (fits := unit_by_arm(position)) is None or fits[0] != "m":
-        notes.append(f"Arms have no arm's length in the file's unit ({markers.unit}); check its unit.")
+    notes += _in_metres(position, markers.unit, path)
     is_camera = any("k4abt" in name.lower() for name in markers.names)
     frame, down, words = _axes(points, y_up, is_camera)
     notes.append(words)
@@ -76,6 +80,29 @@ def skeleton_of(markers: Markers, path: Path, y_up: bool) -> SkeletonTable:
     }
     rate = markers.rate_hz if np.isfinite(markers.rate_hz) else None
     return SkeletonTable(0, markers.t_s, position, state, frame, down, rate, units=markers.unit, notes=notes)
+
+
+def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[str]:
+    """Mend positions whose unit is not the one that the header states; what is to be said of it."""
+    length = half_arm(position)
+    if not np.isfinite(length):
+        return []
+    fits = unit_by_arm(position)
+    if fits is None:
+        raise RecordingError(
+            f"{path}: upper arms and forearms are {length:.3g} m long in the unit that the file states"
+            f" ({unit});"
+            " export it again, with lengths in m or mm."
+        )
+    if fits[1] != 1.0:
+        for joint in position:
+            position[joint] = position[joint] * fits[1]
+        return [
+            f"The file states {unit}, and arms would be {length:.3g} m long so: they are"
+            f" {length * fits[1]:.2f} m"
+            f" long, by {1 / fits[1]:g} times smaller, and that counts."
+        ]
+    return []
 
 
 def require_arm(position: dict[str, FloatArray], path: Path, what: str, names: list[str]) -> None:

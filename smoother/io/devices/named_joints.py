@@ -8,7 +8,7 @@ from pathlib import Path
 from .joint_columns import find_joint_columns
 from .protocol import FileHead, SkeletonTable
 from .raw_skeleton import Conventions
-from .wide_skeleton import guessed_states, header_of, read_wide
+from .wide_skeleton import header_of, kinect_states, read_wide
 
 
 @dataclass(frozen=True)
@@ -40,5 +40,5 @@ class NamedJoints:
         RecordingError
             The file is no such table, or its positions are in no unit of length.
         """
-        raw, _ = read_wide(path, guessed_states, "a table of joints")
+        raw, _ = read_wide(path, kinect_states, "a table of joints")
         return raw.skeletons(Conventions())

@@ -17,6 +17,8 @@ from .joint_names import JointName
 from .marker_joints import require_arm
 from .protocol import SkeletonTable
 
+#: What is larger is no position in any unit, but a cell that was damaged.
+LARGEST = 1e7
 #: Rate of a file without times, Hz: that of the cameras' usual mode.
 USUAL_RATE_HZ = 30.0
 
@@ -126,7 +128,7 @@ class RawSkeleton:
         """Lost joints, written as (0, 0, 0), have no position; joints that never have one are left out."""
         filled = {joint: without_origin(rows) for joint, rows in self.position.items()}
         for rows in filled.values():
-            rows[~np.isfinite(rows).all(axis=1)] = np.nan
+            rows[~(np.abs(rows) < LARGEST).all(axis=1)] = np.nan
         there = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
         if filled and not there:
             raise RecordingError(
@@ -134,7 +136,9 @@ class RawSkeleton:
                 " view."
             )
         self.position = there
-        self.rest = [(name, without_origin(rows)) for name, rows in self.rest]
+        self.rest = [
+            (name, np.where(np.abs(rows) < LARGEST, without_origin(rows), np.nan)) for name, rows in self.rest
+        ]
 
     def _unit(self, conventions: Conventions) -> tuple[str, float]:
         """Name of the unit and metres in it."""
@@ -188,6 +192,7 @@ class RawSkeleton:
     def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
         """What tells frames apart, seconds in a unit of it (None: no times), the rate without times."""
         if self.time is not None and np.isfinite(self.time).any():
+            self.time = np.where(np.isfinite(self.time), self.time, np.nan)
             scale = time_unit(self.time, self.time_scale)
             if scale is None:
                 raise RecordingError(

@@ -87,15 +87,24 @@ def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | Non
     DeviceFormat or None
         None where no importer recognises it.
     """
-    recognised = [importer for importer in formats() if importer.recognises(head)]
-    wanted = [importer for importer in recognised if importer.kind in kinds]
-    return next(iter(wanted or recognised), None)
+    for importer in formats():
+        if (not kinds or importer.kind in kinds) and importer.recognises(head):
+            return importer
+    for importer in formats() if kinds else ():
+        if importer.kind not in kinds and importer.recognises(head):
+            return importer
+    return None
 
 
 def unknown_file(head: FileHead) -> RecordingError:
     """The sentence about a file that no importer recognises."""
-    titles = ", ".join(importer.title for importer in formats())
     return RecordingError(
-        f"{head.path} is of no known format (known are {titles}); it begins with: {first_rows(head)}."
-        f" `unocclude import describe {head.path}` helps to describe it in a recording.toml."
+        f"{head.path} is of no known format; it begins with: {first_rows(head)}. Known are {keys()}"
+        " (`unocclude import formats`); for any other table `unocclude import describe"
+        f" {head.path}` prints a recording.toml."
     )
+
+
+def keys() -> str:
+    """Keys of all importers, for messages."""
+    return ", ".join(importer.key for importer in formats())

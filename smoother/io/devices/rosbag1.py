@@ -65,33 +65,33 @@ class RosBag1:
             The library rosbags is not installed, the bag is damaged, or none of its topics can be used.
         """
         try:
-            from rosbags.highlevel import AnyReader
+            from rosbags.rosbag1 import Reader
         except ImportError:
             raise RecordingError(
                 f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
                 " 'unocclude[devices]'"
             ) from None
         try:
-            with AnyReader([path]) as reader:
+            with Reader(path) as reader:
                 return _read(reader, path)
         except RecordingError:
             raise
         except Exception as error:  # whatever a damaged file leads the library into
             raise RecordingError(
                 f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
-                " may mend"
-                " it, or record again."
+                " may mend it, or record again."
             ) from error
 
 
 def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
     wanted = [c for c in reader.connections if c.msgtype in (_IMU, _MARKERS, _FIELD)]
+    types = _types(wanted)
     imus: dict[str, list[tuple[float, ...]]] = {}
     frame_ids: dict[str, str] = {}
     fields: dict[str, list[tuple[float, ...]]] = {}
     bodies: dict[str, _Rows] = {}
     for connection, log_ns, data in reader.messages(connections=wanted):
-        message = reader.deserialize(data, connection.msgtype)
+        message = types.deserialize_ros1(data, connection.msgtype)
         if connection.msgtype == _MARKERS:
             _add_bodies(bodies.setdefault(connection.topic, _Rows()), message, log_ns)
             continue
@@ -121,6 +121,17 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
             f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone."
         )
     return tables
+
+
+def _types(connections: list[Any]) -> Any:
+    """The messages' definitions, as the bag has them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = get_typestore(Stores.EMPTY)
+    for connection in connections:
+        text = getattr(connection.msgdef, "data", connection.msgdef)
+        types.register(get_types_from_msg(text, connection.msgtype))
+    return types
 
 
 def _seconds(stamp: Any) -> float:

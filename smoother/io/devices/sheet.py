@@ -120,6 +120,29 @@ class Sheet:
             raise self._wrong(column, int(wrong[0]), "time")
         return seconds, True
 
+    def refuse_nameless(self, most: int = 0) -> None:
+        """Refuse a header with fewer names than the rows have cells: whose are the names then?
+
+        Parameters
+        ----------
+        most : int
+            So many columns at the end may be without a name.
+
+        Raises
+        ------
+        RecordingError
+            There are more.
+        """
+        names = self.layout.names
+        named = max((at + 1 for at, name in enumerate(names) if name), default=0)
+        nameless = range(named, self.layout.width) if names else range(0)
+        filled = sum(1 for column in nameless if any(self.texts(column)[:20]))
+        if filled > most:
+            raise RecordingError(
+                f"{self.path}: the header (line {self.layout.header + 1}) names {named} columns, and the rows"
+                f" have {self.layout.width}; export the file again, or describe it in a recording.toml."
+            )
+
     def _trimmed(self, column: int) -> Any:
         import pyarrow.compute as pc
 

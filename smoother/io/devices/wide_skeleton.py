@@ -55,6 +55,7 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
         The file is no table.
     """
     sheet = read_sheet(path, expected)
+    sheet.refuse_nameless()
     columns = find_joint_columns(sheet.layout.names)
     raw = RawSkeleton(
         path,
@@ -75,8 +76,8 @@ def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[Ra
     if columns.body is not None:
         raw.body = body_numbers(sheet, columns.body)
     if states is not None:
-        for joint, column in columns.confidence.items():
-            raw.state[joint] = states(state_numbers(sheet, column))
+        values = {joint: state_numbers(sheet, column) for joint, column in columns.confidence.items()}
+        raw.state = states_of(values, states)
     raw.notes += sheet.notes
     return raw, columns
 
@@ -114,10 +115,24 @@ def azure_states(confidence: FloatArray) -> NDArray[np.int8]:
 
 
 def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
-    """States of the Kinect v2's: 0 not tracked, 1 inferred, 2 tracked; a share of one has halves instead."""
-    if (confidence[np.isfinite(confidence)] % 1 != 0).any():
-        return share_states(confidence)
+    """States of the Kinect v2's: 0 not tracked, 1 inferred, 2 tracked."""
     return azure_states(confidence)
+
+
+def states_of(confidence: dict[str, FloatArray], states: StateReader) -> dict[str, NDArray[np.int8]]:
+    """States of all joints; where no value of a Kinect v2's is above 1, they are shares of one.
+
+    Parameters
+    ----------
+    confidence : dict of str to ndarray, shape (N,)
+        As written, by joint.
+    states : callable
+        The format's reading of them.
+    """
+    largest = max((float(np.nanmax(c)) for c in confidence.values() if np.isfinite(c).any()), default=0.0)
+    if states is not azure_states and largest <= 1.0:
+        states = share_states
+    return {joint: states(values) for joint, values in confidence.items()}
 
 
 def share_states(confidence: FloatArray) -> NDArray[np.int8]:
@@ -125,14 +140,6 @@ def share_states(confidence: FloatArray) -> NDArray[np.int8]:
     state = np.full(len(confidence), JointState.TRACKED, np.int8)
     state[confidence <= 0.5] = JointState.INFERRED
     return state
-
-
-def guessed_states(confidence: FloatArray) -> NDArray[np.int8]:
-    """States of a column of which only its values tell what they mean."""
-    finite = confidence[np.isfinite(confidence)]
-    if len(finite) and finite.max() <= 1.0:
-        return share_states(confidence)
-    return kinect_states(confidence)
 
 
 def inferred_throughout(raw: RawSkeleton) -> None:

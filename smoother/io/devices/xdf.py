@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import CameraFrame
+from ..markers.trajectories import METRES
 from .channel_names import find_sensors, imu_of, stem_of
 from .head import shown
 from .joint_columns import find_joint_columns
@@ -20,7 +21,7 @@ from .joint_names import words_of
 from .pairing import paired
 from .protocol import FileHead, ImuTable, SkeletonTable
 from .raw_skeleton import Conventions, RawSkeleton
-from .wide_skeleton import guessed_states
+from .wide_skeleton import kinect_states, states_of
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
     raw = RawSkeleton(
         path,
         {joint: values[:, triple] for joint, triple in columns.axes.items()},
-        {joint: guessed_states(values[:, column]) for joint, column in columns.confidence.items()},
+        states_of({joint: values[:, column] for joint, column in columns.confidence.items()}, kinect_states),
         time=stream.t_s,
         time_scale=1.0,
         body=None
@@ -199,7 +200,9 @@ def _skeletons(stream: _Stream, path: Path) -> list[SkeletonTable]:
         else CameraFrame.KINECT if "spine" in words and words & {"base", "mid"}
         else None
     )  # fmt: skip
-    return raw.skeletons(Conventions("", frame))
+    stated = stream.units[next(iter(columns.axes.values()))[0]].strip().lower()
+    unit = {1.0: "m", 0.01: "cm", 0.001: "mm"}.get(METRES.get(stated, 0.0), "")
+    return raw.skeletons(Conventions(unit, frame))
 
 
 def _imus(streams: list[_Stream], path: Path) -> tuple[list[ImuTable], list[str]]:

@@ -18,7 +18,7 @@ from smoother.recording import CameraFrame, JointState
 FRAMES = 30
 
 
-def read(path: Path, key: str):  # noqa: ANN201
+def read(path: Path, key: str):
     importer = recognise(read_head(path))
     assert importer is not None
     assert importer.key == key
@@ -129,6 +129,18 @@ def test_lost_markers(tmp_path: Path) -> None:
     assert table.state["wrist_right"][9] == JointState.TRACKED
 
 
+def test_a_unit_that_is_not_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.trc"
+    points = {name: 1000 * made.part(name, FRAMES) for name in ("RShoulder", "RElbow", "RWrist")}
+    made.trc(path, points, "m")
+    table = read(path, "trc")
+    assert_allclose(table.position["wrist_right"], made.part("RWrist", FRAMES), atol=1e-6)
+    assert any("The file states m" in note and "1000 times smaller" in note for note in table.notes)
+    made.trc(path, {name: 1e6 * rows for name, rows in points.items()}, "mm")
+    with pytest.raises(RecordingError, match=r"a\.trc"):
+        read(path, "trc")
+
+
 def test_no_arm(tmp_path: Path) -> None:
     path = tmp_path / "a.trc"
     made.trc(path, {name: made.part("LHip", FRAMES) for name in ("LASI", "RASI", "LWRIST")})
@@ -155,3 +167,28 @@ def test_c3d(tmp_path: Path, names: tuple[str, ...]) -> None:
     assert (table.frame, table.units) == (CameraFrame.ZUP, "mm")
     assert_allclose(table.position["wrist_right"], points[2], atol=1e-6)  # single precision of mm
     assert table.rate_hz == pytest.approx(30.0)
+
+
+def test_theia_segments_in_c3d(tmp_path: Path) -> None:
+    import ezc3d
+
+    labels = ["r_uarm_4X4", "r_larm_4X4", "r_hand_4X4", "pelvis_4X4", "head_4X4", "r_foot_4X4", "l_larm_4X4"]
+    names = ["RShoulder", "RElbow", "RWrist", "pelvis", "Head", "RAnkle", "LElbow"]
+    origins = np.stack([made.part(name, FRAMES)[:, [0, 2, 1]] * [1, -1, 1] for name in names])
+    poses = np.tile(np.eye(4)[:, :, None, None], (1, 1, len(names), FRAMES))
+    poses[:3, 3] = 1000 * np.moveaxis(origins, 2, 0)
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [60.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["origin"]  # ezc3d writes no file without points
+    file["data"]["points"] = np.ones((4, 1, FRAMES))
+    for name, value in (("USED", [len(names)]), ("RATE", [60.0]), ("RATIO", [1]), ("LABELS", labels)):
+        file.add_parameter("ROTATION", name, value)
+    file["data"]["rotations"] = poses
+    path = tmp_path / "a.c3d"
+    file.write(str(path))
+    table = read(path, "c3d")
+    assert set(table.position) == {"shoulder_right", "elbow_right", "wrist_right", "elbow_left"}
+    assert_allclose(table.position["wrist_right"], origins[2], atol=1e-6)  # single precision of mm
+    assert (table.frame, table.rate_hz) == (CameraFrame.ZUP, 60.0)
+    assert any("origins of the segments r_uarm_4X4" in note for note in table.notes)

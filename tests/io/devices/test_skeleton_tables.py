@@ -41,7 +41,7 @@ def test_mkv_extractor(tmp_path: Path) -> None:
     assert_allclose(table.t_s, 0.200219 + 0.033333 * np.arange(FRAMES), atol=1e-9)
     assert set(table.position) == set(ARM)
     for joint in ARM:  # half of the last printed digit, and the shift of body 1
-        wanted = made.expected(joint, FRAMES, "optical") + [0.1, 0, 0]
+        wanted = made.expected(joint, FRAMES, "optical") + np.array([0.1, 0, 0])
         assert_allclose(table.position[joint], wanted, atol=1e-9)
     assert (table.state["wrist_right"] == JointState.TRACKED).all()
     assert (table.state["hand_right"] == JointState.INFERRED).all()
@@ -119,7 +119,9 @@ def test_kinect_v2_without_header(tmp_path: Path, per_joint: int, leading: int) 
 @pytest.mark.parametrize("style", ["{}_{}", "{}.{}", "{} {}", "joint_{}_{}", "{}({})"])
 def test_kinect_v2_by_name(tmp_path: Path, style: str) -> None:
     joints = made.kinect_v2(FRAMES)
-    header = ["Time", "TrackingId"] + [style.format(n, f) for n in KINECT_V2 for f in ("X", "Y", "Z", "State")]
+    header = ["Time", "TrackingId"] + [
+        style.format(n, f) for n in KINECT_V2 for f in ("X", "Y", "Z", "State")
+    ]
     words = ["Tracked", "Inferred", "NotTracked"]
     rows: list[list[object]] = [header]
     for at in range(FRAMES):
@@ -158,7 +160,9 @@ def mediapipe_rows(points: np.ndarray, style: str) -> list[list[object]]:
     return rows
 
 
-@pytest.mark.parametrize("style", ["{axis}{at}", "landmark_{at}_{axis}", "{name}_{axis}", "{name}.world.{axis}"])
+@pytest.mark.parametrize(
+    "style", ["{axis}{at}", "landmark_{at}_{axis}", "{name}_{axis}", "{name}.world.{axis}"]
+)
 def test_mediapipe_world_landmarks(tmp_path: Path, style: str) -> None:
     points = made.landmarks(FRAMES)
     (table,) = read(write(tmp_path / "a.csv", mediapipe_rows(points, style)), "mediapipe")
@@ -200,7 +204,7 @@ def test_low_visibility_is_inferred(tmp_path: Path) -> None:
 @pytest.mark.parametrize("z_up", [True, False])
 def test_any_table_of_joints(tmp_path: Path, unit: str, scale: float, z_up: bool) -> None:
     names = ["right_shoulder", "right_elbow", "right_wrist", "left_hip", "right_hip", "nose"]
-    points = np.stack([made.part(name, FRAMES) for name in names], axis=1) + [3.0, 0.0, 2.0]
+    points = np.stack([made.part(name, FRAMES) for name in names], axis=1) + np.array([3.0, 0.0, 2.0])
     points = points[:, :, [0, 2, 1]] * [1, -1, 1] if z_up else points
     header = [f"body_{name}_{axis}" for name in names for axis in "xyz"]
     rows: list[list[object]] = [["t_s", *header]]
@@ -239,3 +243,84 @@ def test_no_body_in_view(tmp_path: Path) -> None:
     path.write_text("\n".join([header, *(";".join([*row.split(";")[:2], *["0"] * 128]) for row in rows)]))
     with pytest.raises(RecordingError, match=r"a\.csv names joints and holds no position"):
         read(path, "azure-kinect")
+
+
+@pytest.mark.parametrize(
+    "style",
+    [
+        "{name}_{axis} (mm)",
+        "{name}_pos_{axis}",
+        "{axis}_{name}",
+        "{lower}.position.{axis}",
+        "K4ABT_JOINT_{name} {axis}",
+    ],
+)
+@pytest.mark.parametrize(
+    ("time", "step"),
+    [("timestamp_usec", 33_333), ("Time", 0.033333), ("ts_ms", 33.333), ("time [s]", 0.033333)],
+)
+def test_spellings(tmp_path: Path, style: str, time: str, step: float) -> None:
+    header = [time] + [style.format(name=n, lower=n.lower(), axis=a) for n in AZURE for a in "xyz"]
+    points = 1000 * np.stack([made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
+    rows: list[list[object]] = [header, *([at * step, *points[at].ravel().tolist()] for at in range(FRAMES))]
+    (table,) = read(write(tmp_path / "a.csv", rows), "azure-kinect")
+    assert_allclose(table.t_s, 0.033333 * np.arange(FRAMES), atol=1e-9)
+    assert_allclose(table.position["hand_left"], made.expected("hand_left", FRAMES, "optical"), atol=1e-9)
+
+
+def test_lsl_kinect_with_shares_of_one(tmp_path: Path) -> None:
+    joints = made.kinect_v2(FRAMES)
+    rows: list[list[object]] = [
+        ["Timestamp"] + [f"{n}_{f}" for n in KINECT_V2 for f in ("X", "Y", "Z", "Conf")]
+    ]
+    for at in range(FRAMES):
+        rows.append(
+            [1_593_777_707.5 + at / 15, *(v for point in joints[at] for v in (*point, 1.0 - 0.5 * (at == 3)))]
+        )
+    path = write(tmp_path / "a.csv", rows)
+    path.write_text("Software : LSL_Kinect,Version : 1.0,Stream nominal rate : 15\n" + path.read_text())
+    (table,) = read(path, "kinect-v2")
+    assert table.state["wrist_left"][:5].tolist() == [2, 2, 2, 1, 2]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path: Path, seed: int) -> None:
+    """A table, damaged in twenty-five ways: no other error, and no arm of another length than an arm's."""
+    rng = np.random.default_rng(seed)
+    path = tmp_path / "a.csv"
+    made.azure_csv(path, 12, body=(1, 2) if seed % 2 else (1,))
+    whole = path.read_bytes()
+    for _ in range(25):
+        data = bytearray(whole)
+        for _ in range(int(rng.integers(1, 5))):
+            at = int(rng.integers(len(data)))
+            end = at + int(rng.choice([1, 5, 80, 2000]))
+            new = [
+                b"",
+                bytes(data[at:end]) * 2,
+                b"nan",
+                b"1e308",
+                b";;",
+                b"\n",
+                b"\0",
+                b"-",
+                b"1,5",
+                b"\xff\xfe",
+            ]
+            data[at:end] = new[int(rng.integers(len(new)))]
+        path.write_bytes(bytes(data) or b" ")
+        importer = recognise(read_head(path))
+        if importer is None:
+            continue
+        try:
+            tables = importer.read(path)
+        except RecordingError as error:
+            assert "\n" not in str(error)
+            assert len(str(error)) < 600
+            continue
+        for table in tables:
+            assert isinstance(table, SkeletonTable)
+            arm = table.position.get("elbow_right"), table.position.get("wrist_right")
+            if arm[0] is not None and arm[1] is not None:
+                length = np.linalg.norm(arm[0] - arm[1], axis=1)
+                assert not np.nanmedian(np.append(length, 0.25)) > 1.0
