@@ -380,6 +380,10 @@ def test_android_log_with_names_of_sensors(tmp_path: Path):
 def test_a_wrong_unit_is_said(tmp_path: Path):
     header = "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z"
     (table,) = read(written(tmp_path, header, *rows(TIME, GYRO, ACC)), "nilspod")
+    assert "only if that is in rad/s" in " ".join(table.notes)
+    np.testing.assert_allclose(table.gyro, printed(GYRO), rtol=1e-12)
+    dot = ",".join(["SampleTimeFine", *xyz("Acc"), *xyz("Gyr")])
+    (table,) = read(written(tmp_path, dot, *rows(MICROS, ACC, GYRO)), "xsens-dot")
     assert "probably rad/s" in " ".join(table.notes)
     header = "\t".join(["Counter", *xyz("Acc"), *xyz("Gyr")])
     body = rows(np.arange(COUNT), ACC, DEG, separator="\t")

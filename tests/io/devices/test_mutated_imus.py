@@ -48,6 +48,7 @@ FILES = {
         "Time (s)," + named("Acceleration {1} (m/s^2)", "") + "," + named("Gyroscope {1} (rad/s)", ""),
         *rows(TIME, ACC, GYRO),
     ],
+    "nilspod": ["t," + named("{}_{}", "gyr", "acc").lower(), *rows(TIME, np.degrees(GYRO), ACC)],
     "android": ["timestamp," + named("{}{}", "a", "g"), *rows(NANOS, ACC, GYRO)],
     "metamotion": ["epoch (ms),time (-13:00),elapsed (s)," + named("{1}-axis (g)", "")]
     + [
@@ -132,3 +133,42 @@ def test_damaged_files(tmp_path: Path, name: str):
                         np.linalg.norm(whole, axis=1)
                     )
                     assert 0.3 < size < 3 or table.notes
+
+
+def rewritten(lines: list[str], order: list[int], separator: str, comma: bool) -> str:
+    """The table with its columns in another order and another separator; lines above it as they are."""
+    body = []
+    for line in lines:
+        cells = line.split(",")
+        if len(cells) < 6:  # above the header
+            body.append(line)
+            continue
+        cells = [cells[at] for at in order]
+        body.append(separator.join(cell.replace(".", ",") if comma else cell for cell in cells))
+    return "\n".join(body) + "\n"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_columns_in_any_order_and_any_separator(tmp_path: Path, name: str):
+    rng, path = random.Random(name), tmp_path / "a.csv"
+    path.write_text("\n".join(FILES[name]) + "\n")
+    importer = recognise(read_head(path), ("imu",))
+    assert importer is not None
+    expected = importer.read(path)[0]
+    width = len(FILES[name][-1].split(","))
+    for separator, comma in ((",", False), (";", False), (";", True), ("\t", True), ("|", True)):
+        order = rng.sample(range(width), width)
+        if name == "shimmer":  # its last cell, behind the last separator, is none
+            order = [*rng.sample(range(width - 1), width - 1), width - 1]
+        path.write_text(
+            rewritten(FILES[name], order, separator, comma), encoding="utf-16" if comma else "utf-8"
+        )
+        again = recognise(read_head(path), ("imu",))
+        assert again is not None and again.key == importer.key
+        table = again.read(path)[0]
+        for part in ("acc", "gyro", "t_s"):
+            values = getattr(expected, part)
+            if values is None:
+                assert getattr(table, part) is None
+            else:
+                np.testing.assert_array_equal(getattr(table, part), values)
