@@ -21,7 +21,8 @@ def describe(
 ) -> None:
     """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure."""
     from ..errors import RecordingError
-    from ..io.devices.guess import guess_of, toml_of
+    from ..io.devices.describe_table import guess_of
+    from ..io.devices.guess import toml_of
     from ..io.devices.head import first_rows, read_head
     from ..io.devices.registry import recognise
     from ..io.devices.sheet import read_sheet
