@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, FloatArray
 from ..markers.trajectories import METRES, without_origin
-from .arm_lengths import axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
+from .arm_lengths import LARGEST, axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
 from .body_rows import SCALE_NAMES, BodyRows, time_unit, tracked_where_finite, without_position
 from .joint_names import JointName
 from .marker_joints import require_arm
 from .protocol import SkeletonTable
 
-#: What is larger is no position in any unit, but a cell that was damaged.
-LARGEST = 1e7
 #: Rate of a file without times, Hz: that of the cameras' usual mode.
 USUAL_RATE_HZ = 30.0
 
