@@ -11,6 +11,8 @@ from .joint_names import JointName
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
 ARM_M = (0.09, 0.6)
+#: What is larger is no position in any unit, but a cell that was damaged.
+LARGEST = 1e7
 #: An axis is up where the trunk lies so much along it (cosine).
 UPRIGHT = 0.75
 
@@ -22,7 +24,8 @@ def half_arm(position: Mapping[str, FloatArray]) -> float:
         for one, other in (("shoulder", "elbow"), ("elbow", "wrist")):
             a, b = position.get(f"{one}_{side}"), position.get(f"{other}_{side}")
             if a is not None and b is not None:
-                length = np.linalg.norm(a - b, axis=1)
+                near = (np.abs(a) < LARGEST).all(axis=1) & (np.abs(b) < LARGEST).all(axis=1)
+                length = np.linalg.norm(a[near] - b[near], axis=1)
                 length = length[np.isfinite(length) & (length > 0)]
                 if len(length):
                     lengths.append(float(np.median(length)))

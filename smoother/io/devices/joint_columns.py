@@ -120,30 +120,30 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     JointColumns
         Without joints where there are none.
     """
-    found = JointColumns()
+    result = JointColumns()
     parts = [part for at, name in enumerate(names) if (part := _taken_apart(at, name)) is not None]
-    found.world = any(part.world for part in parts)
-    if found.world:  # the same landmarks in the image beside those in the world
+    result.world = any(part.world for part in parts)
+    if result.world:  # the same landmarks in the image beside those in the world
         parts = [part for part in parts if part.world]
-    found.normalised = bool(parts) and all(part.normalised for part in parts)
+    result.normalised = bool(parts) and all(part.normalised for part in parts)
     by_key: dict[str, dict[int | None, int]] = {}
     for part in parts:
         by_key.setdefault(part.key, {}).setdefault(part.axis, part.at)
-    by_key = _named(by_key, found)
+    by_key = _named(by_key, result)
     for key, columns in by_key.items():
         name = joint_name(key)
         if name is None or not {0, 1, 2} <= columns.keys():
             continue
         triple = (columns[0], columns[1], columns[2])
         if name.joint and name.kind != "skin":
-            if name.joint not in found.axes:
-                found.axes[name.joint] = triple
+            if name.joint not in result.axes:
+                result.axes[name.joint] = triple
                 if None in columns:
-                    found.confidence[name.joint] = columns[None]
+                    result.confidence[name.joint] = columns[None]
         elif name.part not in ARM:
-            found.rest.append((name, triple))
-    _bookkeeping(names, found)
-    return found
+            result.rest.append((name, triple))
+    _bookkeeping(names, result)
+    return result
 
 
 def plain_words(name: str) -> str:
@@ -180,7 +180,9 @@ def _taken_apart(at: int, name: str) -> _Column | None:
     return _Column(at, " ".join(rest), axis, "world" in words, bool(_NORMALISED & set(words)))
 
 
-def _named(by_key: dict[str, dict[int | None, int]], found: JointColumns) -> dict[str, dict[int | None, int]]:
+def _named(
+    by_key: dict[str, dict[int | None, int]], result: JointColumns
+) -> dict[str, dict[int | None, int]]:
     """Landmarks by their names where the columns number them (from 0 or 1)."""
     numbers: dict[int, dict[int | None, int]] = {}
     for key, columns in by_key.items():
@@ -193,16 +195,16 @@ def _named(by_key: dict[str, dict[int | None, int]], found: JointColumns) -> dic
     base = 1 if (first, last) == (1, len(BLAZEPOSE)) else 0
     if last - base >= len(BLAZEPOSE) or len(numbers) < 6:
         return by_key  # some other set of points
-    found.numbered = True
+    result.numbered = True
     return {BLAZEPOSE[number - base]: columns for number, columns in sorted(numbers.items())}
 
 
-def _bookkeeping(names: Sequence[str], found: JointColumns) -> None:
+def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
     """Columns of time, frame and body, which are no joint's."""
-    used = {at for triple in found.axes.values() for at in triple}
+    used = {at for triple in result.axes.values() for at in triple}
     free = [name if at not in used else "" for at, name in enumerate(names)]
-    found.time = column_named(free, _TIME)
-    found.frame = column_named(free, _FRAME)
-    found.body = column_named(free, _BODY)
-    if found.time is not None:
-        found.time_scale = time_unit_of(names[found.time])
+    result.time = column_named(free, _TIME)
+    result.frame = column_named(free, _FRAME)
+    result.body = column_named(free, _BODY)
+    if result.time is not None:
+        result.time_scale = time_unit_of(names[result.time])

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import CameraFrame, FloatArray
 from ..markers.trajectories import METRES, without_origin
-from .arm_lengths import axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
+from .arm_lengths import LARGEST, axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
 from .body_rows import SCALE_NAMES, BodyRows, time_unit, tracked_where_finite, without_position
 from .joint_names import JointName
 from .marker_joints import require_arm
 from .protocol import SkeletonTable
 
-#: What is larger is no position in any unit, but a cell that was damaged.
-LARGEST = 1e7
 #: Rate of a file without times, Hz: that of the cameras' usual mode.
 USUAL_RATE_HZ = 30.0
 
@@ -103,6 +101,7 @@ class RawSkeleton:
             No arm has an elbow and a wrist, or there is no frame with a position.
         """
         self._drop_empty()
+        self._drop_row_numbers()
         require_arm(self.position, self.path, "joints", list(self.position))
         unit, metres = self._unit(conventions)
         frame, down = self._axes(conventions)
@@ -139,6 +138,15 @@ class RawSkeleton:
         self.rest = [
             (name, np.where(np.abs(rows) < LARGEST, without_origin(rows), np.nan)) for name, rows in self.rest
         ]
+
+    def _drop_row_numbers(self) -> None:
+        """A column of bodies that counts rows (an `id`) names no bodies."""
+        if self.body is None:
+            return
+        numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
+        if len(numbers) > 10 and np.median(rows) < 3:
+            self.body = None
+            self.notes.append("The column of the body counts rows; the file counts as one body.")
 
     def _unit(self, conventions: Conventions) -> tuple[str, float]:
         """Name of the unit and metres in it."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
+from ..markers.c3d import ends_the_process
 from ..markers.trajectories import METRES, Markers
 from .head import shown
 
@@ -49,6 +50,8 @@ def read_segment_origins(path: Path) -> Markers | None:
             return None
     import ezc3d
 
+    if ends_the_process(path):
+        raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))
         group, point = file["parameters"]["ROTATION"], file["parameters"]["POINT"]

@@ -11,7 +11,6 @@ import numpy as np
 from ...errors import RecordingError
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
-
 #: Reading takes no longer than this, s; with a damaged length the library goes on for minutes.
 _LONGEST_S = 20
 
@@ -77,7 +76,7 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Points, residuals and first frame; and the parameters by group and name."""
     import ezc3d
 
-    if _crashes(path):
+    if ends_the_process(path):
         raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))
@@ -92,7 +91,7 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
 
 
-def _crashes(path: Path) -> bool:
+def ends_the_process(path: Path) -> bool:
     """Whether the library would end the process: tried in a child, where a system has them (no Windows).
 
     Its C++ reads past the end of parameters whose lengths are damaged.

@@ -95,8 +95,8 @@ class JsonDecoder:
         delays: list[int] = []
         values: list[tuple[float, ...]] = []
         joints: list[tuple[float, ...]] = []
-        spans = zip(messages.start.tolist(), messages.stop.tolist(), messages.log_ns.tolist(), strict=True)
-        for start, stop, log_ns in spans:
+        ranges = zip(messages.start.tolist(), messages.stop.tolist(), messages.log_ns.tolist(), strict=True)
+        for start, stop, log_ns in ranges:
             try:
                 message = json.loads(bytes(messages.chunk[start:stop]))
                 stamp = stamp_ns(message) or log_ns

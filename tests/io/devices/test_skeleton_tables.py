@@ -324,3 +324,10 @@ def test_damaged_files_are_read_or_refused_in_a_sentence(tmp_path: Path, seed: i
             if arm[0] is not None and arm[1] is not None:
                 length = np.linalg.norm(arm[0] - arm[1], axis=1)
                 assert not np.nanmedian(np.append(length, 0.25)) > 1.0
+
+
+def test_a_column_that_counts_rows_names_no_bodies(tmp_path: Path) -> None:
+    rows = mediapipe_rows(made.landmarks(FRAMES), "{name}_{axis}")
+    rows = [["id" if at == 0 else at, *row] for at, row in enumerate(rows)]
+    (table,) = read(write(tmp_path / "a.csv", rows), "mediapipe")
+    assert np.isfinite(table.position["wrist_left"]).all()
