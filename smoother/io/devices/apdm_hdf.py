@@ -58,7 +58,7 @@ class ApdmHdf:
         try:
             with h5py.File(path, "r") as file:
                 tables = _sensors(file)
-        except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
+        except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
         if not tables:
             raise RecordingError(
@@ -83,15 +83,16 @@ def _sensors(file: Any) -> list[ImuTable]:
         acc, gyro, mag = (_vector(values, kind) for kind in ("Accelerometer", "Gyroscope", "Magnetometer"))
         if acc is None or gyro is None:
             continue
-        time = next((group[key] for key in ("Time",) if _has(group, key)), None)
+        time = np.asarray(group["Time"], dtype=float).ravel() if _has(group, "Time") else None
+        count = min(len(values) for values in (acc, gyro, time) if values is not None)
         rate = group.attrs.get("SampleRate", file.attrs.get("SampleRate"))
         tables.append(
             ImuTable(
                 name=_label(group) or labels.get(name, "") or name,
-                t_s=None if time is None else np.asarray(time, dtype=float).ravel()[: len(acc)] * 1e-6,
-                acc=acc,
-                gyro=gyro,
-                mag=mag,
+                t_s=None if time is None else time[:count] * 1e-6,
+                acc=acc[:count],
+                gyro=gyro[:count],
+                mag=None if mag is None or len(mag) < count else mag[:count],
                 rate_hz=None if rate is None else float(np.ravel(rate)[0]),
                 units="m/s^2, rad/s",
             )
