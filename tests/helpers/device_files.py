@@ -13,7 +13,7 @@ from imu_files import GRAVITY, motion, rows
 
 from smoother.io.devices.joint_names import AZURE, BLAZEPOSE, KINECT_V2
 
-COUNT, FRAMES = 90, 16
+COUNT, FRAMES = 80, 12
 ACC, GYRO = motion(COUNT)
 DEG = np.degrees(GYRO)
 TIME = np.arange(COUNT) * 0.01
