@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from .joint_names import ARM, BLAZEPOSE, JointName, joint_name, words_of
 
@@ -146,6 +147,7 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     return result
 
 
+@lru_cache(maxsize=4096)
 def plain_words(name: str) -> str:
     """A column's name in plain words without its unit: `timestamp_usec` is `timestamp`."""
     words = words_of(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 
 def _listed(names: str) -> list[str]:
@@ -136,6 +137,7 @@ def words_of(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name.rsplit(":", 1)[-1])]
 
 
+@lru_cache(maxsize=4096)  # tables are recognised by the same names many times
 def joint_name(name: str) -> JointName | None:
     """What a joint or marker is by its name.
 

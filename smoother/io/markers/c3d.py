@@ -11,8 +11,9 @@ import numpy as np
 from ...errors import RecordingError
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
-#: Reading takes no longer than this, s; with a damaged length the library goes on for minutes.
-_LONGEST_S = 20
+#: Reading takes no longer than this, s, and a second for so many bytes; with a damaged length the library
+#: goes on for minutes.
+_LONGEST_S, _SLOWEST = 4, 2_000_000
 
 
 def read_c3d(path: Path) -> Markers:
@@ -96,6 +97,7 @@ def ends_the_process(path: Path) -> bool:
 
     Its C++ reads past the end of parameters whose lengths are damaged.
     """
+    import faulthandler
     import os
     import signal
 
@@ -108,7 +110,8 @@ def ends_the_process(path: Path) -> bool:
         child = os.fork()
     if child == 0:
         try:
-            signal.alarm(_LONGEST_S)
+            signal.alarm(_LONGEST_S + path.stat().st_size // _SLOWEST)
+            faulthandler.disable()
             os.close(2)  # what the library says while it crashes is no message
             ezc3d.c3d(str(path))
         except BaseException:  # a refusal is no crash
