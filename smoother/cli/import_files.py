@@ -21,7 +21,7 @@ def files(
     paths: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[FOLDER]",
+            metavar="FOLDER",
             help="A folder of device files (or the files), each recognised by what is in it.",
         ),
     ] = None,
