@@ -45,7 +45,10 @@ def test_notebook_in_six_lines(monkeypatch):
 
 @pytest.mark.parametrize(
     "document",
-    ["README.md", "CONTRIBUTING.md", *(f"docs/{n}.md" for n in ("recording", "method", "formats", "check"))],
+    [
+        *("README.md", "CONTRIBUTING.md"),
+        *(f"docs/{n}.md" for n in ("recording", "method", "formats", "devices", "check")),
+    ],
 )
 def test_links_lead_somewhere(document):
     text = (ROOT / document).read_text(encoding="utf-8")

@@ -23,6 +23,8 @@ from . import (
     doctor,
     export,
     gaps,
+    import_describe,
+    import_files,
     import_strap,
     imports,
     info,
@@ -103,6 +105,13 @@ _add(app, doctor.doctor, "doctor")
 
 _imports = _app("Make a recording of other formats.")
 _imports.command("csv", epilog=_CSV_EXAMPLE)(imports.csv)
+_add(
+    _imports,
+    import_files.files,
+    "import files --skeleton azure.csv --imu forearm_right=dot.csv -o session.mcap",
+)
+_add(_imports, import_files.formats, "import formats")
+_add(_imports, import_describe.describe, "import describe sensor.csv > session/recording.toml")
 _add(_imports, imports.broad, "import broad 01_trial.mat -o trial.mcap")
 _add(_imports, imports.utd_mhad, "import utd-mhad a1_s1_t1_inertial.mat a1_s1_t1_skeleton.mat -o t.mcap")
 _add(_imports, import_strap.strap, "import strap session.mcap -o with_strap.mcap")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RecordingError
+from ..io.devices.head import shown
 from ..recording import FloatArray, Truth
 from ..result import Recovery
 
@@ -62,11 +63,11 @@ def read_truth_csv(path: Path) -> Truth:
             if missing:
                 raise RecordingError(
                     f"{path}: the column {', '.join(missing)} is missing; the file has"
-                    f" {', '.join(header) or 'nothing'}"
+                    f" {shown(', '.join(header)) or 'nothing'}"
                 )
             rows = [(table.line_num, row) for row in table if any(cell.strip() for cell in row)]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path}: not a CSV file with a header ({error})") from error
+        raise RecordingError(f"{path}: not a CSV file with a header ({shown(str(error))})") from error
     values = np.full((len(rows), 8), np.nan)
     for place, name in enumerate(_COLUMNS + _ORIENTATION):
         if name in header:
@@ -86,7 +87,9 @@ def _number(row: list[str], column: int, path: Path, line: int, name: str) -> fl
     try:
         return float(text)
     except ValueError:
-        raise RecordingError(f"{path}, line {line}: '{text}' in column {name} is no number") from None
+        raise RecordingError(
+            f"{path}, line {line}: '{shown(text, 40)}' in column {name} is no number"
+        ) from None
 
 
 def on_clock_of(recovery: Recovery, truth: Truth) -> Truth:

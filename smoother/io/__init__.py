@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..runtime.atomic import check_output as check_output
     from ..runtime.atomic import writing as writing
+    from .devices.files import ImuFiles as ImuFiles
+    from .devices.files import import_files as import_files
     from .export.csv import export_csv as export_csv
     from .export.prepare import prepare_export as prepare_export
     from .info import RecordingInfo as RecordingInfo
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from .result.write import write_recovery as write_recovery
 
 _HOMES = {
+    "ImuFiles": ".devices.files",
     "RecordingFile": ".recording.streams",
     "RecordingInfo": ".info",
     "check_output": "..runtime.atomic",
@@ -33,6 +36,7 @@ _HOMES = {
     "export_csv": ".export.csv",
     "import_broad": ".plain.datasets",
     "import_csv": ".plain.folder",
+    "import_files": ".devices.files",
     "import_utd_mhad": ".plain.datasets",
     "open_csv": ".plain.folder",
     "open_recording": ".recording.read",

@@ -18,7 +18,7 @@ from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.rejection import Rejection
 from ..measurements.segment import spikes
-from ..recording import FOREARM_JOINTS, JOINTS, FloatArray, ImuStream, Recording
+from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, FloatArray, ImuStream, Recording
 from ..result import Recovery
 from .change_signs import camera_pushed, skeleton_filled, strap_slipped
 from .limb_lengths import swapped_joints
@@ -33,6 +33,8 @@ FROM_AXIS_M, FAR_FROM_AXIS_M = 0.10, 0.20
 LEVER_ARM_M = 0.45
 #: Gravity farther than this from where the camera's frame has down is not a tilted camera, degrees.
 GRAVITY_DEG = 60.0
+#: A frame (or an axis) fits where its down is nearer to gravity than this, degrees: cameras tilt a little.
+FRAME_DEG = 40.0
 #: Where the camera sees a joint, the answer is nearer than this in half of the frames, m: simulated arms stay
 #: below 0.03, Kinect v1 with synthetic stamps below 0.08 (some above 0.05), wrong set-ups begin at 0.1.
 NEAR_M, FAR_M = 0.05, 0.08
@@ -184,7 +186,23 @@ def _gravity(recovery: Recovery, recording: Recording) -> Iterator[str]:
         yield (
             f"gravity was found {angle_deg:.0f} degrees from where the camera has down: the camera's frame,"
             " the accelerometer's sign or the skeleton's axes are likely to be wrong"
+            f"{_fitting_frame(recovery.gravity_direction, recording)}"
         )
+
+
+def _fitting_frame(gravity: FloatArray, recording: Recording) -> str:
+    """Which convention of axes has down where gravity was found, for the end of the sentence."""
+    cosines = {frame: float(gravity @ frame.down) for frame in CameraFrame}
+    best = max(cosines, key=lambda frame: cosines[frame])
+    stated = "" if recording.camera_frame is None else f" instead of {recording.camera_frame}"
+    fits = cosines[best] > np.cos(np.radians(FRAME_DEG)) and best is not recording.camera_frame
+    if fits and recording.gravity_hint is None:
+        return f"; gravity fits the frame {best}{stated}"
+    axis = int(np.abs(gravity).argmax())
+    if abs(gravity[axis]) > np.cos(np.radians(FRAME_DEG)):
+        sign = "-" if gravity[axis] < 0 else ""
+        return f"; down is about {sign}{'xyz'[axis]} of the positions"
+    return ""
 
 
 def _clock(recovery: Recovery, recording: Recording) -> Iterator[str]:

@@ -166,6 +166,35 @@ def _fitting_lag(recording: Recording, peak: _Peak) -> float | None:
     return best_s if best_deg < DIRECTION_DEG and is_alone else None
 
 
+def shifted_agreement(imu: ImuStream, arm: JointTracks, reach_s: float) -> tuple[float, float, bool]:
+    """How well an IMU turns as an arm does, at whatever shift of their clocks.
+
+    Parameters
+    ----------
+    imu : ImuStream
+        Its times may count from anywhere.
+    arm : JointTracks
+        With elbow and wrist.
+    reach_s : float, s
+        A shift up to this needs no proof: clocks that far apart count as near.
+
+    Returns
+    -------
+    correlation : float
+        Of the two speeds at the best shift; 0 where there is too little to compare.
+    shift_s : float, s
+        t_imu - t_camera there.
+    far : bool
+        No shift within reach explains the motion about as well.
+    """
+    peak = _Peak.of(imu, arm)
+    if peak is None:
+        return 0.0, 0.0, False
+    within = np.abs(peak.lags_s) <= reach_s
+    near = float(peak.score[within].max(initial=-np.inf))
+    return peak.correlation, peak.lag_s, bool(near < RIVAL * peak.score.max())
+
+
 @dataclass(frozen=True)
 class _Peak:
     """The shift at which two speeds agree best.

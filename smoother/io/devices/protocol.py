@@ -36,6 +36,9 @@ class ImuTable:
         As written in the file, for the line that is said of it ("m/s^2, deg/s").
     notes : list of str
         What was decided or dropped in reading, a sentence each.
+    gyro_unit_assumed : bool
+        The file does not state the gyroscope's unit, and its size alone decided: an accelerometer may
+        settle it.
     """
 
     name: str
@@ -48,6 +51,7 @@ class ImuTable:
     counter_wraps: int = 0
     units: str = ""
     notes: list[str] = field(default_factory=list)
+    gyro_unit_assumed: bool = False
 
 
 @dataclass
@@ -66,6 +70,8 @@ class SkeletonTable:
         `JointState` values of the same joints.
     frame : CameraFrame, optional
         Where the format settles the axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Direction of down in the axes of the positions, where they are a room's (y up, say) and no camera's.
     rate_hz : float, Hz, optional
         Rate that the file or its format states.
     relative : bool
@@ -81,6 +87,7 @@ class SkeletonTable:
     position: dict[str, FloatArray]
     state: dict[str, NDArray[np.int8]]
     frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
     rate_hz: float | None = None
     relative: bool = False
     units: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,10 @@ import numpy as np
 
 from ...errors import RecordingError
 from .trajectories import Markers, metres_in, told_apart, without_origin
+
+#: Reading takes no longer than this, s, and a second for so many bytes; with a damaged length the library
+#: goes on for minutes.
+_LONGEST_S, _SLOWEST = 4, 2_000_000
 
 
 def read_c3d(path: Path) -> Markers:
@@ -72,6 +77,8 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Points, residuals and first frame; and the parameters by group and name."""
     import ezc3d
 
+    if ends_the_process(path):
+        raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))
         data = {
@@ -83,6 +90,34 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise RecordingError(f"{path}: a damaged C3D file ({reason}); export it again") from error
     return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
+
+
+def ends_the_process(path: Path) -> bool:
+    """Whether the library would end the process: tried in a child, where a system has them (no Windows).
+
+    Its C++ reads past the end of parameters whose lengths are damaged.
+    """
+    import faulthandler
+    import os
+    import signal
+
+    import ezc3d
+
+    if not hasattr(os, "fork"):
+        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the child only reads and ends
+        child = os.fork()
+    if child == 0:
+        try:
+            signal.alarm(_LONGEST_S + path.stat().st_size // _SLOWEST)
+            faulthandler.disable()
+            os.close(2)  # what the library says while it crashes is no message
+            ezc3d.c3d(str(path))
+        except BaseException:  # a refusal is no crash
+            pass
+        os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
 def _whole(path: Path, point: dict[str, Any]) -> None:

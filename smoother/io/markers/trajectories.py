@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ..devices.head import shown
 
 #: Metres in a unit, by the names that files use.
 METRES = {
@@ -75,7 +76,7 @@ def metres_in(unit: str, path: Path) -> float:
         return METRES[unit.strip().strip('"').lower()]
     except KeyError:
         raise RecordingError(
-            f"{path}: the unit of length is '{unit.strip()}', and only m, cm, mm, dm and inches are known;"
+            f"{path}: the unit of length is '{shown(unit, 40)}', and only m, cm, mm, dm and inches are known;"
             " export the file in mm or m"
         ) from None
 

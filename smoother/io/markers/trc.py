@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ..devices.head import shown
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 #: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.
@@ -152,7 +153,7 @@ def _number(cell: str, path: Path, line: int, column: int) -> float:
         return float(re.sub("[dD]", "e", text))  # Fortran's exponents
     except ValueError:
         raise RecordingError(
-            f"{path}, line {line}: '{cell}' in column {column + 1} is not a number; mend the cell"
+            f"{path}, line {line}: '{shown(cell, 40)}' in column {column + 1} is not a number; mend the cell"
         ) from None
 
 

@@ -5,22 +5,30 @@ from __future__ import annotations
 import os
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal, Unpack
+from typing import Annotated, Unpack
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import CameraFrame, FloatArray, IntArray, JointState, Recording
-from ...units import STANDARD_GRAVITY
+from ...recording import FloatArray, IntArray, JointState, Recording
+from ..devices.files import add_imu, add_skeleton, times_of
+from ..devices.head import shown
+from ..devices.pairing import paired
+from ..devices.protocol import SkeletonTable
+from ..devices.repair import repaired_imu, repaired_skeleton
+from ..devices.starts import Timed, shifts
 from ..mcap.stamps import nanoseconds
 from ..recording.choose import Selection
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from .columns import read_imu_columns
 from .imu_table import imu_columns
+from .layout_keys import ACCELERATION, ANGULAR_VELOCITY, METRES, CameraKeys, ImuKeys
+from .skeleton_columns import read_skeleton_columns
 from .table import read_table, vectors
 
 _STATES = {
@@ -31,30 +39,15 @@ _STATES = {
 _LAST_S = 9.2e9  # beyond it, nanoseconds do not fit into 64 bits
 
 
-class _Section(BaseModel):
+class _Truth(BaseModel):
     model_config = ConfigDict(extra="forbid")
-
-
-class _Camera(_Section):
-    frame: CameraFrame
-    skeleton: str | None = None
-    gravity: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
-    position_unit: Literal["m", "mm"] = "m"
-
-
-class _Imu(_Section):
-    file: str
-    accelerometer_unit: Literal["m/s^2", "g"] = "m/s^2"
-    gyroscope_unit: Literal["rad/s", "deg/s"] = "rad/s"
-
-
-class _Truth(_Section):
     file: str
 
 
-class _Description(_Section):
-    camera: _Camera | None = None
-    imu: Annotated[dict[str, _Imu], Field(min_length=1)]
+class _Description(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    camera: CameraKeys | None = None
+    imu: Annotated[dict[str, ImuKeys], Field(min_length=1)]
     truth: _Truth | None = None
 
 
@@ -93,12 +86,17 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
             raise RecordingError(
                 f"{folder / 'recording.toml'}: [camera] gravity is zero; give the direction of down."
             )
-    if camera is not None and camera.skeleton is not None:  # without one the IMUs can still be calibrated
-        _skeleton(file, folder / camera.skeleton, 0.001 if camera.position_unit == "mm" else 1.0)
-    for name, section in description.imu.items():
-        file.imus.append(_imu(folder / section.file, name, section))
+    plain = {name: section for name, section in description.imu.items() if section.is_plain}
+    has_skeleton = camera is not None and camera.skeleton is not None  # IMUs alone can still be calibrated
+    if camera is not None and camera.skeleton is not None and camera.is_plain:
+        _skeleton(file, folder / camera.skeleton, METRES[camera.position_unit])
+        has_skeleton = False
+    for name, section in plain.items():
+        file.imus.append(_imu(folder / section.file, name, section))  # type: ignore[operator]
+    others = {name: section for name, section in description.imu.items() if not section.is_plain}
+    _add_columns(file, folder, camera if has_skeleton else None, others)
     if description.truth is not None:
-        file.poses.append(_truth(folder / description.truth.file))
+        file.poses.append(read_pose_table(folder / description.truth.file))
     for topic, schema, stamp in [
         *((i.topic, "unocclude.Imu", i.stamp_ns) for i in file.imus),
         *((a.topic, "unocclude.Skeleton", a.stamp_ns) for a in file.arms[:1]),
@@ -125,17 +123,54 @@ def _describe(folder: Path) -> _Description:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         what = {"extra_forbidden": "is not known here", "missing": "is missing"}.get(
-            first["type"], f"is {first['input']!r}, but: {first['msg'][:1].lower()}{first['msg'][1:]}"
+            first["type"],
+            f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
         )
         raise RecordingError(f"{path}: {where} {what}; mend it.") from error
 
 
-def _imu(path: Path, name: str, section: _Imu) -> ImuSamples:
+def _add_columns(
+    file: RecordingFile, folder: Path, camera: CameraKeys | None, imus: dict[str, ImuKeys]
+) -> None:
+    """Tables of other layouts, their times mended, on one clock with the rest."""
+    if camera is None and not imus:
+        return
+    bodies: list[SkeletonTable] = []
+    if camera is not None and camera.skeleton is not None:
+        path = folder / camera.skeleton
+        bodies = [repaired_skeleton(table, str(path)) for table in read_skeleton_columns(path, camera)]
+        file.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in bodies for n in t.notes)]
+    sensors = {}
+    for name, keys in imus.items():
+        source = f"[imu.{name}] of {folder / 'recording.toml'}"
+        tables = [repaired_imu(table, source) for table in read_imu_columns(folder, keys)]
+        sensors[name] = paired(tables, source)
+        file.notes += [f"imu.{name}: {note}" for note in sensors[name].notes]
+    streams = [Timed(arm.topic, arm.stamp_ns / 1e9, False) for arm in file.arms[:1]]
+    streams += [Timed(table.units, times_of(table), False) for table in bodies]
+    streams += [Timed(imu.topic, imu.stamp_ns / 1e9, True) for imu in file.imus]
+    streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
+    shift, sentences = shifts(streams)
+    file.notes += sentences
+    moved = iter(shift)
+    if file.arms:
+        shift_ns = round(next(moved) * 1e9)
+        for arm in file.arms:
+            arm.stamp_ns = arm.stamp_ns + shift_ns
+    skeleton_shift = [next(moved) for _ in bodies]
+    for imu in file.imus:
+        imu.stamp_ns = imu.stamp_ns + round(next(moved) * 1e9)
+    if bodies:
+        add_skeleton(file, bodies, str(folder), "/skeleton", skeleton_shift[0])
+    for name, table in sensors.items():
+        add_imu(file, f"/imu/{name}", table, str(folder), next(moved))
+
+
+def _imu(path: Path, name: str, section: ImuKeys) -> ImuSamples:
     t_s, acc, gyro, mag = imu_columns(path)
-    if section.accelerometer_unit == "g":
-        acc *= STANDARD_GRAVITY
-    if section.gyroscope_unit == "deg/s":
-        gyro = np.radians(gyro)
+    acc *= ACCELERATION[section.accelerometer_unit]
+    if section.gyroscope_unit != "rad/s":
+        gyro = gyro * ANGULAR_VELOCITY[section.gyroscope_unit]
     return ImuSamples(f"/imu/{name}", name, _stamps(t_s, path), acc, gyro, mag)
 
 
@@ -185,10 +220,13 @@ def _refuse_unknown(path: Path, column: str, cells: list[str], unknown: list[str
         "state": "tracked, inferred or not_tracked",
     }[column]
     row = next(i for i, cell in enumerate(cells) if cell in unknown)
-    raise RecordingError(f"{path}, line {row + 2}: {column} {cells[row]!r} is not known; it is {allowed}.")
+    raise RecordingError(
+        f"{path}, line {row + 2}: {column} '{shown(cells[row], 40)}' is not known; it is {allowed}."
+    )
 
 
-def _truth(path: Path) -> PoseSamples:
+def read_pose_table(path: Path) -> PoseSamples:
+    """Read poses from `t_s, x, y, z [, qw, qx, qy, qz]`; errors as in `read_table`."""
     turn = ("qw", "qx", "qy", "qz")
     columns, _ = read_table(path, ("t_s", "x", "y", "z"), turn, empty=("x", "y", "z", *turn))
     position = vectors(columns, *"xyz")

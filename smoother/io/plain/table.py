@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ..devices.head import shown
 
 Columns = tuple[dict[str, FloatArray], dict[str, list[str]]]
 
@@ -67,7 +68,9 @@ def read_table(
         ) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise RecordingError(f"{path} cannot be read as comma-separated text: {reason}.") from error
+        raise RecordingError(
+            f"{path} cannot be read as comma-separated text: {shown(str(reason))}."
+        ) from error
 
 
 def vectors(columns: dict[str, FloatArray], *names: str) -> FloatArray:
@@ -86,7 +89,8 @@ def _check_header(header: list[str], path: Path, required: Sequence[str]) -> Non
     missing = [name for name in required if name not in header]
     if missing:
         raise RecordingError(
-            f"{path} has no column {', '.join(missing)}; its columns are {', '.join(header)}."
+            f"{path} has no column {', '.join(missing)}; its columns are {shown(', '.join(header))}."
+            f" `unocclude import describe {path}` helps with other layouts."
         )
 
 
@@ -137,7 +141,11 @@ def _read_cells(
             try:
                 values.append(float(cell or "nan") if name in empty else float(cell))
             except ValueError:
-                what = f"{cell!r} in column {name} is not a number" if cell else f"column {name} is empty"
+                what = (
+                    f"'{shown(cell, 40)}' in column {name} is not a number"
+                    if cell
+                    else f"column {name} is empty"
+                )
                 raise RecordingError(f"{path}, line {line}: {what}; mend the cell.") from None
     if not any([*numbers.values(), *texts.values()]):
         raise RecordingError(f"{path} has a header and no rows; export it again.")

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import JOINTS, FloatArray, IntArray, JointState
+from ...recording import JOINTS, FloatArray, ImuStream, IntArray, JointState, JointTracks
 from ...runtime.column import batches
 from ...runtime.store import Store
+from ...selfcal.coarse_clock import shifted_agreement
 from .bodies import join_bodies
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -25,6 +26,9 @@ _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", 
 _ENOUGH, _LEAD = 0.4, 0.1
 _MOTION_S = 0.3
 _LAG_S = 1.0
+#: Clocks may be this far apart, s; the correlation of a pair must then reach this.
+_FAR_S = 600.0
+_ENOUGH_SHIFTED = 0.6
 _MOTION_FRAMES = 20_000
 #: Where no two joints tell a direction, the one seen most; of equals the first.
 _POINTS = ("wrist", "strap", "hand", "elbow")
@@ -274,6 +278,13 @@ def _by_motion(
             "choose with --imu and --side if one is on a forearm all the same."
         )
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
+    shifted = [_shifted(imu, arm) for imu, arm in pairs]
+    correlation, shift_s, far = shifted[int(np.argmax([row[0] for row in shifted]))]
+    apart = ""
+    if far and correlation >= max(_ENOUGH_SHIFTED, float(scores.max())):
+        # the clocks are far apart: what agrees within a second does so by chance
+        scores = np.array([row[0] for row in shifted])
+        apart = f", with the clocks {abs(shift_s):.1f} s apart"
     order = np.argsort(-scores)
     best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
     if best < _ENOUGH or best - second < _LEAD:
@@ -286,7 +297,7 @@ def _by_motion(
             f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
             f"choose with {needed}."
         )
-    why = f"their motion agrees best (correlation {best:.2f}, the next {second:.2f})"
+    why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
     further = [
         f"{match.imu} moves as {match.limb.label}"
         for pair, match in matched
@@ -318,6 +329,21 @@ def _matches(
         for match in matches
         if match.limb is not None
     ]
+
+
+def _shifted(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
+    """`shifted_agreement` of an IMU and an arm's first frames."""
+    order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
+    if not len(order):
+        return 0.0, 0.0, False
+    stamp, gyro = _gyro_until(imu, int(arm.stamp_ns[order].max() + 1e9 * _FAR_S))
+    if len(stamp) < 2:
+        return 0.0, 0.0, False
+    zero = int(stamp[0])
+    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, gyro, gyro)
+    t_s = (arm.stamp_ns[order] - zero) / 1e9
+    tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
+    return shifted_agreement(stream, tracks, _LAG_S)
 
 
 def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:

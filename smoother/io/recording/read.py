@@ -20,6 +20,7 @@ from .choose import Selection, choose
 from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
+from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 
@@ -30,7 +31,10 @@ OTHER_SIDE = {"left": "right", "right": "left"}
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
 
-AnyDecoder = ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder
+AnyDecoder = (
+    ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
+)
+SKELETONS = (SkeletonDecoder, MarkerDecoder, JsonSkeleton)
 
 
 def open_recording(
@@ -90,6 +94,11 @@ def open_recording(
         TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
+    if angles:
+        file.notes.append(
+            f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone."
+        )
     _take_metadata(file)
     return file
 
@@ -98,16 +107,18 @@ def _decoder(topic: Topic, store: Store, truth: bool) -> AnyDecoder | None:
     """What decodes a topic; None where it is not wanted."""
     if topic.name.startswith(RESULT_PREFIX):
         return None
-    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store)
-    is_reference = isinstance(decoder, PoseDecoder) or (
-        topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SkeletonDecoder | MarkerDecoder)
-    )
+    decoder = plain_decoder(topic, store) or skeleton_decoder(topic, store) or json_decoder(topic, store)
+    is_pose = isinstance(decoder, PoseDecoder) or (isinstance(decoder, JsonStream) and decoder.kind == "pose")
+    is_reference = is_pose or (topic.name.startswith(TRUTH_PREFIX) and isinstance(decoder, SKELETONS))
     return None if is_reference and not truth else decoder
 
 
 def _met(only: Collection[str], topics: list[Topic], decoder: dict[int, AnyDecoder | None]) -> bool:
     """Whether these and an IMU are among the topics that had messages."""
-    is_imu = any(isinstance(decoder[id(topic)], ImuDecoder) for topic in topics)
+    decoders = [decoder[id(topic)] for topic in topics]
+    is_imu = any(
+        isinstance(d, ImuDecoder) or (isinstance(d, JsonStream) and d.kind == "imu") for d in decoders
+    )
     return is_imu and set(only) <= {topic.name for topic in topics}
 
 
@@ -206,7 +217,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
             file.notes.append(
                 f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
             )
-        if isinstance(decoder, SkeletonDecoder | MarkerDecoder):
+        if isinstance(decoder, SKELETONS):
             arms = decoder.arms()
             file.arms += arms
             if not arms and not decoder.topic.name.startswith(TRUTH_PREFIX):

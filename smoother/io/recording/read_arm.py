@@ -12,7 +12,6 @@ from .choose import Selection
 from .read import read_recording
 
 if TYPE_CHECKING:
-    from ...calibration import ArmCalibration
     from ...recording import Recording
     from ...runtime.store import Store
 

@@ -10,23 +10,28 @@ import struct
 
 from .layout import MessageLayout
 
+#: Encapsulations of plain messages (DDS-XTypes 1.3, table 39): CDR, and XCDR2 of final types; widest
+#: alignment and byte order.
+_PLAIN = {b"\0\0": (8, ">"), b"\0\1": (8, "<"), b"\0\6": (4, ">"), b"\0\7": (4, "<")}
+
 
 class CdrReader:
-    """Reads a CDR message value by value.
+    """Reads a CDR or XCDR2 message value by value.
 
-    Alignment counts from behind the four bytes of the encapsulation header.
+    Alignment counts from behind the four bytes of the encapsulation header; XCDR2 aligns to four bytes at
+    most, and puts its size in bytes before a sequence of structures.
     """
 
     def __init__(self, data: bytes):
-        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+        if len(data) < 4 or bytes(data[:2]) not in _PLAIN:
             raise ValueError("not plain CDR")
         self.data = data
         self.position = 4
-        self.order = "<" if data[1] else ">"
+        self.widest, self.order = _PLAIN[bytes(data[:2])]
 
     def align(self, size: int) -> None:
-        """Move to the next multiple of `size`."""
-        self.position += -(self.position - 4) % size
+        """Move to the next multiple of `size`, or of the widest alignment."""
+        self.position += -(self.position - 4) % min(size, self.widest)
 
     def values(self, kind: str, count: int) -> tuple[float, ...]:
         """So many numbers of a `struct` kind; nothing is aligned where there are none."""
@@ -109,9 +114,15 @@ class Cursor(CdrReader):
         self.field("nsec", "u4")
         self.text(frame)
 
+    def structures(self) -> int:
+        """Length of a sequence of structures."""
+        if self.widest == 4:
+            self.skip(4)  # its size in bytes
+        return self.length()
+
     def sequence(self, size: int, values: int) -> None:
-        """A sequence of elements of `values` numbers of `size` bytes."""
-        self.skip(size, self.length() * values)
+        """A sequence of elements of `values` numbers of `size` bytes (more than one: structures)."""
+        self.skip(size, (self.structures() if values > 1 else self.length()) * values)
 
     def _check(self) -> None:
         if self.position > len(self.data):
@@ -157,7 +168,7 @@ def marker_array(data: bytes, textured: bool = True) -> MessageLayout:
         Markers carry a texture and an embedded mesh (ROS 2 Humble and later).
     """
     cursor = Cursor(data)
-    count = cursor.length()
+    count = cursor.structures()
     if count * 100 > len(data):
         raise ValueError("more markers than bytes for them")
     cursor.layout.counts["markers"] = count

@@ -1,0 +1,375 @@
+"""A recording of files as devices write them: read, times mended, clocks brought together."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import JOINTS, FloatArray, JointState
+from ..mcap.stamps import nanoseconds
+from ..recording.choose import named_side, role
+from ..recording.clean import clean_arm, clean_imu
+from ..recording.joint_rows import JointRows
+from ..recording.skeletons import joint_code
+from ..recording.streams import ImuSamples, RecordingFile
+from .head import read_head
+from .pairing import paired
+from .protocol import DeviceFormat, ImuTable, SkeletonTable
+from .registry import format_named, recognise, unknown_file
+from .repair import repaired_imu, repaired_skeleton
+from .starts import Timed, shifts
+
+Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
+
+
+@dataclass(frozen=True)
+class ImuFiles:
+    """Files of one IMU (or of several, where one file holds them).
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        One file, or one of the accelerometer and one of the gyroscope.
+    name : str
+        As in recording.toml (`forearm_right`); "" leaves it to the motion.
+    sensor : str
+        Of a file that holds several sensors, the one to take; "" = all.
+    """
+
+    paths: tuple[Path, ...]
+    name: str = ""
+    sensor: str = ""
+
+
+@dataclass
+class FileReport:
+    """What was recognised in a file.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    format : str
+        The importer's key.
+    sentence : str
+        The line that is said of it.
+    topics : list of str
+        What it was written to.
+    rate_hz : float
+        Median rate.
+    count : int
+        Samples or frames.
+    units : str
+        As the file has them.
+    notes : list of str
+        What was decided or mended, a sentence each.
+    """
+
+    path: str
+    format: str
+    sentence: str
+    topics: list[str] = field(default_factory=list)
+    rate_hz: float = float("nan")
+    count: int = 0
+    units: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+class FileReader:
+    """Reads device files, each once.
+
+    Parameters
+    ----------
+    imu_format, skeleton_format : str, optional
+        Keys of importers that overrule what is recognised.
+    """
+
+    def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
+        self._named = {"imu": imu_format, "skeleton": skeleton_format}
+        self._tables: dict[tuple[Path, str], Tables] = {}
+        self._formats: dict[Path, DeviceFormat | None] = {}
+
+    def format_of(self, path: Path, kind: str) -> DeviceFormat:
+        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
+
+        Raises
+        ------
+        RecordingError
+            No importer recognises it, or it is of the other kind.
+        """
+        if (key := self._named.get(kind)) is not None:
+            return format_named(key)
+        importer = self.recognised(path, (kind, "recording") if kind else ())
+        if importer is None:
+            raise unknown_file(read_head(path))
+        if kind and importer.kind not in (kind, "recording"):
+            other = "--skeleton" if importer.kind == "skeleton" else "--imu"
+            raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
+        return importer
+
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+        """The importer of a file, looked for once; those of the kinds first."""
+        known = self._formats.get(path)
+        if known is None or (kinds and known.kind not in kinds):
+            known = self._formats[path] = recognise(read_head(path), kinds)
+        return known
+
+    def read(self, path: Path, importer: DeviceFormat) -> Tables:
+        """All tables of a file.
+
+        Raises
+        ------
+        RecordingError
+            In one sentence: the file, what it was recognised as, and what is wrong with it.
+        """
+        key = (path, importer.key)
+        if key not in self._tables:
+            try:
+                self._tables[key] = importer.read(path)
+            except RecordingError:
+                raise
+            except Exception as error:  # a damaged file fails anywhere, in libraries too
+                raise RecordingError(
+                    f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"
+                    " export or copy it again."
+                ) from error
+            if not self._tables[key]:
+                raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
+        return self._tables[key]
+
+
+def import_files(
+    skeletons: list[Path],
+    imus: list[ImuFiles],
+    *,
+    imu_format: str | None = None,
+    skeleton_format: str | None = None,
+    imu_starts_at_s: float | None = None,
+    reader: FileReader | None = None,
+) -> tuple[RecordingFile, list[FileReport]]:
+    """Make a recording of device files.
+
+    Parameters
+    ----------
+    skeletons : list of Path
+        Files with skeletons.
+    imus : list of ImuFiles
+        Files with IMUs.
+    imu_format, skeleton_format : str, optional
+        Keys of importers that overrule what is recognised.
+    imu_starts_at_s : float, s, optional
+        When the first IMU sample was taken, after the first camera frame.
+    reader : FileReader, optional
+        One that has read some of the files already.
+
+    Returns
+    -------
+    file : RecordingFile
+        All streams, for `write_recording`.
+    reports : list of FileReport
+        One a file.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read or used; the message names it and says what to do.
+    """
+    if not skeletons and not imus:
+        raise RecordingError("There is nothing to import: name files with --skeleton and --imu.")
+    reader = reader or FileReader(imu_format, skeleton_format)
+    reports: list[FileReport] = []
+    bodies = [_skeleton(reader, path, reports) for path in skeletons]
+    sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
+    streams = [Timed(report.path, _all_times(tables), False) for tables, report in bodies]
+    streams += [Timed(topic, times_of(table), True) for topic, table, _ in sensors]
+    shift, sentences = shifts(streams, imu_starts_at_s)
+
+    first = skeletons[0] if skeletons else imus[0].paths[0]
+    file = RecordingFile(first, notes=sentences)
+    for number, (tables, report) in enumerate(bodies):
+        report.topics.append("/skeleton" if number == 0 else f"/skeleton_{number + 1}")
+        add_skeleton(file, tables, report.path, report.topics[-1], shift[number])
+    for (topic, table, report), moved_s in zip(sensors, shift[len(bodies) :], strict=True):
+        add_imu(file, topic, table, report.path, moved_s)
+        report.topics.append(topic)
+    file.notes = [note for report in reports for note in report.notes] + file.notes
+    return file, reports
+
+
+def _skeleton(
+    reader: FileReader, path: Path, reports: list[FileReport]
+) -> tuple[list[SkeletonTable], FileReport]:
+    """The bodies of a file with mended times, and the report of it."""
+    importer = reader.format_of(path, "skeleton")
+    tables = [t for t in reader.read(path, importer) if isinstance(t, SkeletonTable)]
+    if not tables:
+        raise RecordingError(f"{path} ({importer.title}) holds no skeleton; name it with --imu alone.")
+    tables = [repaired_skeleton(table, str(path)) for table in tables]
+    report = _report(reports, path, importer)
+    frames = _all_times(tables)
+    report.count, report.rate_hz, report.units = len(frames), _rate(frames), tables[0].units
+    report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
+    numbers = f"{len(tables)} bodies" if len(tables) > 1 else "1 body"
+    report.sentence = _line(path.name, importer.title, report, f"{report.count:,} frames, {numbers}")
+    if any(table.relative for table in tables):
+        report.notes.append(
+            f"{path.name}: positions are relative to the body, so its place in the room is not known: the"
+            " result is relative too, and where the trunk moves camera and IMU contradict each other."
+        )
+    elif tables[0].frame is None and tables[0].gravity_hint is None:
+        report.notes.append(
+            f"{path.name} does not say which way its axes point; down is estimated from the motion."
+        )
+    return tables, report
+
+
+def _sensors(
+    reader: FileReader, files: ImuFiles, reports: list[FileReport]
+) -> list[tuple[str, ImuTable, FileReport]]:
+    """The sensors of files that belong together, with mended times, and the name that each is to have."""
+    parts: list[ImuTable] = []
+    for path in files.paths:
+        importer = reader.format_of(path, "imu")
+        tables = [t for t in reader.read(path, importer) if isinstance(t, ImuTable)]
+        if files.sensor:
+            tables = [t for t in tables if t.name.lower() == files.sensor.lower()] or _no_sensor(
+                path, files, tables
+            )
+        if not tables:
+            raise RecordingError(f"{path} ({importer.title}) holds no IMU; name it with --skeleton alone.")
+        tables = [repaired_imu(table, str(path)) for table in tables]
+        report = _report(reports, path, importer)
+        report.count, report.rate_hz = len(times_of(tables[0])), _rate(times_of(tables[0]))
+        report.units = tables[0].units
+        report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
+        names = f"{len(tables)} sensors ({', '.join(t.name for t in tables)}), " if len(tables) > 1 else ""
+        report.sentence = _line(path.name, importer.title, report, f"{report.count:,} samples", names)
+        parts += tables
+    source = ", ".join(str(path) for path in files.paths)
+    whole = [table for table in parts if table.acc is not None and table.gyro is not None]
+    if len(files.paths) > 1 or not whole:
+        joined = paired(parts, source)
+        report.notes += [f"{report.path}: {joined.notes[-1]}"] if len(parts) > 1 else []
+        return [(files.name, joined, report)]
+    if files.name and len(whole) > 1:
+        listed = ", ".join(table.name for table in whole)
+        raise RecordingError(
+            f"{source} holds {len(whole)} sensors ({listed}); say which one is {files.name}:"
+            f" --imu {files.name}={files.paths[0]}#{whole[0].name}."
+        )
+    return [(files.name or (t.name if len(whole) > 1 else ""), t, report) for t in whole]
+
+
+def _no_sensor(path: Path, files: ImuFiles, tables: list[ImuTable]) -> list[ImuTable]:
+    listed = ", ".join(table.name or "one without a name" for table in tables)
+    raise RecordingError(f"{path} holds no sensor {files.sensor}; it has {listed}.")
+
+
+def _named(
+    sensors: list[tuple[str, ImuTable, FileReport]],
+) -> list[tuple[str, ImuTable, FileReport]]:
+    """The sensors by topic; no topic twice."""
+    named, topics = [], set()
+    for given, table, report in sensors:
+        clean = re.sub(r"[^0-9A-Za-z_]+", "_", given).strip("_")
+        if not clean:
+            stem = re.sub(r"[^0-9A-Za-z_]+", "_", Path(report.path).stem).strip("_")
+            # A file's name is no statement about a limb: it must not decide which arm is meant.
+            probe = ImuSamples(stem, "", *([np.empty(0)] * 3))  # type: ignore[arg-type]
+            clean = "sensor" if not stem or role(probe) or named_side(stem) else stem
+        topic, number = f"/imu/{clean}", 2
+        while topic in topics:
+            topic, number = f"/imu/{clean}_{number}", number + 1
+        topics.add(topic)
+        named.append((topic, table, report))
+    return named
+
+
+def add_skeleton(
+    file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
+) -> None:
+    """Put the arms of a file's bodies into a recording; all of them share its frames.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        The recording.
+    tables : list of SkeletonTable
+        Bodies with mended times.
+    source : str
+        The file, for messages.
+    topic : str
+        What to write them to.
+    shift_s : float, s
+        What to add to the times.
+
+    Raises
+    ------
+    RecordingError
+        No joint of a forearm is tracked, or the positions are in no metres.
+    """
+    stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
+    frames = np.unique(np.concatenate(stamps))
+    rows = JointRows()
+    for table, stamp in zip(tables, stamps, strict=True):
+        frame = np.searchsorted(frames, stamp)
+        body = np.full(len(stamp), table.body, np.int64)
+        for name, position in table.position.items():
+            code = joint_code(name)
+            if code is None:
+                continue
+            side, joint = (np.full(len(stamp), value, np.int64) for value in code)
+            state = table.state[name].astype(np.int64)
+            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
+            rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
+    first = tables[0]
+    arms = rows.arms(frames, topic, "camera", first.frame)
+    for arm in arms:
+        if arm.tracked:
+            clean_arm(arm, source)
+    if not any(arm.tracked for arm in arms):
+        raise RecordingError(
+            f"{source}: no elbow, wrist, hand or strap is tracked in any frame ({', '.join(JOINTS)} are"
+            " read); record again with the arm in view."
+        )
+    file.arms += arms
+    if file.camera_frame is None and file.gravity_hint is None:
+        file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
+
+
+def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
+    """Put an IMU with mended times into a recording, if its units can be; as `add_skeleton`."""
+    assert table.acc is not None and table.gyro is not None
+    stamp = nanoseconds(times_of(table) + shift_s, 0)
+    samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
+    clean_imu(samples, source)
+    file.imus.append(samples)
+
+
+def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
+    """Times of a table that was mended."""
+    assert table.t_s is not None
+    return table.t_s
+
+
+def _report(reports: list[FileReport], path: Path, importer: DeviceFormat) -> FileReport:
+    report = FileReport(str(path), importer.key, "")
+    reports.append(report)
+    return report
+
+
+def _line(name: str, title: str, report: FileReport, count: str, names: str = "") -> str:
+    units = f", {report.units}" if report.units else ""
+    return f"{name}: {title}, {names}{report.rate_hz:.1f} Hz, {count}{units}"
+
+
+def _all_times(tables: list[SkeletonTable]) -> FloatArray:
+    return np.unique(np.concatenate([times_of(table) for table in tables]))
+
+
+def _rate(t_s: FloatArray) -> float:
+    return float(1 / np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")

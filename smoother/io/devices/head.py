@@ -1,0 +1,92 @@
+"""The beginning of a file, as importers see it, and how it is shown in a message."""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+from ...errors import RecordingError
+from .protocol import FileHead
+
+#: So much of a file is read to recognise it, bytes.
+HEAD_BYTES = 65_536
+#: So much of a file is shown in a message at most, characters.
+SHOWN_CHARACTERS = 200
+#: Among the first characters, more of these than one in so many are no text.
+_CONTROL_SHARE = 0.02
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+def read_head(path: Path) -> FileHead:
+    """Read a file's beginning.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    FileHead
+        Its first 64 kB, decoded where they are text.
+
+    Raises
+    ------
+    RecordingError
+        The file does not exist, is a folder, is empty, or cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise RecordingError(f"{path} does not exist; check the name.") from None
+    except IsADirectoryError:
+        raise RecordingError(f"{path} is a folder; name the file in it.") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    if not raw:
+        raise RecordingError(f"{path} is empty; export or copy it again.")
+    text = decode(raw)
+    whole = text if len(raw) < HEAD_BYTES else text[: text.rfind("\n") + 1] or text
+    return FileHead(path, raw, text, tuple(whole.splitlines()))
+
+
+def decode(raw: bytes) -> str:
+    """A file's bytes as text without its byte-order mark; "" where they are no text."""
+    encoding = next((name for mark, name in _MARKS if raw.startswith(mark)), None)
+    if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
+        even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
+        half = len(raw[:400]) // 2
+        if odd > 0.8 * half and not even:
+            encoding = "utf-16-le"
+        elif even > 0.8 * half and not odd:
+            encoding = "utf-16-be"
+    if encoding is None:
+        if b"\0" in raw:
+            return ""
+        encoding = "utf-8"
+    try:
+        # The last character may be cut in two by the end of the head.
+        text = codecs.getincrementaldecoder(encoding)().decode(raw)
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")
+    start = text[:4000]
+    control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
+    return "" if control > _CONTROL_SHARE * len(start) else text
+
+
+def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
+    """Text as a message can show it: no control characters, no more than so many characters."""
+    plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())
+    return plain if len(plain) <= characters else plain[: characters - 2] + ".."
+
+
+def first_rows(head: FileHead, characters: int = SHOWN_CHARACTERS) -> str:
+    """The first rows of a file for a message, or its first bytes where it is no text."""
+    if not head.text:
+        return f"bytes {head.raw[:16].hex(' ')} .."
+    return shown(" | ".join(line for line in head.lines[:4] if line.strip()), characters)

@@ -1,0 +1,58 @@
+"""phyphox: CSV of experiments on phones."""
+
+from __future__ import annotations
+
+from ...errors import RecordingError
+from .imu_checks import holds_gravity
+from .imu_sheet import ImuSheetFormat, angular_velocity, seconds, specific_force, units_said
+from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+from .protocol import ImuTable
+from .sheet import Sheet
+from .table_layout import TableLayout
+
+#: Also as experiments in other languages name them.
+_TIME = ("time", "zeit", "temps", "tiempo", "tempo", "t")
+_WITH_G = ("acceleration", "accelerometer", "beschleunigung", "accélération", "aceleración", "accelerazione")
+_WITHOUT_G = ("linear acceleration", "lineare beschleunigung", "accélération linéaire", "aceleración lineal")
+_TURNING = ("gyroscope", "gyroscope rotation", "rotation rate", "gyroskop", "giroscopio", "angular velocity")
+
+
+class Phyphox(ImuSheetFormat):
+    """m/s^2 and rad/s, both in one table or in a file each; one sign on Android and iOS."""
+
+    key = "phyphox"
+    title = "phyphox CSV"
+    recognised_by = "Time (s) beside Acceleration x (m/s^2), Gyroscope x (rad/s), or X (m/s^2), X (rad/s)"
+
+    def fits(self, layout: TableLayout) -> bool:
+        """Whether the columns are phyphox's, whose units are always in the header."""
+        time = layout.find(*_TIME)
+        if time is None or plain_unit(layout.units[time]) != "s":
+            return False
+        vectors = [layout.axes(*_WITH_G), layout.axes(*_TURNING), layout.axes(*_WITHOUT_G), layout.axes("")]
+        units = {plain_unit(layout.units[c[0]]) for c in vectors if c is not None}
+        return bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
+
+    def tables(self, sheet: Sheet) -> list[ImuTable]:
+        """One sensor, or the half of one."""
+        layout = sheet.layout
+        acc, gyro, bare = layout.axes(*_WITH_G), layout.axes(*_TURNING), layout.axes("")
+        if bare is not None and acc is None and gyro is None:
+            unit = plain_unit(sheet.unit(bare[0]))
+            acc, gyro = (bare if unit in ACCELERATION else None), (bare if unit in ANGULAR_VELOCITY else None)
+        force = specific_force(sheet, acc)
+        if (acc is None and gyro is None) or (force is not None and not holds_gravity(force)):
+            raise RecordingError(
+                f"{sheet.path} is a {self.title} of acceleration without gravity; record 'Acceleration with"
+                " g'"
+                " together with 'Gyroscope'."
+            )
+        return [
+            ImuTable(
+                name="",
+                t_s=seconds(sheet, layout.find(*_TIME)),
+                acc=force,
+                gyro=angular_velocity(sheet, gyro),
+                units=units_said(sheet, (acc, ""), (gyro, "")),
+            )
+        ]

@@ -1,0 +1,263 @@
+"""Times of device tables, mended: what was done with how many samples is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
+from ...recording import BoolArray, FloatArray, IntArray
+from ..recording.clean import increasing
+from .protocol import ImuTable, SkeletonTable
+
+#: Rows at the start with a stamp of zero are no times where the next stamp lies this far on, s.
+_FAR_S = 3600.0
+#: A counter holds the samples' numbers where so much of its steps is one.
+_COUNTS = 0.5
+#: Rows are out of order where, sorted, this share of the steps lies within these parts of the usual one.
+_IN_ORDER = (0.6, 1.6, 0.97)
+#: More of the samples are not left out for their stamps.
+_LOST = 0.2
+#: Stamps that follow a counter to this part of a tick are the samples' own.
+_OWN_STAMPS = 0.25
+
+
+def repaired_imu(table: ImuTable, source: str) -> ImuTable:
+    """An IMU's samples with times that increase.
+
+    Parameters
+    ----------
+    table : ImuTable
+        As a file has it.
+    source : str
+        The file, for messages.
+
+    Returns
+    -------
+    ImuTable
+        `t_s` increases strictly; `notes` say what was done.
+
+    Raises
+    ------
+    RecordingError
+        No usable samples, or neither times nor a rate.
+    """
+    table = _rows(table, ~_silent_start(table), "rows of zeros at the start were left out")
+    finite = np.ones(_length(table), bool)
+    for values in (table.acc, table.gyro):
+        finite &= True if values is None else np.isfinite(values).all(axis=1)
+    table = _rows(table, finite, "samples that are not numbers were left out")
+    if table.t_s is not None:
+        table = _rows(table, _timed(table.t_s), "samples without a time were left out")
+    if _length(table) < 2:
+        raise RecordingError(f"{source} has {_length(table)} usable samples; record or export it again.")
+    table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
+    if table.t_s is not None:
+        t_s, notes = _unwrapped(table.t_s)
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        order = _order(t_s)
+        table = table if order is None else _rows(table, order, "")
+    number, notes = _number(table)
+    t_s, more = _times(table.t_s, number, table.rate_hz, source, "samples", _length(table))
+    table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
+    return _rows(table, _increasing(t_s, source), "samples whose stamps repeat or go back were left out")
+
+
+def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
+    """A body's frames with times that increase; parameters, returns and raises as `repaired_imu`."""
+    if table.t_s is not None:
+        table = _frames(table, _timed(table.t_s), "frames without a time were left out")
+    if not _frame_count(table):
+        raise RecordingError(f"{source} has no usable frames; record or export it again.")
+    if table.t_s is not None:
+        t_s, notes = _unwrapped(table.t_s)
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        order = _order(t_s)
+        table = table if order is None else _frames(table, order, "")
+    t_s, notes = _times(table.t_s, None, table.rate_hz, source, "frames", _frame_count(table))
+    table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+    return _frames(table, _increasing(t_s, source), "frames whose stamps repeat or go back were left out")
+
+
+def _times(
+    t_s: FloatArray | None,
+    number: IntArray | None,
+    rate_hz: float | None,
+    source: str,
+    what: str,
+    count: int,
+) -> tuple[FloatArray, list[str]]:
+    """Times (N,) by stamps, by a counter, or by a rate alone; and what was done."""
+    if t_s is None:
+        if rate_hz is None or not 0 < rate_hz < 1e6:
+            raise RecordingError(
+                f"{source} has neither times nor a rate of its {what}; export them as well, or give rate_hz"
+                f" in a recording.toml (`unocclude import describe {source}` prints one)."
+            )
+        number = np.arange(count) if number is None else number
+        lost = int(number[-1]) + 1 - len(number) if len(number) else 0
+        said = f"; {lost} {what} that the counter misses are holes" if lost else ""
+        return number / rate_hz, [f"Times are counted at {rate_hz:g} Hz{said}."]
+    good = not needs_counting(t_s) if number is None else _follows(t_s, number)
+    even = None if good else even_times(t_s, number)
+    if even is None:
+        return t_s, []
+    notes = []
+    bad = int((np.diff(t_s) <= 0).sum())
+    moved = int((np.abs(even.t_s - t_s) > 0.5 * even.tick_s).sum())
+    notes.append(
+        f"{bad} of {len(t_s)} stamps repeat or go back: the {what} were counted at the even rate of"
+        f" {1 / even.tick_s:.2f} Hz that the stamps show; {moved} moved by more than half a period."
+    )
+    if even.pauses:
+        notes.append(f"{even.pauses} pauses in the {what} stay as they are.")
+    if even.set_back:
+        notes.append(f"The clock was set back {_times_said(even.set_back)}; the {what} go on evenly.")
+    return even.t_s, notes
+
+
+def _number(table: ImuTable) -> tuple[IntArray | None, list[str]]:
+    """Numbers of the samples by their counter; None where it has none that counts them."""
+    if table.counter is None:
+        return None, []
+    step = np.diff(table.counter)
+    if not len(step) or (step > 0).mean() < _COUNTS:
+        return None, ["The counter does not count the samples and was not used."]
+    number, _ = counted(table.counter, table.counter_wraps)
+    lost = int(number[-1]) + 1 - len(number)
+    if table.t_s is not None and lost > 0:
+        return number, [f"{lost} samples are missing by the counter; they stay holes."]
+    return number, []
+
+
+def _follows(t_s: FloatArray, number: IntArray) -> bool:
+    """Whether stamps are as even as the counter that goes with them, as far as anything is known."""
+    dt, steps = np.diff(t_s), np.diff(number)
+    if (dt <= 0).any():
+        return False
+    ticks = dt / np.maximum(steps, 1)
+    return bool(np.quantile(np.abs(ticks / np.median(ticks) - 1.0), 0.99) < _OWN_STAMPS)
+
+
+def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
+    t_s, wraps = unwrapped(t_s)
+    said = f"The device's clock started anew {_times_said(wraps)}; it was made to go on."
+    return t_s, [said] if wraps else []
+
+
+def _order(t_s: FloatArray) -> IntArray | None:
+    """The order of rows that were written out of it: in order their stamps are even. None to leave it."""
+    dt = np.diff(t_s)
+    if not (dt < 0).any():
+        return None
+    order = np.argsort(t_s, kind="stable")
+    steps = np.diff(t_s[order])
+    usual = float(np.median(steps))
+    even = ((steps > _IN_ORDER[0] * usual) & (steps < _IN_ORDER[1] * usual)).mean()
+    return order if even > _IN_ORDER[2] else None
+
+
+def _timed(t_s: FloatArray) -> BoolArray:
+    """Rows with a time: finite, and not zeros before the clock was set."""
+    timed = np.isfinite(t_s)
+    zero = t_s == 0
+    if zero[:1].any():
+        first = int(np.argmin(zero)) if not zero.all() else 0
+        if first and t_s[first] > _FAR_S:
+            timed[:first] = False
+    return np.asarray(timed)
+
+
+def _silent_start(table: ImuTable) -> BoolArray:
+    """Rows before the first in which the sensor sends anything."""
+    silent = np.ones(_length(table), bool)
+    for values in (table.acc, table.gyro):
+        silent &= True if values is None else ~values.any(axis=1)
+    first = len(silent) if silent.all() else int(np.argmin(silent))
+    return np.asarray(np.arange(len(silent)) < first)
+
+
+def _repeated(table: ImuTable) -> BoolArray:
+    """Rows whose time (or count) and values are those of the row before."""
+    mark = table.t_s if table.t_s is not None else table.counter
+    if mark is None:
+        return np.zeros(_length(table), bool)
+    same = np.append(False, np.diff(mark) == 0)
+    for values in (table.acc, table.gyro):
+        if values is not None:
+            same[1:] &= (values[1:] == values[:-1]).all(axis=1)
+    return same
+
+
+def _increasing(t_s: FloatArray, source: str) -> BoolArray:
+    """Rows to keep so that times increase strictly; of two ways to do it the one that loses less."""
+    # Stamps are written in ns: two that agree to it are one.
+    keep = increasing(np.rint((t_s - t_s[0]) * 1e9).astype(np.int64))
+    lost = int((~keep).sum())
+    if lost > _LOST * len(keep):
+        raise RecordingError(
+            f"{source}: {lost} of {len(keep)} stamps repeat or go back, and the samples are not even enough"
+            " to be counted instead; export the sensor's own stamps, or its packet counter."
+        )
+    return keep
+
+
+def _length(table: ImuTable) -> int:
+    return next((len(v) for v in (table.acc, table.gyro, table.t_s) if v is not None), 0)
+
+
+def _frame_count(table: SkeletonTable) -> int:
+    return next((len(values) for values in table.position.values()), 0)
+
+
+def _rows(table: ImuTable, keep: BoolArray | IntArray, why: str) -> ImuTable:
+    """The samples to keep (or all in another order), and a sentence on what was done."""
+    if keep.dtype == bool and keep.all():
+        return table
+    columns: dict[str, Any] = {
+        name: None if getattr(table, name) is None else getattr(table, name)[keep]
+        for name in ("t_s", "acc", "gyro", "mag", "counter")
+    }
+    return replace(table, **columns, notes=[*table.notes, _said(keep, why)])
+
+
+def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> SkeletonTable:
+    if keep.dtype == bool and keep.all():
+        return table
+    return replace(
+        table,
+        t_s=None if table.t_s is None else table.t_s[keep],
+        position={joint: values[keep] for joint, values in table.position.items()},
+        state={joint: values[keep] for joint, values in table.state.items()},
+        notes=[*table.notes, _said(keep, why)],
+    )
+
+
+def _said(keep: BoolArray | IntArray, why: str) -> str:
+    if keep.dtype == bool:
+        count = int((~keep).sum())
+        return f"1 {_one(why)}." if count == 1 else f"{count} {why}."
+    moved = int((keep != np.arange(len(keep))).sum())
+    return f"{moved} rows were not in the order of their stamps and were put into it."
+
+
+def _one(why: str) -> str:
+    """A sentence's plural, of one."""
+    for many, one in (
+        ("rows", "row"),
+        ("samples", "sample"),
+        ("frames", "frame"),
+        (" are ", " is "),
+        ("were left", "was left"),
+        ("stamps repeat or go", "stamp repeats or goes"),
+        ("that repeat ", "that repeats "),
+    ):
+        why = why.replace(many, one)
+    return why
+
+
+def _times_said(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")

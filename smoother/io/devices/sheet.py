@@ -1,0 +1,291 @@
+"""Delimited text as devices and spreadsheets write it, read fast and forgivingly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import FloatArray
+from .date_cells import seconds_of_dates
+from .head import decode, shown
+from .sheet_rows import even_rows, separators_in
+from .table_layout import TableLayout, layout_of
+
+#: Cells without a value, in lower case.
+MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
+_PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
+_WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
+
+
+class Sheet:
+    """A table of text.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    layout : TableLayout
+        Its separator, preamble, names, units and width.
+    notes : list of str
+        What was dropped or counts as missing, a sentence each; grows while columns are read.
+    """
+
+    def __init__(
+        self, path: Path, layout: TableLayout, table: Any, line_numbers: Sequence[int], notes: list[str]
+    ) -> None:
+        self.path = path
+        self.layout = layout
+        self.notes = notes
+        self._table = table
+        self._line_numbers = line_numbers
+        self._numbers: dict[int, FloatArray] = {}
+
+    def __len__(self) -> int:
+        return self._table.num_rows
+
+    def unit(self, column: int) -> str:
+        """Unit of a column as the file states it, "" where it does not."""
+        return self.layout.units[column] if column < len(self.layout.units) else ""
+
+    def name(self, column: int) -> str:
+        """Name of a column for messages."""
+        written = self.layout.names[column] if self.layout.names else ""
+        return f"column {written or column + 1}"
+
+    def line(self, row: int) -> int:
+        """Line of the file (from 1) in which a row stands."""
+        return self._line_numbers[row] + 1
+
+    def texts(self, column: int) -> list[str]:
+        """Cells of a column as text, without blanks around them."""
+        return self._trimmed(column).to_pylist()
+
+    def numbers(self, column: int) -> FloatArray:
+        """A column of numbers.
+
+        Parameters
+        ----------
+        column : int
+            Its number, from 0.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            nan where the cell is empty, or no finite number (a note says how many).
+
+        Raises
+        ------
+        RecordingError
+            More than half of the cells that are not empty are no numbers.
+        """
+        if column not in self._numbers:
+            self._numbers[column] = self._read_numbers(column)
+        return self._numbers[column]
+
+    def vectors(self, columns: Sequence[int]) -> FloatArray:
+        """Columns of numbers side by side, shape (n, number of columns)."""
+        return np.stack([self.numbers(column) for column in columns], axis=1)
+
+    def times(self, column: int) -> tuple[FloatArray, bool]:
+        """A column of numbers, or of dates.
+
+        Parameters
+        ----------
+        column : int
+            Its number, from 0.
+
+        Returns
+        -------
+        times : ndarray, shape (n,)
+            Numbers in the file's unit; of dates, seconds since 1970 (of times of day, since midnight).
+        dates : bool
+            Whether they were dates or times of day.
+
+        Raises
+        ------
+        RecordingError
+            More than half of the cells are neither.
+        """
+        sample = [cell for cell in self.texts(column)[:50] if cell]
+        if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
+            return self.numbers(column), False
+        seconds = seconds_of_dates(self.texts(column))
+        wrong = np.flatnonzero(~np.isfinite(seconds))
+        if 2 * len(wrong) > len(seconds):
+            raise self._wrong(column, int(wrong[0]), "time")
+        return seconds, True
+
+    def refuse_nameless(self, most: int = 0) -> None:
+        """Refuse a header with fewer names than the rows have cells: whose are the names then?
+
+        Parameters
+        ----------
+        most : int
+            So many columns at the end may be without a name.
+
+        Raises
+        ------
+        RecordingError
+            There are more.
+        """
+        names = self.layout.names
+        named = max((at + 1 for at, name in enumerate(names) if name), default=0)
+        nameless = range(named, self.layout.width) if names else range(0)
+        filled = sum(1 for column in nameless if any(self.texts(column)[:20]))
+        if filled > most:
+            raise RecordingError(
+                f"{self.path}: the header (line {self.layout.header + 1}) names {named} columns, and the rows"
+                f" have {self.layout.width}; export the file again, or describe it in a recording.toml."
+            )
+
+    def _trimmed(self, column: int) -> Any:
+        import pyarrow.compute as pc
+
+        return pc.utf8_trim_whitespace(self._table.column(column).combine_chunks())
+
+    def _read_numbers(self, column: int) -> FloatArray:
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        text = self._trimmed(column)
+        empty = pc.is_in(pc.utf8_lower(text), value_set=pa.array(MISSING))
+        text = pc.if_else(empty, pa.scalar(None, pa.string()), text)
+        try:
+            numbers = pc.cast(text, pa.float64())
+        except pa.ArrowException:
+            comma = pc.match_substring_regex(text, _WITH_COMMA)
+            text = pc.if_else(comma, pc.replace_substring(text, ",", ".", max_replacements=1), text)
+            plain = pc.match_substring_regex(text, _PLAIN)
+            text = pc.if_else(plain, text, pa.scalar(None, pa.string()))
+            numbers = pc.cast(text, pa.float64())
+        values = np.array(numbers.to_numpy(zero_copy_only=False), dtype=float)
+        filled = ~empty.to_numpy(zero_copy_only=False)
+        wrong = np.flatnonzero(filled & ~np.isfinite(values))
+        if len(wrong):
+            values[wrong] = np.nan
+            if 2 * len(wrong) > np.count_nonzero(filled):
+                raise self._wrong(column, int(wrong[0]), "number")
+            self._note_wrong(column, wrong)
+        return values
+
+    def _cell(self, column: int, row: int) -> str:
+        return shown(self._table.column(column)[row].as_py(), 40)
+
+    def _wrong(self, column: int, row: int, what: str) -> RecordingError:
+        return RecordingError(
+            f"{self.path}, line {self.line(row)}: '{self._cell(column, row)}' in"
+            f" {shown(self.name(column), 60)} is no {what}, and most of its column are"
+            " none; export the file again."
+        )
+
+    def _note_wrong(self, column: int, rows: np.ndarray) -> None:
+        count = "1 cell" if len(rows) == 1 else f"{len(rows):,} cells"
+        self.notes.append(
+            f"{count} of {shown(self.name(column), 60)} {'is' if len(rows) == 1 else 'are'} no number and "
+            f"count as missing ('{self._cell(column, int(rows[0]))}' in line {self.line(int(rows[0]))})."
+        )
+
+
+def read_sheet(path: Path, expected: str = "a table") -> Sheet:
+    """Read a delimited text file.
+
+    A byte-order mark, UTF-16, a `sep=` line, a preamble, a line of units, quotes, trailing separators, a
+    header that is repeated, decimal commas and a last line that is cut off do no harm.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        What it should be, for messages ("a table of an Xsens DOT").
+
+    Returns
+    -------
+    Sheet
+        Its rows; columns become numbers when they are asked for.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is no text, or holds no table.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    text = decode(raw)
+    if not text.strip():
+        what = "is empty" if not raw.strip() else "is no text"
+        raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
+    return sheet_of_text(path, text, expected)
+
+
+def sheet_of_text(
+    path: Path, text: str, expected: str = "a table", layout: TableLayout | None = None
+) -> Sheet:
+    """The table in a text (see `read_sheet`).
+
+    Parameters
+    ----------
+    path : Path
+        Where it is from, for messages.
+    text : str
+        The text, decoded.
+    expected : str
+        What it should be, for messages.
+    layout : TableLayout, optional
+        Where the table is, where that is known; else it is looked for.
+
+    Returns
+    -------
+    Sheet
+        Its rows.
+
+    Raises
+    ------
+    RecordingError
+        There is no table in it.
+    """
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")
+    layout = layout or layout_of(lines)
+    if layout is None:
+        seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
+        raise RecordingError(
+            f"{path} should be {expected}, but no rows of numbers were found; it begins: {seen}"
+        )
+    rows, numbers, notes = even_rows(lines, layout)
+    table = _parse(path, rows, layout)
+    return Sheet(path, layout, table, numbers, notes)
+
+
+def _parse(path: Path, rows: list[str], layout: TableLayout) -> Any:
+    """An Arrow table of text columns."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    mark = "\t" if layout.separator == " " else layout.separator
+    names = [str(at) for at in range(max(layout.width, separators_in(rows[0], mark) + 1 if rows else 0))]
+    data = "\n".join(rows).encode("utf-8", errors="replace")
+    try:
+        return arrow_csv.read_csv(
+            pa.BufferReader(data),
+            arrow_csv.ReadOptions(
+                column_names=names, block_size=max(1 << 20, len(data) + 1), use_threads=False
+            ),
+            arrow_csv.ParseOptions(
+                delimiter=mark,
+                invalid_row_handler=lambda _: "skip",
+            ),
+            arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowException as error:
+        raise RecordingError(f"{path} cannot be read as a table: {shown(str(error), 120)}.") from error

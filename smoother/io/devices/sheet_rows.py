@@ -1,0 +1,84 @@
+"""Rows of a table of text, made equally wide."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+
+from .table_layout import TableLayout, split_line
+
+_QUOTED = re.compile(r'"[^"]*"')
+
+
+def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequence[int], list[str]]:
+    """Rows with equally many cells.
+
+    Parameters
+    ----------
+    lines : list of str
+        All lines of the text; the last is "" where the text ends with a line's end.
+    layout : TableLayout
+        Where the table is.
+
+    Returns
+    -------
+    rows : list of str
+        Without blank lines, repeated headers and a last line that is cut off; short ones are filled up.
+    numbers : sequence of int
+        Index of each row's line.
+    notes : list of str
+        What was done, a sentence each.
+    """
+    whole_end = not lines[-1].strip()
+    first, width = layout.first_row, layout.width
+    end = len(lines)
+    while end > first and not lines[end - 1].strip():
+        end -= 1
+    rows = lines[first:end]
+    numbers: Sequence[int] = range(first, end)
+    mark = "\t" if layout.separator == " " else layout.separator
+    if layout.separator == " ":
+        rows = ["\t".join(row.replace('"', "").split()) for row in rows]
+    counts = [separators_in(row, mark) for row in rows]
+    usual = Counter(counts).most_common(1)[0][0]
+    header = lines[layout.header].strip() if layout.header >= 0 else None
+    # Separators behind the last column make empty columns, which do no harm.
+    if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:
+        return rows, numbers, []
+    even, indices, short, long, repeated = [], [], 0, 0, 0
+    for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
+        if not row.strip(mark + " "):
+            continue
+        if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
+            repeated += 1
+            continue
+        if count < usual and at == len(rows) - 1 and not whole_end:
+            continue  # said below
+        cells_needed = width - 1
+        if count < cells_needed:
+            short += count < usual
+            row += mark * (cells_needed - count)
+        elif count > cells_needed:
+            cells = split_line(row, mark)
+            if any(cells[width:]):
+                long += 1
+                continue
+            row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
+        even.append(row)
+        indices.append(first + at)
+    notes = []
+    if not whole_end and counts[-1] < usual:
+        notes.append("The last line is cut off and was left out.")
+    if repeated:
+        notes.append(f"{repeated} repeated headers among the rows were left out.")
+    if short:
+        notes.append(f"{short} rows are shorter than the others; what they lack counts as missing.")
+    if long:
+        notes.append(f"{long} rows with more cells than columns were left out.")
+    return even, indices, notes
+
+
+def separators_in(row: str, mark: str) -> int:
+    """How many separators a row has outside quotes."""
+    return (_QUOTED.sub("", row) if '"' in row else row).count(mark)

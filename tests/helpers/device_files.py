@@ -1,0 +1,261 @@
+"""A small file of every layout that `import files` knows, of one motion and of one body."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import skeleton_files as made
+from imu_files import GRAVITY, motion, rows
+
+from smoother.io.devices.joint_names import AZURE, BLAZEPOSE, KINECT_V2
+
+COUNT, FRAMES = 80, 12
+ACC, GYRO = motion(COUNT)
+DEG = np.degrees(GYRO)
+TIME = np.arange(COUNT) * 0.01
+MICROS = (np.arange(COUNT) * 10_000 + 4_000_000).astype(np.int64)
+
+
+def _xyz(form: str) -> list[str]:
+    return [form.format(axis) for axis in "XYZ"]
+
+
+def _lines(path: Path, *lines: str) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def xsens_dot(path: Path) -> None:
+    """As the DOT app exports it."""
+    header = ",".join(["PacketCounter", "SampleTimeFine", *_xyz("Acc_{}"), *_xyz("Gyr_{}")])
+    body = rows(np.arange(1, COUNT + 1), MICROS, ACC, DEG)
+    _lines(path, "sep=,", "DeviceTag:,left wrist", "OutputRate:,100Hz", "", header, *body)
+
+
+def xsens_mt(path: Path) -> None:
+    """As MT Manager exports it."""
+    header = "\t".join(["Counter", *_xyz("Acc_{}"), *_xyz("Gyr_{}"), *_xyz("Mag_{}")])
+    body = rows((65_500 + np.arange(COUNT)) % 65_536, ACC, GYRO, ACC, separator="\t", end="\t")
+    _lines(path, "// Start Time: 0", "// Update Rate: 100.0Hz", header, *body)
+
+
+def shimmer(path: Path) -> None:
+    """As Consensys exports it."""
+    names = ["S_Timestamp_Unix_CAL", *_xyz("S_Accel_WR_{}_CAL"), *_xyz("S_Gyro_{}_CAL")]
+    units = ["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]
+    body = rows(1.6294033377807312e12 + 10.0 * np.arange(COUNT), ACC, DEG, end=",")
+    _lines(path, '"sep=,"', ",".join(names) + ",", ",".join(units) + ",", *body)
+
+
+def apdm(path: Path) -> None:
+    """As Motion Studio exports it, two sensors."""
+    names, units, columns = ["Time"], ["s"], [TIME]
+    for sensor in ("Right Wrist", "Sternum"):
+        for quantity, unit, values in (("Acceleration", "m/s^2", ACC), ("Angular Velocity", "rad/s", GYRO)):
+            names += [f"{sensor}/{quantity}/{axis}" for axis in "XYZ"]
+            units += [unit] * 3
+            columns.append(values)
+    _lines(path, "Test Name:,7", "Sample Rate:,100,Hz", ",".join(names), ",".join(units), *rows(*columns))
+
+
+def ximu(path: Path) -> None:
+    """As the x-IMU3 software writes it."""
+    header = ["Timestamp (us)", *_xyz("Gyroscope {} (deg/s)"), *_xyz("Accelerometer {} (g)")]
+    _lines(path, ",".join(header), *rows(MICROS, DEG, ACC / GRAVITY))
+
+
+def nilspod(path: Path) -> None:
+    """As NilsPodLib writes it."""
+    _lines(path, "t,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z,baro", *rows(TIME, DEG, ACC, np.ones(COUNT)))
+
+
+def metamotion(path: Path, values: np.ndarray = ACC / GRAVITY, unit: str = "g") -> None:
+    """As MetaBase writes it: one of its two files."""
+    header = f"epoch (ms),time (-13:00),elapsed (s),x-axis ({unit}),y-axis ({unit}),z-axis ({unit})"
+    epoch = 1_520_000_000_000 + 10 * np.arange(COUNT)
+    ends = rows(TIME, values)
+    body = [f"{e},2018-03-02T14.13.20.{e % 1000:03d},{end}" for e, end in zip(epoch, ends, strict=True)]
+    _lines(path, header, *body)
+
+
+def sensorlog(path: Path) -> None:
+    """As SensorLog on a phone writes it."""
+    header = [
+        *("loggingTime(txt)", "accelerometerTimestamp_sinceReboot(s)"),
+        *_xyz("accelerometerAcceleration{}(G)"),
+        *_xyz("gyroRotation{}(rad/s)"),
+    ]
+    stamps = [f"2020-01-10 14:23:{5 + t:06.3f} +0100" for t in TIME]
+    body = rows(7 + TIME, -ACC / GRAVITY, GYRO)
+    _lines(path, ",".join(header), *(f"{s},{row}" for s, row in zip(stamps, body, strict=True)))
+
+
+def phyphox(path: Path) -> None:
+    """As phyphox exports it."""
+    names = ["Time (s)", *_xyz("Acceleration {} (m/s^2)"), *_xyz("Gyroscope {} (rad/s)")]
+    _lines(path, ",".join(f'"{name}"' for name in names), *rows(TIME, ACC, GYRO, form="{:.9E}"))
+
+
+def android(path: Path) -> None:
+    """As a watch's logger writes it."""
+    nanos = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
+    _lines(path, "timestamp,ax,ay,az,gx,gy,gz", *rows(nanos, ACC, GYRO))
+
+
+def mvnx(path: Path) -> None:
+    """As MVN exports it with raw sensors."""
+    frames = "".join(
+        f'<frame time="{10 * k}" index="{k}" type="normal">'
+        f"<sensorAcceleration>{' '.join(f'{v:.6f}' for v in ACC[k])}</sensorAcceleration>"
+        f"<sensorAngularVelocity>{' '.join(f'{v:.6f}' for v in GYRO[k])}</sensorAngularVelocity></frame>"
+        for k in range(COUNT)
+    )
+    path.write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<mvnx xmlns="http://www.xsens.com/mvn/mvnx" version="4">\n'
+        f'<subject label="A" frameRate="100"><sensors><sensor label="RightForeArm"/></sensors>'
+        f"<frames>{frames}</frames></subject></mvnx>"
+    )
+
+
+def axivity(path: Path) -> None:
+    """As an AX6 writes it: 100 Hz, 8 g, 1000 deg/s."""
+    raw = bytearray(b"MD" + struct.pack("<H", 1020)) + bytes(1020)
+    counts = np.hstack([DEG * 32768 / 1000, ACC / GRAVITY * 4096])
+    for k in range(COUNT // 40):
+        second, part = divmod(7 + 0.4 * k, 1)
+        stamp = 21 << 26 | 8 << 22 | 20 << 17 | 20 << 12 | 21 << 6 | int(second)
+        fraction = 0x8000 | int(part * 32768)
+        adjusted = -((((fraction & 0x7FFF) << 1) * 100) >> 16)
+        light = 4 << 13 | 3 << 10 | 500
+        numbers = (508, fraction, 1, k, stamp, light, 0, 0, 200, 0x6A, 0x62, adjusted, 40)
+        block = struct.pack("<2sHHIIIHHBBBBhH", b"AX", *numbers)
+        block += np.rint(counts[40 * k : 40 * k + 40]).astype("<i2").tobytes()
+        total = sum(struct.unpack("<255H", block)) & 0xFFFF
+        raw += block + struct.pack("<H", -total & 0xFFFF)
+    path.write_bytes(bytes(raw))
+
+
+def kinect_v2(path: Path) -> None:
+    """A table of Kinect v2 joints."""
+    header = ",".join(["time_ms", *(f"{name}_{axis}" for name in KINECT_V2 for axis in "xyz")])
+    _lines(path, header, *rows(33.333 * np.arange(FRAMES), made.kinect_v2(FRAMES).reshape(FRAMES, -1)))
+
+
+def bare_kinect(path: Path) -> None:
+    """32 joints without a header, mm."""
+    points = np.stack([1000 * made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
+    _lines(path, *rows(points.reshape(FRAMES, -1)))
+
+
+def mediapipe(path: Path) -> None:
+    """World landmarks as a table."""
+    header = ",".join(["frame", *(f"{name}_{axis}" for name in BLAZEPOSE for axis in "xyz")])
+    _lines(path, header, *rows(np.arange(FRAMES), made.landmarks(FRAMES).reshape(FRAMES, -1)))
+
+
+def joint_rows(path: Path) -> None:
+    """A row a joint."""
+    body = [
+        f"{k / 30:.6f},{name},{','.join(f'{v:.6f}' for v in made.part(name, FRAMES)[k])}"
+        for k in range(FRAMES)
+        for name in ("LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist", "midhip", "head")
+    ]
+    _lines(path, "time,joint,x,y,z", *body)
+
+
+def joint_table(path: Path) -> None:
+    """Joints by name, a row a frame."""
+    names = ("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist")
+    points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
+    header = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])
+    _lines(path, header, *rows(np.arange(FRAMES) / 30, points.reshape(FRAMES, -1)))
+
+
+def trc(path: Path) -> None:
+    """Markers of Pose2Sim."""
+    names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "Head", "RHip", "LHip")
+    made.trc(path, {name: made.part(name, FRAMES) for name in names})
+
+
+def kinect_json(path: Path) -> None:
+    """As the Azure Kinect's offline processor writes it."""
+    points = np.stack([1000 * made.optical(made.part(name, FRAMES)) for name in AZURE], axis=1)
+    frames = [
+        {
+            "frame_id": k,
+            "timestamp_usec": 200_000 + 33_333 * k,
+            "num_bodies": 1,
+            "bodies": [{"body_id": 1, "joint_positions": points[k].tolist()}],
+        }
+        for k in range(FRAMES)
+    ]
+    path.write_text(json.dumps({"joint_names": list(AZURE), "frames": frames}))
+
+
+def array(path: Path) -> None:
+    """FreeMoCap's array of landmarks, mm."""
+    with path.open("wb") as stream:
+        np.save(stream, 1000 * np.stack([made.part(name, FRAMES) for name in BLAZEPOSE], axis=1))
+
+
+def c3d(path: Path) -> None:
+    """Model markers."""
+    from smoother.io.export.c3d import C3dContent, write_c3d
+
+    names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist")
+    points = np.stack([made.part(name, FRAMES) for name in names], axis=1)
+    write_c3d(path, C3dContent(names, points, 30.0), True)
+
+
+def xdf(path: Path) -> None:
+    """One stream of an IMU."""
+    labels = ["acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"]
+    channels = list(zip(labels, ["m/s^2"] * 3 + ["rad/s"] * 3, strict=True))
+    stream = {"name": "Wrist", "type": "IMU", "rate": 100, "channels": channels}
+    made.xdf(path, [{**stream, "t_s": 50 + TIME, "values": np.hstack([ACC, GYRO])}])
+
+
+def mcap(path: Path) -> None:
+    """Our own recording."""
+    from smoother.io import write_recording
+    from smoother.io.recording.streams import ImuSamples, RecordingFile
+
+    stamp = np.rint(TIME * 1e9).astype(np.int64)
+    file = RecordingFile(path, imus=[ImuSamples("/imu/wrist", "wrist", stamp, ACC, GYRO)])
+    write_recording(file, path, force=True)
+
+
+#: By the importer's key.
+IMUS: dict[str, Callable[[Path], None]] = {
+    "xsens-dot": xsens_dot,
+    "xsens-mt": xsens_mt,
+    "shimmer": shimmer,
+    "apdm": apdm,
+    "x-imu": ximu,
+    "nilspod": nilspod,
+    "metamotion": metamotion,
+    "sensorlog": sensorlog,
+    "phyphox": phyphox,
+    "android": android,
+    "mvnx": mvnx,
+    "axivity": axivity,
+}
+SKELETONS: dict[str, Callable[[Path], None]] = {
+    "azure-kinect": lambda path: made.azure_csv(path, FRAMES),
+    "kinect-v2": kinect_v2,
+    "kinect-numbers": bare_kinect,
+    "mediapipe": mediapipe,
+    "joint-rows": joint_rows,
+    "joint-table": joint_table,
+    "trc": trc,
+    "azure-kinect-json": kinect_json,
+    "joint-array": array,
+    "c3d": c3d,
+}
+RECORDINGS: dict[str, Callable[[Path], None]] = {"xdf": xdf, "mcap": mcap}
+EXAMPLES = {**IMUS, **SKELETONS, **RECORDINGS}
+#: Layouts that need a library beside the product's own to be written.
+MADE_ELSEWHERE = {"rosbag1", "apdm-hdf5", "pose-json"}

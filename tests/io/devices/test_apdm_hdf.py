@@ -1,0 +1,70 @@
+"""APDM's HDF5, of new and of old versions; one sentence where h5py is absent."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imu_files import motion
+
+from smoother.errors import RecordingError
+from smoother.io.devices.head import read_head
+from smoother.io.devices.registry import recognise
+
+ACC, GYRO = motion(200)
+
+
+def read(path: Path):
+    importer = recognise(read_head(path))
+    assert importer is not None and importer.key == "apdm-hdf5"
+    return importer.read(path)
+
+
+def test_without_h5py_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(RecordingError, match=r"pip install h5py \(or export CSV"):
+        read(path)
+
+
+@pytest.mark.parametrize("version", [5, 3])
+def test_each_sensor_is_one_imu(tmp_path: Path, version: int):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "a.h5"
+    micros = 1_600_000_000_000_000 + 7_812 * np.arange(200, dtype=np.uint64)
+    with h5py.File(path, "w") as file:
+        if version < 5:
+            # Not in the order of the groups.
+            file.attrs["CaseIdList"] = np.array([b"SI-001300", b"SI-001234"], dtype="S16")
+            file.attrs["MonitorLabelList"] = np.array([b"Lumbar", b"Right Wrist"], dtype="S16")
+        for at, (number, label) in enumerate((("1234", "Right Wrist"), ("1300", "Lumbar"))):
+            group = file.create_group(f"Sensors/{number}" if version == 5 else f"SI-00{number}")
+            values = group if version == 5 else group.create_group("Calibrated")
+            plural = "" if version == 5 else "s"
+            values[f"Accelerometer{plural}"] = np.roll(ACC, at, axis=1)
+            values[f"Gyroscope{plural}"] = np.roll(GYRO, at, axis=1)
+            values[f"Magnetometer{plural}"] = ACC
+            group["Time"] = micros
+            group.attrs["SampleRate"] = 128
+            if version == 5:
+                group.create_group("Configuration").attrs["Label 0"] = label.encode()
+    first, second = read(path)
+    assert (first.name, second.name, first.rate_hz) == ("Right Wrist", "Lumbar", 128.0)
+    np.testing.assert_array_equal(second.acc, np.roll(ACC, 1, axis=1))
+    np.testing.assert_array_equal(first.gyro, GYRO)
+    np.testing.assert_allclose(first.t_s, micros * 1e-6, atol=1e-6)
+
+
+def test_another_hdf5_or_a_broken_one(tmp_path: Path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["table"] = [1, 2, 3]
+    with pytest.raises(RecordingError, match="no raw sensors of an Opal"):
+        read(path)
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(RecordingError, match="cannot be read as HDF5"):
+        read(path)

@@ -1,0 +1,213 @@
+"""`unocclude import files` as a person uses it: files, folders, names, and the wrong ways."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import device_files as made
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from imu_files import rows
+
+from smoother.cli.run import run
+from smoother.errors import RecordingError
+from smoother.io import open_recording
+from smoother.io.devices.files import ImuFiles, import_files
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    made.EXAMPLES["azure-kinect"](tmp_path / "body.csv")
+    made.xsens_dot(tmp_path / "dot.csv")
+    made.apdm(tmp_path / "opal.csv")
+    made.metamotion(tmp_path / "a.csv")
+    made.metamotion(tmp_path / "g.csv", made.DEG, "deg/s")
+    return tmp_path
+
+
+def test_a_line_a_file_and_the_recording(files: Path, capsys: pytest.CaptureFixture[str]):
+    out, figures = files / "rec.mcap", files / "rec.json"
+    named = f"forearm_right={files / 'dot.csv'}"
+    assert run(["import", "files", "--skeleton", str(files / "body.csv"), "--imu", named, "-o", str(out),
+                "--json", str(figures)]) == 0  # fmt: skip
+    printed = capsys.readouterr().out
+    assert "dot.csv: Xsens DOT export, 100.0 Hz, 80 samples, m/s^2, deg/s" in printed
+    assert "body.csv: Azure Kinect" in printed and "12 frames, 1 body, mm" in printed
+    assert "has nothing in common" in printed  # 4 s against 0.2 s
+    file = open_recording(out)
+    assert [imu.topic for imu in file.imus] == ["/imu/forearm_right"] and str(file.camera_frame) == "optical"
+    assert np.allclose(file.imus[0].gyro, made.GYRO, atol=1e-6) and file.imus[0].stamp_ns[0] == 0
+    reports = json.loads(figures.read_text())["files"]
+    assert [report["format"] for report in reports] == ["azure-kinect", "xsens-dot"]
+    assert reports[1]["topics"] == ["/imu/forearm_right"] and reports[1]["count"] == 80
+
+
+def test_two_files_of_one_sensor_and_one_of_several(files: Path):
+    pair = ImuFiles((files / "a.csv", files / "g.csv"), "wrist_left")
+    file, reports = import_files([], [pair, ImuFiles((files / "opal.csv",), "base", "Sternum")])
+    assert [imu.topic for imu in file.imus] == ["/imu/wrist_left", "/imu/base"] and len(reports) == 3
+    assert np.allclose(file.imus[0].acc, made.ACC, atol=1e-4)
+    out = files / "rec.mcap"
+    assert run(["import", "files", "--imu", f"wrist_left={files / 'a.csv'},{files / 'g.csv'}", "--imu",
+                f"base={files / 'opal.csv'}#Sternum", "-o", str(out)]) == 0  # fmt: skip
+    assert [imu.topic for imu in open_recording(out).imus] == ["/imu/base", "/imu/wrist_left"]
+
+
+def test_a_folder(files: Path, capsys: pytest.CaptureFixture[str]):
+    (files / "notes.md").write_text("# Session of Monday\nleft arm\n")
+    made.bare_kinect(files / "empty.csv")
+    (files / "empty.csv").write_text("")
+    out = files / "rec.mcap"
+    assert run(["import", "files", str(files), "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "notes.md is of no known format and was passed over" in printed
+    # a.csv and g.csv are the two files of one sensor
+    assert {i.topic for i in open_recording(out).imus} == {
+        *("/imu/Right_Wrist", "/imu/Sternum", "/imu/dot", "/imu/g")
+    }
+    assert run(["import", "files", str(files), "-o", str(out)]) == 1  # it is there already
+
+
+def test_file_names_decide_nothing(tmp_path: Path):
+    made.xsens_dot(tmp_path / "azure_left_hand.trc")
+    file, reports = import_files([], [ImuFiles((tmp_path / "azure_left_hand.trc",))])
+    assert reports[0].format == "xsens-dot" and file.imus[0].topic == "/imu/sensor"
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--imu", "{0}/nothing.csv"], "does not exist"),
+        (["--imu", "{0}"], "is a folder"),
+        (["--imu", "{0}/body.csv"], "name it with --skeleton"),
+        (["--skeleton", "{0}/dot.csv"], "name it with --imu"),
+        (
+            ["--imu", "forearm={0}/opal.csv"],
+            r"holds 2 sensors \(Right Wrist, Sternum\).*opal.csv#Right Wrist",
+        ),
+        (["--imu", "x={0}/opal.csv#Pelvis"], "holds no sensor Pelvis; it has Right Wrist, Sternum"),
+        (["--imu", "{0}/a.csv"], "holds no gyroscope"),
+        (["--imu", "{0}/dot.csv", "--imu-format", "dot"], "dot is no format; formats are xdf"),
+        (["--imu", "{0}/dot.csv", "--imu-format", "shimmer"], "is not of Shimmer"),
+        (["--imu", "={0}/dot.csv"], "give NAME=FILE"),
+        ([], "nothing to import"),
+        (["--imu", "{0}/dot.csv", "--truth", "{0}/truth.csv"], "do not overlap"),
+    ],
+)
+def test_wrong_ways(
+    files: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+):
+    (files / "truth.csv").write_text("t_s,x,y,z\n90,0,0,0\n91,0,0,0\n")
+    out = tmp_path / "out.mcap"
+    assert run(["import", "files", *(a.format(files) for a in arguments), "-o", str(out)]) == 1
+    error = capsys.readouterr().err
+    import re
+
+    assert re.search(said, " ".join(error.split())) and not out.exists()
+
+
+def test_an_unknown_file_is_shown_shortly(tmp_path: Path):
+    path = tmp_path / "x.bin"
+    for content in (b"\x1b[31m" + bytes(range(256)) * 400, b"hello " * 90_000, "pulse;Ä\n".encode() * 9):
+        path.write_bytes(content)
+        with pytest.raises(RecordingError) as error:
+            import_files([], [ImuFiles((path,))])
+        text = str(error.value)
+        assert "import describe" in text and "Known are" in text and text.isprintable()
+        assert len(text.split("it begins with: ")[1].split(" Known are")[0]) <= 202
+
+
+def test_imu_starts_at(files: Path):
+    file, _ = import_files([files / "body.csv"], [ImuFiles((files / "dot.csv",))], imu_starts_at_s=-3.0)
+    assert file.imus[0].stamp_ns[0] == file.arms[0].stamp_ns[0] - 3_000_000_000
+    assert "3 s before the camera's first frame" in " ".join(file.notes)
+
+
+def test_truth(files: Path, capsys: pytest.CaptureFixture[str]):
+    (files / "truth.csv").write_text("t_s,x,y,z\n4.1,0,0,1\n4.2,0,0,2\n")
+    made.trc(files / "mocap.trc")
+    for number, name in enumerate(("truth.csv", "mocap.trc")):
+        out = files / f"{number}.mcap"
+        assert run(["import", "files", "--imu", str(files / "dot.csv"), "--truth", str(files / name), "-o",
+                    str(out)]) == 0  # fmt: skip
+    printed = capsys.readouterr().out
+    assert "poses of the truth, 2 rows" in printed and "unocclude validate RESULT.mcap --truth" in printed
+    assert len(open_recording(files / "0.mcap").poses) == 1
+
+
+COLUMNS = (
+    "Timestamp (us)",
+    *(f"Gyroscope {a} (deg/s)" for a in "XYZ"),
+    *(f"Accelerometer {a} (g)" for a in "XYZ"),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.permutations(range(7)),
+    st.sampled_from([",", ";", "\t"]),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
+    st.sampled_from(["\n", "\r\n"]),
+)
+def test_any_order_separator_decimal_mark_and_line_of_units(
+    tmp_path_factory: pytest.TempPathFactory, order, separator, comma, units_line, encoding, newline
+):
+    columns = [made.MICROS, *np.round(made.DEG, 6).T, *np.round(made.ACC / made.GRAVITY, 6).T]
+    body = rows(*(columns[at] for at in order), separator=separator)
+    if comma and separator != ",":
+        body = [row.replace(".", ",") for row in body]
+    names = [COLUMNS[at] for at in order]
+    if units_line:
+        split = [name.rstrip(")").split(" (") for name in names]
+        header = [separator.join(name for name, _ in split), separator.join(unit for _, unit in split)]
+    else:
+        header = [separator.join(names)]
+    path = tmp_path_factory.mktemp("any") / "file"
+    path.write_bytes(newline.join([*header, *body, ""]).encode(encoding))
+    file, reports = import_files([], [ImuFiles((path,))])
+    assert reports[0].format == "x-imu" and len(file.imus[0].stamp_ns) == made.COUNT
+    assert np.allclose(file.imus[0].acc, made.ACC, atol=1e-5)
+    assert np.allclose(file.imus[0].gyro, made.GYRO, atol=1e-7)
+
+
+def test_formats_are_listed(capsys: pytest.CaptureFixture[str]):
+    assert run(["import", "formats"]) == 0
+    printed = capsys.readouterr().out
+    assert "xsens-dot" in printed and "recognised by" in printed
+
+
+def test_fifty_thousand_rows(tmp_path: Path):
+    import time
+
+    path = tmp_path / "long.csv"
+    repeated = np.resize(np.arange(made.COUNT), 50_000)
+    stamps = 10_000 * np.arange(50_000)
+    body = rows(stamps, made.DEG[repeated], made.ACC[repeated] / made.GRAVITY)
+    path.write_text("\n".join([",".join(COLUMNS), *body, ""]))
+    start = time.perf_counter()
+    import_files([], [ImuFiles((path,))])
+    assert time.perf_counter() - start < 1.0
+
+
+@pytest.mark.real
+def test_every_real_file_that_holds_raw_data(datasets: Path):
+    """No option but file names; what cannot be used is refused with what to record."""
+    refused = {"xsens_dot_fusion_only.csv": "Custom mode 5", "keraal_blazepose.json": "pose_world_landmarks"}
+    for path in sorted((datasets / "devices").iterdir()):
+        if path.name == "README.md":
+            continue
+        from smoother.io.devices.files import FileReader
+        from smoother.io.devices.folder import sort_files
+
+        if path.name in refused:
+            with pytest.raises(RecordingError, match=refused[path.name]):
+                sort_files([path], FileReader())
+            continue
+        skeletons, imus, _ = sort_files([path], FileReader())
+        file, reports = import_files(skeletons, imus)
+        assert file.imus or (file.arms and reports[0].rate_hz > 10)

@@ -1,0 +1,67 @@
+"""The table of importers, and the example of one in CONTRIBUTING."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import device_files as made
+import numpy as np
+import pytest
+from imu_files import rows
+
+from smoother.errors import RecordingError
+from smoother.io.devices.head import decode, read_head, shown
+from smoother.io.devices.registry import FORMATS, format_named, formats, recognise
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_every_importer_is_a_file_a_page_and_a_sentence():
+    index = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+    assert len({importer.key for importer in formats()}) == len(FORMATS)
+    for entry, importer in zip(FORMATS, formats(), strict=True):
+        assert (ROOT / "smoother" / "io" / "devices" / f"{entry.partition(':')[0]}.py").exists()
+        assert (ROOT / "docs" / "devices" / f"{importer.key}.md").exists(), importer.key
+        assert f"devices/{importer.key}.md" in index
+        assert importer.title and importer.recognised_by and importer.kind in ("imu", "skeleton", "recording")
+        assert format_named(importer.key) is importer
+
+
+@pytest.mark.parametrize("key", sorted(made.EXAMPLES))
+def test_only_one_importer_recognises_an_example(tmp_path: Path, key: str):
+    made.EXAMPLES[key](tmp_path / "file")
+    head = read_head(tmp_path / "file")
+    importer = recognise(head)
+    assert importer is not None and importer.key == key
+
+
+def test_heads(tmp_path: Path):
+    for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
+        assert decode("t,x\n1,2\n".encode(encoding)) == "t,x\n1,2\n"
+    assert decode(bytes(range(256))) == "" and decode("Zeit;Größe\n".encode("cp1252")) == "Zeit;Größe\n"
+    assert len(shown("\x1b[31mred\x00" * 900)) <= 200 and shown("a\x1b\n\tb") == "a b"
+    for name, said in (("none", "does not exist"), ("", "is a folder")):
+        with pytest.raises(RecordingError, match=said):
+            read_head(tmp_path / name)
+
+
+def test_the_example_of_contributing(tmp_path: Path):
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(\"\"\"Acme.*?)```", text, re.DOTALL)
+    names: dict = {}
+    exec(
+        "from dataclasses import dataclass\nfrom pathlib import Path\nimport numpy as np\n"
+        "from smoother.io.devices.protocol import FileHead, ImuTable\n"
+        "from smoother.io.devices.sheet import read_sheet\n"
+        "from smoother.io.devices.table_layout import layout_of\n"
+        "from smoother.units import STANDARD_GRAVITY\n" + code,
+        names,
+    )
+    body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG * 16.4)
+    path = tmp_path / "acme.csv"
+    path.write_text("\n".join(["tick,acc1,acc2,acc3,rot1,rot2,rot3", *body, ""]))
+    importer = names["AcmeWristband"]()
+    assert importer.recognises(read_head(path))
+    (table,) = importer.read(path)
+    assert np.allclose(table.acc, made.ACC, atol=1e-6) and np.allclose(table.gyro, made.GYRO, atol=1e-6)

@@ -1,0 +1,123 @@
+"""Device tables with bad times: what is done, and what is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother.errors import RecordingError
+from smoother.io.devices.pairing import paired
+from smoother.io.devices.protocol import ImuTable, SkeletonTable
+from smoother.io.devices.repair import repaired_imu, repaired_skeleton
+from smoother.io.devices.starts import Timed, shifts
+
+N = 2000
+T = np.arange(N) / 100.0
+RNG = np.random.default_rng(0)
+ACC = RNG.normal(0, 1, (N, 3)) + np.array([0, 0, 9.81])
+GYRO = RNG.normal(0, 1, (N, 3))
+
+
+def table(**changes: object) -> ImuTable:
+    return replace(ImuTable("", T.copy(), ACC.copy(), GYRO.copy()), **changes)
+
+
+def test_sound_tables_stay_as_they_are():
+    mended = repaired_imu(table(), "a.csv")
+    assert not mended.notes and np.array_equal(mended.t_s, T) and np.array_equal(mended.acc, ACC)
+
+
+def test_first_rows_of_zeros_and_rows_without_numbers():
+    acc, gyro = ACC.copy(), GYRO.copy()
+    acc[:2], gyro[:2], acc[100, 1], gyro[700, 0] = 0, 0, np.nan, np.inf
+    mended = repaired_imu(table(acc=acc, gyro=gyro), "a.csv")
+    assert len(mended.t_s) == N - 4 and mended.t_s[0] == T[2]
+    assert mended.notes == [
+        "2 rows of zeros at the start were left out.",
+        "2 samples that are not numbers were left out.",
+    ]
+
+
+def test_a_watch_with_repeated_stamps_becomes_usable():
+    stamps = T.copy()
+    again = RNG.choice(np.arange(1, N), N * 15 // 100, replace=False)
+    stamps[np.sort(again)] = stamps[np.sort(again) - 1]
+    mended = repaired_imu(table(t_s=stamps), "watch.csv")
+    assert len(mended.t_s) == N and np.abs(mended.t_s - T).max() < 0.01
+    assert "even rate of 100." in mended.notes[0] and "of 2000 stamps repeat" in mended.notes[0]
+
+
+def test_rows_that_are_there_twice_and_rows_out_of_order():
+    rows = np.repeat(np.arange(N), np.where(np.arange(N) % 100 == 7, 2, 1))
+    mended = repaired_imu(table(t_s=T[rows], acc=ACC[rows], gyro=GYRO[rows]), "a.csv")
+    assert np.array_equal(mended.t_s, T) and "20 rows that repeat" in mended.notes[0]
+    order = np.arange(N)
+    order[500:505] = order[500:505][::-1]
+    mended = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
+    assert np.array_equal(mended.acc, ACC) and "not in the order" in mended.notes[0]
+
+
+def test_lost_packets_stay_holes():
+    keep = np.delete(np.arange(N), np.r_[300:340, 900])
+    counter = (keep + 65_000) % 65_536
+    parts = {"acc": ACC[keep], "gyro": GYRO[keep], "counter": counter, "counter_wraps": 65_536}
+    mended = repaired_imu(table(t_s=None, rate_hz=100.0, **parts), "a.txt")
+    assert np.allclose(mended.t_s, T[keep]) and "41 samples that the counter misses" in mended.notes[0]
+    mended = repaired_imu(table(t_s=T[keep] + 5, **parts), "a.txt")
+    assert np.array_equal(mended.t_s, T[keep] + 5) and "41 samples are missing" in mended.notes[0]
+
+
+def test_stamps_before_the_clock_was_set():
+    stamps = 1.7e9 + T
+    stamps[:3] = 0.0
+    assert repaired_imu(table(t_s=stamps), "a.csv").t_s[0] == 1.7e9 + T[3]
+
+
+def test_what_cannot_be_mended_is_said():
+    with pytest.raises(RecordingError, match=r"neither times nor a rate.*import describe a.csv"):
+        repaired_imu(table(t_s=None), "a.csv")
+    shuffled = np.cumsum(RNG.exponential(0.01, N)) - 3 * (RNG.random(N) < 0.4)
+    with pytest.raises(RecordingError, match="stamps repeat or go back"):
+        repaired_imu(table(t_s=shuffled), "a.csv")
+    with pytest.raises(RecordingError, match="0 usable samples"):
+        repaired_imu(table(acc=np.full((N, 3), np.nan)), "a.csv")
+
+
+def test_frames():
+    t = np.arange(300) / 30
+    position = {"wrist_left": RNG.normal(0, 1, (300, 3))}
+    state = {"wrist_left": np.full(300, 2, np.int8)}
+    body = SkeletonTable(0, None, position, state, rate_hz=30.0)
+    assert np.allclose(repaired_skeleton(body, "k.csv").t_s, t)
+    wrapped = np.mod(t + 2**32 * 1e-6 - 4, 2**32 * 1e-6)
+    assert np.allclose(np.diff(repaired_skeleton(replace(body, t_s=wrapped), "k.csv").t_s), 1 / 30)
+
+
+def test_two_files_of_a_sensor():
+    slow_t = np.arange(0.5, 19, 1 / 50)
+    slow_t = slow_t[(slow_t < 8) | (slow_t > 9)]  # a pause of the accelerometer
+    slow = ImuTable("", slow_t, np.stack([slow_t, 0 * slow_t, 9.81 + 0 * slow_t], axis=1), None, units="g")
+    fast = ImuTable("", T, None, GYRO, units="deg/s")
+    joined = paired([slow, fast], "acc.csv, gyro.csv")
+    assert joined.t_s[0] >= 0.5 and not ((joined.t_s > 8.01) & (joined.t_s < 8.99)).any()
+    assert np.allclose(joined.acc[:, 0], joined.t_s) and joined.units == "g, deg/s"
+    assert "50.0 Hz" in joined.notes[0] and "have no accelerometer" in joined.notes[1]
+    for wrong, said in (([fast], "no accelerometer"), ([slow, slow], "2 accelerometers")):
+        with pytest.raises(RecordingError, match=said):
+            paired(wrong, "acc.csv")
+    with pytest.raises(RecordingError, match="do not overlap"):
+        paired([slow, replace(fast, t_s=T + 100)], "acc.csv, gyro.csv")
+
+
+def test_clocks_with_nothing_in_common_start_at_zero():
+    camera = Timed("camera", 1.7e9 + np.arange(0, 20, 1 / 30), False)
+    wrist, arm = (Timed(name, 300 + at + T, True) for name, at in (("wrist", 0.0), ("arm", 0.5)))
+    shift, (sentence,) = shifts([camera, wrist, arm])
+    assert shift == [-1.7e9, -300.0, -300.0]  # the two IMUs share a clock
+    assert "nothing in common" in sentence and "2023-11-14" in sentence
+    near = Timed("wrist", 1.7e9 + 4.8 + T, True)
+    assert shifts([camera, near]) == ([0.0, 0.0], [])
+    shift, _ = shifts([camera, wrist], imu_starts_at_s=-2.5)
+    assert shift == [0.0, 1.7e9 - 302.5]

@@ -1,0 +1,168 @@
+"""Delimited text in every dress that devices and spreadsheets give it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smoother.errors import RecordingError
+from smoother.io.devices.date_cells import seconds_of_dates
+from smoother.io.devices.physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
+from smoother.io.devices.sheet import read_sheet, sheet_of_text
+
+NAMES = ("Time", "Acc X", "Acc Y", "Acc Z")
+ROWS = np.array([[0.01 * k, 0.5 + k, -9.81 - k / 7, 1e-5 * k] for k in range(12)])
+
+
+def table(
+    separator: str = ",", comma: bool = False, end: str = "", names: tuple[str, ...] = NAMES
+) -> list[str]:
+    """Lines of a small table."""
+    lines = [separator.join(names) + end] if names else []
+    for row in ROWS:
+        cells = [repr(float(value)) for value in row]
+        lines.append(separator.join(c.replace(".", ",") if comma else c for c in cells) + end)
+    return lines
+
+
+def read(text: str):
+    return sheet_of_text(Path("file.csv"), text)
+
+
+def values(sheet) -> np.ndarray:
+    return sheet.vectors(range(4))
+
+
+@given(
+    separator=st.sampled_from([",", ";", "\t", "|", " ", ", ", "; ", "  "]),
+    comma=st.booleans(),
+    trailing=st.booleans(),
+    sep_line=st.sampled_from(["", "sep=,", '"sep=\t"', '"sep=,"', "sep=;"]),
+    preamble=st.sampled_from([(), ("Device: 7", "Rate:,100,Hz", ""), ("// a", "# 12")]),
+    units=st.booleans(),
+    header=st.booleans(),
+    newline=st.sampled_from(["\n", "\r\n", "\r"]),
+    last=st.booleans(),
+)
+def test_any_dress(separator, comma, trailing, sep_line, preamble, units, header, newline, last):
+    comma &= separator.strip() != ","
+    end = separator.strip() if trailing else ""
+    names = ("t", "ax", "ay", "az") if not separator.strip() else NAMES
+    lines = table(separator, comma, end, names if header else ())
+    if units and header:
+        lines.insert(1, separator.join(("s", "m/(s^2)", "m/s²", "m/s^2")) + end)
+    lines = [line for line in (sep_line, *preamble) if line or preamble] + lines
+    sheet = read(newline.join(lines) + (newline if last else ""))
+    assert np.array_equal(values(sheet), ROWS)
+    assert sheet.layout.names[:4] == (names if header else ())
+    if units and header:
+        assert [plain_unit(u) for u in sheet.layout.units[:4]] == ["s", "m/(s^2)", "m/s^2", "m/s^2"]
+    assert not sheet.notes
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
+def test_encodings(tmp_path: Path, encoding: str):
+    path = tmp_path / "a.bin"
+    lines = table(";", comma=True)
+    lines[0] = "Time (µs);Acc X (m/s²);Acc Y (m/s²);Acc Z (°/s)"
+    path.write_bytes("\r\n".join(lines).encode(encoding))
+    sheet = read_sheet(path)
+    assert np.array_equal(values(sheet), ROWS)
+    assert [plain_unit(unit) for unit in sheet.layout.units] == ["us", "m/s^2", "m/s^2", "deg/s"]
+    assert sheet.layout.labels == ("time", "acc x", "acc y", "acc z")
+
+
+def test_quoted_cells_with_decimal_commas_between_commas():
+    text = "\n".join(['"Time","Acc, X"'] + [f'"{k},25","-{k},5"' for k in range(5)])
+    sheet = read(text)
+    assert sheet.layout.names == ("Time", "Acc, X")
+    assert np.array_equal(sheet.numbers(0), np.arange(5) + 0.25)
+    assert np.array_equal(sheet.numbers(1), -(np.arange(5) + 0.5))
+
+
+def test_gaps_in_a_table_are_missing_and_said():
+    lines = table()
+    lines[3] = "0.02,,-10,nan"
+    lines[5] = "0.04,-124.874.1,1,2"
+    lines[7] = "0.06,1"
+    lines.insert(9, lines[0])
+    lines.insert(10, "")
+    lines[-1] = lines[-1][:6]
+    sheet = read("\n".join(lines))
+    assert len(sheet) == 11
+    acc = sheet.numbers(1)
+    assert np.isnan(acc[[2, 4]]).all() and acc[5] == 5.5
+    assert np.isnan(sheet.numbers(3)[2]) and sheet.numbers(2)[2] == -10
+    said = " ".join(sheet.notes)
+    for part in ("'-124.874.1' in line 6", "last line is cut off", "1 repeated header", "1 rows are shorter"):
+        assert part in said
+    assert sheet.line(4) == 6
+
+
+def test_first_rows_without_most_sensors_are_rows():
+    lines = (
+        ["t,ax,ay,az,gx,gy,gz"] + ["0.0,,,,,,", "0.1,1,2,3,,,"] + [f"0.{k},1,2,3,4,5,6" for k in range(2, 9)]
+    )
+    sheet = read("\n".join(lines))
+    assert len(sheet) == 9 and sheet.layout.labels[1] == "ax"
+    assert np.isnan(sheet.numbers(4)[:2]).all() and sheet.numbers(4)[2] == 4
+
+
+@pytest.mark.parametrize("text", ["", "hello\nworld\n", "a,b,c\n", "x" * 400_000, "\x1b[31mred\n" * 5])
+def test_what_is_no_table_is_one_short_sentence(tmp_path: Path, text: str):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError) as error:
+        read_sheet(path)
+    assert str(path) in str(error.value) and len(str(error.value)) < 400 + len(str(path))
+    assert str(error.value).isprintable()
+
+
+def test_a_column_of_words_is_no_number():
+    sheet = read("\n".join(["t,ax,ay,mood"] + [f"{k},1,2,good" for k in range(5)]))
+    with pytest.raises(RecordingError, match=r"line 2: 'good' in column mood is no number"):
+        sheet.numbers(3)
+    assert sheet.texts(3) == ["good"] * 5
+
+
+@pytest.mark.parametrize(
+    "cells, seconds",
+    [
+        (["1970-01-01 00:12:50.360704"], 770.360704),
+        (["2021-08-20T20:21:13.835Z"], 1629490873.835),
+        (["2021-08-20T20:21:13.835+0800"], 1629490873.835 - 8 * 3600),
+        (["2021-08-20_20:21:13_835 GMT+8"], 1629490873.835 - 8 * 3600),
+        (["20.08.2021 20:21:13,835"], 1629490873.835),
+        (["8/20/2021 8:21:13.835 PM"], 1629490873.835),
+        (["20:21:13.835"], 73273.835),
+    ],
+)
+def test_dates(cells: list[str], seconds: float):
+    assert seconds_of_dates(cells)[0] == pytest.approx(seconds, abs=1e-6)
+
+
+def test_times_of_day_go_on_past_midnight():
+    assert np.allclose(seconds_of_dates(["23:59:59.5", "00:00:00.5", "00:00:01.5"]), 86399.5 + np.arange(3))
+
+
+def test_units():
+    assert split_unit("accelerometerAccelerationX(G)") == ("accelerometerAccelerationX", "G")
+    assert split_unit("Acc [m/(s^2)]") == ("Acc", "m/(s^2)")
+    assert ACCELERATION[plain_unit("[g]")] == 9.80665
+    assert ANGULAR_VELOCITY[plain_unit("°/s")] == pytest.approx(np.pi / 180)
+    assert ANGULAR_VELOCITY[plain_unit("(rad/sec)")] == 1
+
+
+def test_fifty_thousand_rows_are_fast():
+    row = ",".join(["1629403337780.7312", *["-1.7896263181"] * 9])
+    text = "\n".join([",".join(f"column {k}" for k in range(10))] + [row] * 50_000)
+    read(text[:5000]).numbers(0)  # Arrow is loaded
+    start = time.process_time()  # of this process alone: others may keep the machine busy
+    sheet = read(text)
+    assert sheet.vectors(range(10)).shape == (50_000, 10)
+    assert time.process_time() - start < 0.5

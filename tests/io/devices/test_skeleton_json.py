@@ -1,0 +1,162 @@
+"""Skeletons in JSON and numpy's files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import skeleton_files as made
+from numpy.testing import assert_allclose, assert_array_equal
+
+from smoother.errors import RecordingError
+from smoother.io.devices.head import read_head
+from smoother.io.devices.joint_names import AZURE, BLAZEPOSE
+from smoother.io.devices.protocol import SkeletonTable
+from smoother.io.devices.registry import recognise
+from smoother.recording import CameraFrame, JointState
+
+FRAMES = 30
+
+
+def read(path: Path, key: str) -> list[SkeletonTable]:
+    importer = recognise(read_head(path))
+    assert importer is not None
+    assert importer.key == key
+    return importer.read(path)
+
+
+def write(path: Path, value: object) -> Path:
+    path.write_text(json.dumps(value))
+    return path
+
+
+def offline_processor(frames: int, **more: object) -> dict[str, object]:
+    points = 1000 * np.stack([made.optical(made.part(name, frames)) for name in AZURE], axis=1)
+    rows = []
+    for at in range(frames):
+        bodies = [] if at in (3, 4) else [{"body_id": 2, "joint_positions": points[at].tolist(), **more}]
+        rows.append({"bodies": bodies, "num_bodies": len(bodies), "timestamp_usec": 500 + 33_333 * at})
+    return {"bone_list": [["NECK", "HEAD"]], "frames": rows, "joint_names": AZURE}
+
+
+def test_offline_processor(tmp_path: Path) -> None:
+    (table,) = read(write(tmp_path / "a.json", offline_processor(FRAMES)), "azure-kinect-json")
+    assert (table.body, table.frame, table.units) == (2, CameraFrame.OPTICAL, "mm")
+    assert_allclose(table.t_s, (500 + 33_333 * np.arange(FRAMES)) * 1e-6, atol=1e-12)
+    there = np.delete(np.arange(FRAMES), [3, 4])
+    wanted = made.expected("wrist_right", FRAMES, "optical")
+    assert_allclose(table.position["wrist_right"][there], wanted[there], atol=1e-12)
+    assert np.isnan(table.position["wrist_right"][3:5]).all()
+    assert (table.state["wrist_right"][there] == JointState.TRACKED).all()
+
+
+def test_offline_processor_with_confidences_in_metres(tmp_path: Path) -> None:
+    value = offline_processor(FRAMES, confidence_levels=[1] * 8 + [0] * 3 + [2] * 4 + [0] * 3 + [2] * 14)
+    for frame in value["frames"]:  # type: ignore[attr-defined]
+        for body in frame["bodies"]:
+            body["joint_positions"] = (np.array(body["joint_positions"]) / 1000).tolist()
+    (table,) = read(write(tmp_path / "a.json", value), "azure-kinect-json")
+    assert table.units == "m"
+    assert (table.state["wrist_left"][5:] == JointState.INFERRED).all()
+    assert (table.state["wrist_right"][5:] == JointState.TRACKED).all()
+    assert (table.state["hand_right"][5:] == JointState.INFERRED).all()
+
+
+def world(frames: int) -> list[list[dict[str, float]]]:
+    points = made.landmarks(frames)
+    return [[{"x": x, "y": y, "z": z, "visibility": 0.9} for x, y, z in frame] for frame in points.tolist()]
+
+
+@pytest.mark.parametrize("layout", ["rows", "fps", "nested", "names", "numbered", "lines", "tfjs", "arrays"])
+def test_world_landmarks(tmp_path: Path, layout: str) -> None:
+    rows = world(FRAMES)
+    path = tmp_path / "a.json"
+    named = [dict(zip(BLAZEPOSE, row, strict=True)) for row in rows]
+    values: dict[str, object] = {
+        "rows": [{"timestamp_ms": 40 * at, "pose_world_landmarks": row} for at, row in enumerate(rows)],
+        "fps": {"fps": 25, "frames": [{"frame": at, "landmarks": row} for at, row in enumerate(rows)]},
+        "nested": {"fps": 25.0, "frames": [{"world_landmarks": [row], "landmarks": [row]} for row in rows]},
+        "names": {"fps": 25, "frames": [{"time": 0.04 * at, **row} for at, row in enumerate(named)]},
+        "numbered": {"fps": 25, "positions": {f"{at + 1}.0": row for at, row in enumerate(named)}},
+        "lines": None,
+        "tfjs": [
+            {"timestamp": 40 * at, "keypoints3D": [{**p, "name": n} for n, p in row.items()]}
+            for at, row in enumerate(named)
+        ],
+        "arrays": {"fps": 25, "frames": [[list(p.values()) for p in row] for row in rows]},
+    }
+    if layout == "lines":
+        lines = [json.dumps({"t": 0.04 * at, "pose_world_landmarks": row}) for at, row in enumerate(rows)]
+        path.write_text("\n".join(lines))
+    else:
+        write(path, values[layout])
+    if layout == "arrays":  # no name in it: asked for by --skeleton-format
+        from smoother.io.devices.registry import format_named
+
+        (table,) = format_named("pose-json").read(path)
+    else:
+        (table,) = read(path, "pose-json")
+    assert table.relative
+    assert table.frame is CameraFrame.OPTICAL
+    wanted = made.landmarks(FRAMES)[:, BLAZEPOSE.index("left_elbow")]
+    assert_allclose(table.position["elbow_left"], wanted, atol=1e-12)
+    start = 0.04 if layout == "numbered" else 0.0
+    assert table.t_s is None or np.allclose(table.t_s, start + 0.04 * np.arange(FRAMES), atol=1e-9)
+    if table.t_s is None:
+        assert table.rate_hz == 25
+
+
+def test_landmarks_in_the_image_are_refused(tmp_path: Path) -> None:
+    frames = {
+        f"{at}.0": dict(zip(BLAZEPOSE, frame, strict=True))
+        for at, frame in enumerate((0.5 + 0.2 * made.landmarks(FRAMES)).tolist())
+    }
+    with pytest.raises(RecordingError, match=r"no metres; export pose_world_landmarks"):
+        read(write(tmp_path / "a.json", {"positions": frames}), "pose-json")
+
+
+def test_openpose_in_space(tmp_path: Path) -> None:
+    flat = [np.column_stack([frame, np.full(25, 0.8)]).ravel().tolist() for frame in made.body_25(FRAMES)]
+    value = [{"version": 1.3, "people": [{"pose_keypoints_3d": row}]} for row in flat]
+    (table,) = read(write(tmp_path / "a.json", value), "pose-json")
+    assert not table.relative
+    assert_array_equal(table.gravity_hint, [0, -1, 0])
+    assert_allclose(table.position["wrist_right"], made.expected("wrist_right", FRAMES), atol=1e-12)
+
+
+def test_openpose_in_the_image_is_refused(tmp_path: Path) -> None:
+    value = [{"people": [{"pose_keypoints_2d": [100.0] * 75}]}] * 5
+    with pytest.raises(RecordingError, match=r"keypoints in the image.*triangulate"):
+        read(write(tmp_path / "a.json", value), "pose-json")
+
+
+def test_broken_off(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.json", offline_processor(FRAMES))
+    path.write_text(path.read_text()[:20_000])
+    with pytest.raises(RecordingError, match=r"a\.json should be JSON of body tracking.*breaks off"):
+        read(path, "azure-kinect-json")
+
+
+@pytest.mark.parametrize("points", [33, 553])
+def test_freemocap_array(tmp_path: Path, points: int) -> None:
+    body = np.stack([made.part(name, FRAMES) for name in BLAZEPOSE], axis=1)[:, :, [0, 2, 1]] * [1, -1, 1]
+    array = np.full((FRAMES, points, 3), np.nan)
+    array[:, :33] = 1000 * body
+    path = tmp_path / "a.npy"
+    np.save(path, array)
+    (table,) = read(path, "joint-array")
+    assert (table.frame, table.units, table.relative) == (CameraFrame.ZUP, "mm", False)
+    assert_allclose(table.position["wrist_left"], body[:, BLAZEPOSE.index("left_wrist")], atol=1e-12)
+    assert table.rate_hz == 30.0
+
+
+def test_arrays_that_are_no_joints(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.zeros((10, 7, 3)))
+    with pytest.raises(RecordingError, match=r"a\.npy is an array of 10 x 7 x 3"):
+        read(path, "joint-array")
+    np.save(path, np.array([{"a": 1}]), allow_pickle=True)
+    with pytest.raises(RecordingError, match=r"a\.npy is no array of numbers"):
+        read(path, "joint-array")
