@@ -35,12 +35,15 @@ class CameraNoise(_Section):
 class ImuNoise(_Section):
     """The inertial sensor, errors of scale and mounting of a consumer device included."""
 
-    accelerometer_density: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(Hz)")
-    gyroscope_density: float = Field(default=0.0015, gt=0, description="rad/s/sqrt(Hz)")
+    accelerometer_density: float = Field(default=0.006, gt=0, description="m/s^2/sqrt(Hz)")
+    gyroscope_density: float = Field(default=0.0008, gt=0, description="rad/s/sqrt(Hz)")
     accelerometer_share: float = Field(
-        default=0.006, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)"
+        default=0.004, ge=0, description="density a m/s^2 beyond gravity, sqrt(s)"
     )
-    gyroscope_share: float = Field(default=0.002, ge=0, description="density a rad/s of turning, sqrt(s)")
+    gyroscope_share: float = Field(default=0.0012, ge=0, description="density a rad/s of turning, sqrt(s)")
+    scale_sigma: float = Field(
+        default=0.005, gt=0, description="errors of scale and axes, 0.005 = 0.5 % or 0.3 degrees"
+    )
     accelerometer_bias_sigma: float = Field(default=0.3, gt=0, description="m/s^2, before the first pass")
     gyroscope_bias_sigma: float = Field(default=0.05, gt=0, description="rad/s, before the first pass")
     accelerometer_bias_walk: float = Field(default=0.01, gt=0, description="m/s^2/sqrt(s) inside a window")

@@ -61,6 +61,40 @@ def recovery_angles(recovery: Recovery) -> dict[str, FloatArray]:
     return arm_angles(recovery.joints, len(recovery), R_K_F, recovery.side, recovery.gravity_direction)
 
 
+def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:
+    """Standard deviation of the elbow's flexion (N,), degrees; nan where it is not known.
+
+    First-order propagation: the forearm turns with the IMU's orientation, the upper arm with shoulder and
+    elbow; along their bones neither position changes the angle. An error of the lever arms is one of the
+    orientation with the other sign, as the camera has seen both joints, and is in the orientation's sigma.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Of N samples.
+
+    Returns
+    -------
+    sigma_deg : ndarray, shape (N,), deg
+    """
+    joints = recovery.joints
+    if not {"shoulder", "elbow", "wrist"} <= set(joints) or "shoulder" not in recovery.joint_covariance:
+        return np.full(len(recovery), np.nan)
+    upper, fore = joints["shoulder"] - joints["elbow"], joints["elbow"] - joints["wrist"]
+    along, across = unit(upper), unit(fore)
+    cosine = np.einsum("ni,ni->n", along, across)[:, None]
+    # the angle grows as either direction turns away from the other, in the plane of both
+    of_shoulder = -unit(across - cosine * along) / np.linalg.norm(upper, axis=1)[:, None]
+    of_fore = -unit(along - cosine * across) / np.linalg.norm(fore, axis=1)[:, None]
+    at_elbow = joints["elbow"] - recovery.position
+    # (position, rotation) of the IMU move elbow and shoulder's difference, and turn the forearm
+    by_turn = np.cross(fore, of_fore) - np.cross(at_elbow, of_shoulder)
+    by_pose = np.concatenate([-of_shoulder, by_turn], axis=1)
+    variance = np.einsum("ni,nij,nj->n", by_pose, recovery.pose_covariance, by_pose)
+    variance += np.einsum("ni,nij,nj->n", of_shoulder, recovery.joint_covariance["shoulder"], of_shoulder)
+    return np.degrees(np.sqrt(variance))
+
+
 def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
     """Forearm axes in the camera frame, `R_K_F` = R_K_A R_A_F, (N, 3, 3).
 

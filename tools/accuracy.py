@@ -1,4 +1,4 @@
-"""The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd [options]`.
+"""The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd|coverage [options]`.
 
 `broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
 `--gap-s 5 10 20 30` tables gaps of those lengths in random motion.
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coverage import PRESETS, coverage
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 from shared import datasets, rms
@@ -322,13 +323,16 @@ def main() -> None:
     two.add_argument("--each", action="store_true", help="with --gap-s: also print every gap")
     three = commands.add_parser("utd", help=utd.__doc__)
     three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
-    for each in (one, two, three):
+    four = commands.add_parser("coverage", help=coverage.__doc__)
+    four.add_argument("sources", nargs="+", choices=(*PRESETS, "broad", "utd"))
+    four.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
+    for each in (one, two, three, four):
         each.add_argument(
             "--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them"
         )
         each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
     options = parser.parse_args()
-    {"broad": broad, "arm": arm, "utd": utd}[options.command](options)
+    {"broad": broad, "arm": arm, "utd": utd, "coverage": coverage}[options.command](options)
 
 
 def _seeds(text: str) -> range:

@@ -51,14 +51,15 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     biases = bias_of_intervals(window)
     _add_states(values, window)
+    # in this order: `constant_errors` counts rows
     _add_increments(graph, window, biases)
-    _add_shared(graph, values, window, biases)
     _add_joints(graph, window)
     if window.shoulder is not None:
         _add_shoulder(graph, values, window)
     _add_constant_velocity(graph, window)
     _add_attitude(graph, window)
     _add_field(graph, window)
+    _add_shared(graph, values, window, biases)
     return graph, values
 
 

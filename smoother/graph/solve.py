@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -15,7 +16,8 @@ from ..window.problem import Message, Solution, States, Window
 from ..window.shared import Gaussian
 from .build import bias_of_intervals, build, shared_jacobian, shared_keys
 from .clock_information import offset_information
-from .marginals import Marginals, marginals_of
+from .constant_errors import constant_error_columns, evidence, node_of_variables
+from .linear_system import LinearSystem
 from .optimise import optimise
 
 #: Where `solve` stops by default.
@@ -35,6 +37,7 @@ def solve(
     with_covariance: bool,
     with_offset: bool = False,
     with_message: bool = True,
+    with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Solution:
     """Optimise a window (see `optimise`) and read its answer.
@@ -48,6 +51,8 @@ def solve(
         Also the information on the clock offset.
     with_message : bool
         Also the covariance of the message; its mean is there in any case.
+    with_evidence : bool
+        Also what the window says of errors that are constant over the recording.
     tolerance : float
         The optimiser stops when an iteration lowers the error by less than this share of it.
 
@@ -61,7 +66,7 @@ def solve(
         The window leaves something free; the text names the time.
     """
     try:
-        return _solved(window, with_covariance, with_offset, with_message, tolerance)
+        return _solved(window, with_covariance, with_offset, with_message, with_evidence, tolerance)
     except np.linalg.LinAlgError as error:
         raise SolveError(
             f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
@@ -70,7 +75,12 @@ def solve(
 
 
 def _solved(
-    window: Window, with_covariance: bool, with_offset: bool, with_message: bool, tolerance: float
+    window: Window,
+    with_covariance: bool,
+    with_offset: bool,
+    with_message: bool,
+    with_evidence: bool,
+    tolerance: float,
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
     for tighten in TIGHTEN:
@@ -79,15 +89,19 @@ def _solved(
         try:
             optimum = optimise(graph, values, window, tolerance)
             graph, values = optimum.graph, optimum.values
-            marginals = marginals_of(graph, values)
             biases = bias_of_intervals(window)
             states = _states(values, len(window.t))
+            errors = None
+            if with_evidence or window.considered is not None:
+                errors = partial(constant_error_columns, window=window, biases=biases, R=states.R)
+            system = LinearSystem(graph, values, node_of_variables(window), errors)
             pose_covariance = velocity_covariance = None
+            following = _Following.of(system, values, window, biases)
             if with_covariance:
-                pose_covariance, velocity_covariance = _covariances(marginals, window, states.R)
+                pose_covariance, velocity_covariance = _covariances(following, window, states.R)
                 pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
-            shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
-            message = _message(values, marginals, window, biases, with_message)
+            shoulder, shoulder_covariance = _shoulder(values, following, window, with_covariance)
+            message = _message(values, system, window, biases, with_message)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
@@ -108,6 +122,7 @@ def _solved(
             error=optimum.error,
             offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
             accepted=optimum.accepted,
+            evidence=evidence(system, values, message.shared.mean, window, biases) if with_evidence else None,
         )
     raise np.linalg.LinAlgError
 
@@ -129,17 +144,49 @@ def _states(values: gtsam.Values, count: int) -> States:
     )
 
 
-def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True)
+class _Following:
+    """Covariances of a system's variables in time, with what they follow of considered errors."""
+
+    system: LinearSystem
+    shared: FloatArray | None
+    covariance: FloatArray | None
+
+    @classmethod
+    def of(cls, system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray) -> _Following:
+        """With the window's considered errors, if any.
+
+        The window's prior on what all share follows the errors too: other windows had the same.
+        """
+        if window.considered is None:
+            return cls(system, None, None)
+        jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
+        pull = np.zeros((system.extras.start, window.considered.covariance.shape[0]))
+        pull[system.border_rows(shared_keys(window, biases))] = jacobian.T @ np.linalg.solve(
+            window.priors.shared.covariance, window.considered.shared
+        )
+        return cls(system, system.shared_sensitivity(pull), window.considered.covariance)
+
+    def of_variable(self, key: int) -> FloatArray:
+        """Covariance of a variable."""
+        covariance = self.system.covariance(key)
+        if self.shared is None or self.covariance is None:
+            return covariance
+        follows = self.system.sensitivity(key, self.shared)
+        return np.asarray(covariance + follows @ self.covariance @ follows.T)
+
+
+def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Covariances at the nodes, from GTSAM's (rotation, translation) in {A} to (position, rotation) in {K}.
 
-    Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
-    often near a gap and in it, and interpolated between.
+    They change slowly where the camera sees the arm: they are taken more often near a gap and in it, and
+    interpolated between.
     """
     t = window.t
     in_gap = np.isfinite(window.velocity_change)
     nodes = _spaced(t, in_gap, COVARIANCE_S)
-    body = np.array([marginals.marginalCovariance(X(i)) for i in nodes])
-    velocity = np.array([marginals.marginalCovariance(V(i)) for i in nodes])
+    body = np.array([following.of_variable(X(i)) for i in nodes])
+    velocity = np.array([following.of_variable(V(i)) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]
     turn = np.zeros((len(nodes), 6, 6))
@@ -168,7 +215,7 @@ def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
 
 
 def _shoulder(
-    values: gtsam.Values, marginals: Marginals, window: Window, with_covariance: bool
+    values: gtsam.Values, following: _Following, window: Window, with_covariance: bool
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if window.shoulder is None:
         return None, None
@@ -177,7 +224,7 @@ def _shoulder(
     if not with_covariance:
         return position, None
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
-    covariance = np.array([marginals.marginalCovariance(S(k)) for k in knots])
+    covariance = np.array([following.of_variable(S(k)) for k in knots])
     return position, interpolate(t[knots], covariance, t)
 
 
@@ -188,7 +235,7 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
 
 
 def _message(
-    values: gtsam.Values, marginals: Marginals, window: Window, biases: IntArray, with_covariance: bool
+    values: gtsam.Values, system: LinearSystem, window: Window, biases: IntArray, with_covariance: bool
 ) -> Message:
     """The shared variables, jointly, in the shared vector's coordinates; without covariance it is nan."""
     layout = window.priors.layout
@@ -204,10 +251,8 @@ def _message(
         mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
     covariance = np.full((layout.size, layout.size), np.nan)
     if with_covariance:
-        joint_marginal = marginals.jointMarginalCovariance(keys)
         jacobian = shared_jacobian(layout, down)
-        blocks = np.block([[joint_marginal.at(a, b) for b in keys] for a in keys])
-        covariance = jacobian @ blocks @ jacobian.T
+        covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
     return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 

@@ -7,7 +7,7 @@ samples constant instead shifts a 40 Hz sensor by half a sample (12.5 ms).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -59,6 +59,11 @@ class InertialSignal:
 
     def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
         return InertialSignal, (self._imu,)  # the samples are an eighth of the spline
+
+    def scaled(self, accelerometer: FloatArray, gyroscope: FloatArray) -> InertialSignal:
+        """The signal of samples times a matrix (3, 3) of each sensor."""
+        imu = self._imu
+        return InertialSignal(replace(imu, acc=imu.acc @ accelerometer.T, gyro=imu.gyro @ gyroscope.T))
 
     @property
     def start_s(self) -> float:

@@ -67,7 +67,7 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
     if segment is None:
         return None
     model, config = task.model, task.config
-    segment = model.joint_bias.corrected(reject_by_camera(segment))
+    segment = model.errors.corrected(reject_by_camera(segment))
     segment, alignment = reject_by_direction(segment, model.prior, model.clock)
     ready = prepare(
         segment, model.prior, model.clock, model.joint_sigma_m, config.windows.margin_s, alignment

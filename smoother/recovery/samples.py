@@ -19,8 +19,6 @@ from ..selfcal.rounds import SelfCalibration
 from ..window.cut import PreparedSegment
 from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose
 
-#: Variance of the error that all joints share and that no residual shows, as a part of one joint's.
-COMMON_BIAS_SHARE = 1.0
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
 UNKNOWN_RAD = 1.0
@@ -95,7 +93,6 @@ def sample_section(
     t = imu_t[first:last]
     states = at_times(trajectory, prepared.signal, t)
     pose = widen_turns(interpolate(trajectory.t, trajectory.pose_covariance, t))
-    pose[:, :3, :3] += np.eye(3) * (COMMON_BIAS_SHARE * model.joint_bias.sigma_m**2)
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
     joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}

@@ -54,7 +54,7 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     """
     state = job.state.without_outliers(task)
     windows = [
-        replace(window, field=job.field.get(number))
+        replace(window, field=job.field.get(number), considered=task.model.errors.considered)
         for number, window in enumerate(task.windows(state.prepared, state.borders, job.priors))
     ]
     solutions = [

@@ -25,8 +25,8 @@ WALKS = (0.0, 0.0003, 0.001)
 WALKS_SYNTHETIC = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04)
 WALK_GAIN = 6.0
 WALK_GAIN_SYNTHETIC = 0.0
-#: How far a single frame's synthetic stamp is off, s: about a third of a dropped frame.
-SYNTHETIC_SIGMA_S = 0.015
+#: How far synthetic stamps are off beyond what the offset follows, s: a frame or two that were dropped.
+SYNTHETIC_SIGMA_S = 0.06
 #: Crystals differ by some hundred parts in a million; it takes a while to show, s.
 SKEW_SIGMA = 5e-4
 SKEW_SPAN_S = 30.0

@@ -20,6 +20,7 @@ from ..errors import CalibrationError
 from ..graph.solve import solve
 from ..measurements.alignment import Alignment, align, pairs
 from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
+from ..measurements.inertial import InertialSignal
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
@@ -42,6 +43,7 @@ from ..window.problem import Priors, Solution, Window
 from ..window.trajectory import Trajectory, at_times, merge_windows
 from .camera_noise import joint_noise, sigma_by_joint
 from .clock_fit import refined_clocks
+from .constant_errors import ConstantErrors
 from .excerpts import choose_excerpts
 from .joint_bias import JointBias
 from .mounting import Mounting, find_mounting
@@ -79,8 +81,8 @@ class SelfCalibration:
         Of each forearm joint.
     joint_sigma_m : ndarray, shape (5,), m
         Effective noise an axis, in the order of `JOINTS`.
-    joint_bias : JointBias
-        The camera's constant errors.
+    errors : ConstantErrors
+        Of IMU and camera.
     upper_arm_sigma_m : float, m
         How far from constant the upper arm's length is.
     direction_spread_rad : float, rad
@@ -93,7 +95,7 @@ class SelfCalibration:
     clocks: tuple[Clock, ...]
     joint_noise: dict[str, JointNoise]
     joint_sigma_m: FloatArray
-    joint_bias: JointBias
+    errors: ConstantErrors
     upper_arm_sigma_m: float
     direction_spread_rad: float = float("nan")
 
@@ -101,6 +103,11 @@ class SelfCalibration:
     def clock(self) -> Clock:
         """Of the only recording."""
         return self.clocks[0]
+
+    @property
+    def joint_bias(self) -> JointBias:
+        """The camera's constant errors."""
+        return self.errors.joints
 
     @property
     def mounting_unknown(self) -> bool:
@@ -161,26 +168,28 @@ def self_calibrate(
         np.full(len(JOINTS), config.camera.joint_sigma_m),
         config.arm.upper_arm_flex_m,
     )
-    joint_bias, trajectories = JointBias(), None
+    errors, trajectories = ConstantErrors(), None
+    asked = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
     for _ in range(ROUNDS):
-        corrected = [joint_bias.corrected(segment) for segment in excerpts]
+        signals: dict[int, InertialSignal] = {}
+        corrected = [errors.corrected(segment, signals) for segment in excerpts]
         cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
         windows = cut_round.windows
-        solutions = list(
-            workers.map(partial(solve, with_covariance=False, with_offset=True, tolerance=TOLERANCE), windows)
-        )
+        solutions = list(workers.map(asked, windows))
         trajectories = cut_round.trajectories(solutions)
         shared = pooled([solution.message for solution in solutions], cut_round.prior)
-        estimate = calibration_from(shared, cut_round.prior.layout, start, joint_bias.sigma_m)
+        estimate = calibration_from(shared, cut_round.prior.layout, start, errors.joints.sigma_m)
         noise = joint_noise(windows, solutions)
         largest_m = max((each.sample_m for each in noise.values()), default=0.0)
         upper_arm_sigma_m = upper_arm_length_sigma(corrected, config, largest_m)
         joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
-        before = prior, joint_bias, clocks
-        joint_bias = joint_bias.updated(windows, solutions)
+        before = prior, errors.joints, clocks
+        errors = errors.updated(
+            windows, solutions, cut_round.prior, cut_round.recording_of_window, config.imu.scale_sigma
+        )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
         prior = _recentred(estimate, start, given)
-        if _moved(before, (estimate, joint_bias, clocks)) < SETTLED_M:
+        if _moved(before, (estimate, errors.joints, clocks)) < SETTLED_M:
             break
     spread = mounting.direction_spread_rad if given.forearm_direction is None else float("nan")
     return SelfCalibration(
@@ -190,7 +199,7 @@ def self_calibrate(
         clocks,
         noise,
         joint_sigma_m,
-        joint_bias,
+        errors,
         upper_arm_sigma_m,
         spread,
     )

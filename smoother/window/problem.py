@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..recording import FloatArray, IntArray
+from .constant_errors import Considered, Evidence
 from .shared import Gaussian, SharedLayout
 
 
@@ -218,6 +219,8 @@ class Window:
     gravity_magnitude : float, m/s^2
     field : FieldMeasurements or None
         A magnetometer's directions where there is a calibrated one.
+    considered : Considered or None
+        Constant errors that widen the covariance.
     """
 
     index: int
@@ -236,6 +239,7 @@ class Window:
     noise: NoiseModel
     gravity_magnitude: float
     field: FieldMeasurements | None = None
+    considered: Considered | None = None
 
 
 @dataclass(frozen=True)
@@ -287,6 +291,8 @@ class Solution:
     accepted : bool
         The model explains the motion in the window's long gaps; where False the upper arm is left out
         there, so that the covariance covers what is open.
+    evidence : Evidence or None
+        On errors that are constant over the recording; None where not asked for.
     """
 
     index: int
@@ -302,3 +308,4 @@ class Solution:
     error: float
     offset_information: float = 0.0
     accepted: bool = True
+    evidence: Evidence | None = None

@@ -1,0 +1,172 @@
+"""How a window's data follow errors that are constant over a recording, and what the window says of them.
+
+The errors are no variables of the graph: they enter its linearised equations as further columns, to be told
+by all windows together (`evidence`), or to be considered in the covariance (Schmidt, Application of
+state-space methods to navigation problems, 1966).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, G, S, V, X
+from scipy.sparse import csr_matrix
+
+from ..linalg import skew
+from ..recording import JOINTS, FloatArray, IntArray
+from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, Evidence
+from ..window.problem import Window
+from .build import shared_jacobian, shared_keys
+from .linear_system import LinearSystem
+
+#: Rows of an `ImuFactorWithGravityDirection`, and of a joint's or the shoulder's factor.
+IMU_ROWS, JOINT_ROWS = 9, 3
+
+
+def node_of_variables(window: Window) -> dict[int, int]:
+    """The node whose time each of a window's variables in time has, by key."""
+    nodes = {key: i for i in range(len(window.t)) for key in (X(i), V(i))}
+    if window.shoulder is not None:
+        nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
+    return nodes
+
+
+def constant_error_columns(
+    jacobian: csr_matrix, columns: Mapping[int, slice], window: Window, biases: IntArray, R: FloatArray
+) -> FloatArray:
+    """Columns of the whitened Jacobian for the constant errors (see `window.constant_errors`).
+
+    Parameters
+    ----------
+    jacobian : csr_matrix, shape (rows, variables)
+        Of the graph as `build` puts it together: the IMU's factors first, then the
+        joints' and the shoulder's.
+    columns : mapping of int to slice
+        Columns of each variable, by key.
+    window : Window
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+    R : ndarray, shape (n, 3, 3)
+        Orientations `R_K_A` of the nodes.
+
+    Returns
+    -------
+    columns : ndarray, shape (r, SIZE)
+        Of the first r rows; the errors are in no others.
+    """
+    count = len(window.t) - 1
+    first_bias = columns[B(0)].start
+    imu = jacobian[: IMU_ROWS * count, first_bias : columns[B(int(biases[-1]))].stop].toarray()
+    of_bias = imu.reshape(count, IMU_ROWS, -1, 6)[np.arange(count), :, biases]
+    # M f is a bias that follows the specific force, the same for the rate
+    force, rate = _means(window)
+    rows = [
+        np.concatenate(
+            [
+                np.einsum("nir,nc->nirc", of_bias[:, :, :3], force).reshape(count, IMU_ROWS, 9),
+                np.einsum("nir,nc->nirc", of_bias[:, :, 3:], rate).reshape(count, IMU_ROWS, 9),
+                np.zeros((count, IMU_ROWS, SIZE - 18)),
+            ],
+            axis=2,
+        ).reshape(-1, SIZE)
+    ]
+    start = IMU_ROWS * count
+    for joint, nodes in _camera_factors(window):
+        stop = start + JOINT_ROWS * len(nodes)
+        # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has
+        weight = _weight(jacobian, start, stop, columns, joint, window)
+        block = np.zeros((len(nodes), JOINT_ROWS, SIZE))
+        error = JOINT_ERRORS.start + 3 * JOINTS.index(joint)
+        block[:, :, error : error + 3] = np.eye(3)
+        if joint in window.priors.layout.joints:
+            block[:, :, STRAP_ERRORS] = _strap(window, joint, R[nodes])
+        rows.append(weight[:, None] * block.reshape(-1, SIZE))
+        start = stop
+    return np.concatenate(rows)
+
+
+def _means(window: Window) -> tuple[FloatArray, FloatArray]:
+    """Mean specific force and rate of each interval, (n - 1, 3) each."""
+    first = window.increments.first[:-1]
+    steps = np.diff(window.increments.first)[:, None]
+    force = np.add.reduceat(window.increments.acc.mean(axis=1), first) / steps
+    return force, np.add.reduceat(window.increments.gyro, first) / steps
+
+
+def _camera_factors(window: Window) -> list[tuple[str, IntArray]]:
+    """Joints in the order of the graph's camera factors, and the node of each factor."""
+    factors = [(measured.joint, np.unique(measured.node)) for measured in window.joint_measurements]
+    if window.shoulder is not None:
+        seen = np.isfinite(window.shoulder.position[:, 0])
+        factors.append(("shoulder", np.asarray(window.shoulder.node)[seen]))
+    return factors
+
+
+def _strap(window: Window, joint: str, R: FloatArray) -> FloatArray:
+    """How a joint (m, 3) in {K} follows the strap's turning with posture, (m, 3, 9)."""
+    layout, mean = window.priors.layout, window.priors.shared.mean
+    down_A = np.einsum("nji,j->ni", R, layout.down(mean))
+    turned = -R @ skew(mean[layout.lever(joint)])
+    return np.asarray((turned[:, :, :, None] * down_A[:, None, None, :]).reshape(len(R), 3, 9))
+
+
+def _weight(
+    jacobian: csr_matrix, start: int, stop: int, columns: Mapping[int, slice], joint: str, window: Window
+) -> FloatArray:
+    """Whitening of a joint's rows: the length of each row's derivative by position."""
+    block = jacobian[start:stop].tocoo()
+    if joint == "shoulder":
+        knots = columns[S(0)].start, columns[S(len(window.shoulder.node) - 1)].stop  # type: ignore[union-attr]
+        mine = (block.col >= knots[0]) & (block.col < knots[1])
+    else:
+        first = columns[X(0)].start
+        mine = (block.col >= first) & ((block.col - first) % 6 >= 3)
+    return np.sqrt(np.bincount(block.row[mine], block.data[mine] ** 2, minlength=stop - start))
+
+
+def evidence(
+    system: LinearSystem, values: gtsam.Values, mean: FloatArray, window: Window, biases: IntArray
+) -> Evidence:
+    """What a window says of the shared constants and the constant errors.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        With the columns of the constant errors.
+    values : gtsam.Values
+        The solution.
+    mean : ndarray, shape (s,)
+        The same as the shared vector.
+    window : Window
+        Its prior on the constants is independent of that on the biases.
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+
+    Returns
+    -------
+    evidence : Evidence
+    """
+    layout, keys = window.priors.layout, shared_keys(window, biases)
+    jacobian = shared_jacobian(layout, values.atUnit3(G(0)))[6:, 6:]
+    back = np.linalg.inv(jacobian)
+    prior = np.linalg.inv(window.priors.shared.covariance[6:, 6:])
+    constants = system.border_rows(keys[1:])
+    errors = np.arange(system.extras.start, system.extras.stop)
+    kept = np.concatenate([constants, errors])
+    others = np.setdiff1d(np.arange(system.extras.start), constants)
+    information, vector = system.information, system.vector
+    across = np.linalg.solve(
+        information[np.ix_(others, others)],
+        np.column_stack([information[np.ix_(others, kept)], vector[others]]),
+    )
+    reduced = information[np.ix_(kept, kept)] - information[np.ix_(kept, others)] @ across[:, :-1]
+    told = vector[kept] - information[np.ix_(kept, others)] @ across[:, -1]
+    turn = np.eye(len(kept))
+    turn[: len(constants), : len(constants)] = back
+    reduced, told = turn.T @ reduced @ turn, turn.T @ told
+    rows = slice(0, len(constants))
+    reduced[rows, rows] -= prior
+    told[rows] -= prior @ (window.priors.shared.mean[6:] - mean[6:])
+    return Evidence(reduced, told + reduced[:, rows] @ mean[6:])

@@ -1,0 +1,208 @@
+"""A window's linearised graph as a chain in time with a border: covariances and reduced systems, exactly.
+
+Poses, velocities and shoulder knots follow each other in time, so their normal equations are block
+tridiagonal; what the whole window shares (biases, gravity, lengths, lever arms, and quantities that are
+considered but not solved) borders them. One sweep forwards and one back give every covariance that is
+asked for (Takahashi et al., 1973; block form as in the Rauch-Tung-Striebel smoother).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+
+import gtsam
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_matrix
+
+from ..recording import FloatArray, IntArray
+
+#: Dimension of a variable by the letter of its key (see `build`).
+DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+
+
+def dimension(key: int) -> int:
+    """How many coordinates a variable has."""
+    return DIMENSION[chr(gtsam.Symbol(key).chr())]
+
+
+class LinearSystem:
+    """The normal equations of a linearised graph, reduced to its border.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Every variable of the graph, where it is linearised.
+    node_of : mapping of int to int
+        The node whose time a variable has, by key; what is not in it belongs to the border.
+    extra : callable, optional
+        Gives columns (r, e) of the whitened Jacobian for quantities that are not variables of the graph, from
+        the Jacobian and each variable's columns in it; rows beyond the r-th have none.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A direction is left free.
+    """
+
+    def __init__(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        node_of: Mapping[int, int],
+        extra: Callable[[csr_matrix, Mapping[int, slice]], FloatArray] | None = None,
+    ) -> None:
+        keys = sorted(values.keys())  # the order in which GTSAM hands out columns
+        sizes = np.array([dimension(key) for key in keys])
+        starts = np.concatenate(([0], np.cumsum(sizes)))
+        self._columns = {key: slice(a, b) for key, a, b in zip(keys, starts[:-1], starts[1:], strict=True)}
+        row, column, value = graph.linearize(values).sparseJacobian_()
+        row, column = row.astype(np.int64) - 1, column.astype(np.int64) - 1
+        count, width = int(row.max(initial=-1)) + 1, int(starts[-1])
+        jacobian = csr_matrix((value, (row, column)), shape=(count, width + 1))  # the last: right-hand side
+        self.jacobian, self.rhs = jacobian[:, :width], jacobian[:, width].toarray().ravel()
+        self._extra = np.zeros((0, 0)) if extra is None else extra(self.jacobian, self._columns)
+        node = np.array([node_of.get(key, -1) for key in keys])
+        node_of_column = np.repeat(node, sizes)
+        self._border = np.flatnonzero(node_of_column < 0)
+        self._border_row = np.full(width, -1)
+        self._border_row[self._border] = np.arange(len(self._border))
+        self._group(node_of_column)
+        self._reduce()
+
+    def _group(self, node_of_column: IntArray) -> None:
+        """Nodes to groups so that no factor reaches beyond the neighbouring group."""
+        chain = np.flatnonzero(node_of_column >= 0)
+        pattern = self.jacobian[:, chain]
+        entry_node = node_of_column[chain][pattern.indices]
+        filled = np.flatnonzero(np.diff(pattern.indptr))
+        first = np.minimum.reduceat(entry_node, pattern.indptr[filled])
+        last = np.maximum.reduceat(entry_node, pattern.indptr[filled])
+        reach = max(int((last - first).max(initial=1)), 3)
+        group = node_of_column[chain] // reach
+        order = np.argsort(group, kind="stable")
+        self._groups = np.split(chain[order], np.flatnonzero(np.diff(group[order])) + 1)
+        self._place = {
+            int(column): (g, k) for g, columns in enumerate(self._groups) for k, column in enumerate(columns)
+        }
+
+    def _reduce(self) -> None:
+        """Eliminate the chain: what is left of the information on the border and the extra columns."""
+        A, E, b = self.jacobian, self._extra, self.rhs
+        full = np.zeros((A.shape[0], E.shape[1]))
+        full[: len(E)] = E
+        chain = np.concatenate(self._groups)
+        ends = np.cumsum([len(columns) for columns in self._groups])
+        C, B = A[:, chain], A[:, self._border].toarray()
+        side = np.column_stack([B, full, b])  # border, extra, right-hand side
+        information = (C.T @ C).tocsr()
+        scale = 1.0 / np.sqrt(information.diagonal())
+        self._scale = np.split(scale, ends[:-1])
+        coupling = np.split(scale[:, None] * (C.T @ side), ends[:-1])
+        cuts = list(zip(ends - [len(columns) for columns in self._groups], ends, strict=True))
+        self._factors, self._gains, forward = [], [], []
+        carried_D, carried_r = 0.0, 0.0
+        for g, (start, end) in enumerate(cuts):
+            block = information[start:end]
+            D = block[:, start:end].toarray() * self._scale[g][:, None] * self._scale[g]
+            factor = cho_factor(D - carried_D, lower=True, check_finite=False)
+            r = coupling[g] - carried_r
+            self._factors.append(factor)
+            forward.append(cho_solve(factor, r, check_finite=False))
+            if g + 1 < len(cuts):
+                after, stop = cuts[g + 1]
+                F = block[:, after:stop].toarray() * self._scale[g][:, None] * self._scale[g + 1]
+                gain = cho_solve(factor, F, check_finite=False)
+                self._gains.append(gain)
+                carried_D, carried_r = F.T @ gain, F.T @ forward[-1]
+        solved = [forward[-1]]
+        for g in range(len(cuts) - 2, -1, -1):
+            solved.append(forward[g] - self._gains[g] @ solved[-1])
+        solved.reverse()
+        borders = len(self._border)
+        total = side.T @ side - sum(c.T @ z for c, z in zip(coupling, solved, strict=True))
+        total = 0.5 * (total + total.T)
+        self._solved = [z * s[:, None] for z, s in zip(solved, self._scale, strict=True)]
+        #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
+        self.information, self.vector = total[:-1, :-1], total[:-1, -1]
+        self._shared_covariance = _inverse(self.information[:borders, :borders])
+
+    @property
+    def extras(self) -> slice:
+        """The extra columns in `information` and `vector`."""
+        return slice(len(self._border), len(self.information))
+
+    def border_rows(self, keys: Sequence[int]) -> IntArray:
+        """Rows of border variables in `information` and `vector`, one after the other."""
+        return np.concatenate([self._border_row[self._columns[key]] for key in keys])
+
+    def shared_covariance(self, keys: Sequence[int]) -> FloatArray:
+        """Joint covariance of border variables, in the order of the keys; extra quantities held fixed."""
+        rows = self.border_rows(keys)
+        return np.asarray(self._shared_covariance[np.ix_(rows, rows)])
+
+    @cached_property
+    def _diagonal(self) -> list[FloatArray]:
+        """Covariance within each group, the border held fixed, in scaled coordinates."""
+        blocks = [_inverse_of(self._factors[-1])]
+        for g in range(len(self._groups) - 2, -1, -1):
+            gain = self._gains[g]
+            blocks.append(_inverse_of(self._factors[g]) + gain @ blocks[-1] @ gain.T)
+        return blocks[::-1]
+
+    def covariance(self, key: int) -> FloatArray:
+        """Covariance of a variable in time; extra quantities held fixed."""
+        group, rows = self._rows(key)
+        scale = self._scale[group][rows]
+        own = self._diagonal[group][np.ix_(rows, rows)] * scale[:, None] * scale
+        follows = self._solved[group][rows, : len(self._border)]
+        return np.asarray(own + follows @ self._shared_covariance @ follows.T)
+
+    def sensitivity(self, key: int, shared: FloatArray) -> FloatArray:
+        """How a variable in time follows the extra quantities, (dimension, e).
+
+        Parameters
+        ----------
+        key : int
+        shared : ndarray, shape (b, e)
+            How the border follows them (`shared_sensitivity`).
+        """
+        group, rows = self._rows(key)
+        solved = self._solved[group][rows]
+        borders = len(self._border)
+        return np.asarray(-solved[:, self.extras] - solved[:, :borders] @ shared)
+
+    def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:
+        """How the border's variables follow the extra quantities, (b, e).
+
+        Parameters
+        ----------
+        pull : ndarray, shape (b, e), optional
+            Information of the border's prior times how its mean follows them; it does not where None.
+        """
+        borders = len(self._border)
+        across = self.information[:borders, self.extras]
+        return np.asarray(self._shared_covariance @ ((0.0 if pull is None else pull) - across))
+
+    def _rows(self, key: int) -> tuple[int, IntArray]:
+        columns = self._columns[key]
+        places = [self._place[column] for column in range(columns.start, columns.stop)]
+        return places[0][0], np.array([k for _, k in places])
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of a positive definite matrix, scaled to unit diagonal first."""
+    if not len(matrix):
+        return matrix
+    diagonal = np.diag(matrix)
+    if not (diagonal > 0).all():
+        raise np.linalg.LinAlgError("a shared quantity is left free")
+    scale = 1.0 / np.sqrt(diagonal)
+    inverse = _inverse_of(cho_factor(matrix * scale[:, None] * scale, lower=True))
+    return np.asarray(inverse * scale[:, None] * scale)
+
+
+def _inverse_of(factor: tuple[FloatArray, bool]) -> FloatArray:
+    return np.asarray(cho_solve(factor, np.eye(len(factor[0])), check_finite=False))

@@ -1,0 +1,161 @@
+"""Errors of IMU and camera that are constant over a recording: told by all windows together, and taken off.
+
+A consumer IMU's axes are some tenths of a percent too long and some tenths of a degree off; a skeleton's
+joints are millimetres off. Both move every window's answer the same way, so no difference between windows
+shows them; they show in how the residuals follow the motion. What cannot be told stays in the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..measurements.inertial import InertialSignal
+from ..measurements.segment import Segment
+from ..recording import JOINTS, FloatArray, IntArray
+from ..window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE, STRAP_ERRORS, Considered
+from ..window.problem import Priors, Solution, Window
+from .joint_bias import JointBias
+from .pooled_evidence import PooledEvidence
+
+#: How large such errors are before the recording speaks (an element; the IMU's: `Config.imu.scale_sigma`): a
+#: joint's, m, and how far a strap turns on the forearm as the posture changes, rad.
+JOINT_M = 0.010
+STRAP_RAD = np.radians(2.0)
+#: For so many elements a share of that counts when the recording tells how large they are, in so many steps.
+WEIGHT, USUAL = 1.0, 0.6
+STEPS = 10
+#: A joint with fewer samples tells nothing of its error.
+FEWEST_SAMPLES = 10
+#: What the gyroscope's three axes turn together defines the sensor's axes: no error, rad.
+DEFINED_RAD = 1e-5
+GYROSCOPE_PAIRS = ((10, 12), (11, 15), (14, 16))
+
+
+@dataclass(frozen=True)
+class ConstantErrors:
+    """What is taken off the data, and what may be left.
+
+    Attributes
+    ----------
+    imu : ndarray, shape (2, 3, 3)
+        Scales and axes of accelerometer and gyroscope: a sample reads (I + imu) times what it should.
+    joints : JointBias
+        The camera's.
+    considered : Considered or None
+        What may be left; None before a round has told.
+    """
+
+    imu: FloatArray = field(default_factory=lambda: np.zeros((2, 3, 3)))
+    joints: JointBias = field(default_factory=JointBias)
+    considered: Considered | None = None
+
+    def corrected(self, segment: Segment, signals: dict[int, InertialSignal] | None = None) -> Segment:
+        """A segment with the errors taken off.
+
+        Parameters
+        ----------
+        segment : Segment
+        signals : dict of int to InertialSignal, optional
+            Corrected signals by the identity of the original, for segments that share one.
+        """
+        known = {} if signals is None else signals
+        key = id(segment.signal)
+        if key not in known:
+            known[key] = segment.signal.scaled(*(np.eye(3) - self.imu))
+        return replace(segment, signal=known[key], position=segment.position - self.joints.error_m)
+
+    def updated(
+        self,
+        windows: Sequence[Window],
+        solutions: Sequence[Solution],
+        prior: Priors,
+        recording_of_window: IntArray,
+        imu_sigma: float,
+    ) -> ConstantErrors:
+        """The errors as another round tells them.
+
+        Parameters
+        ----------
+        windows, solutions : sequence of Window, sequence of Solution
+            Of one round, solved with these errors taken off, with their evidence.
+        prior : Priors
+            The windows' own, the same for all.
+        recording_of_window : ndarray of int, shape (k,)
+            Recordings share the arm and the IMU; each has its own direction of gravity.
+        imu_sigma : float
+            Sigma of each element of `imu` before the recording speaks.
+        """
+        joints = _told(windows)
+        before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
+        pooled = PooledEvidence.of(windows, solutions, prior, recording_of_window, before)
+        sizes = _Sizes(imu_sigma, imu_sigma, JOINT_M if joints else 0.0, STRAP_RAD)
+        first = sizes
+        for _ in range(STEPS):
+            mean, covariance = pooled.posterior(sizes.covariance())
+            sizes = sizes.updated(mean, covariance, joints, first)
+        # the strap's turning is not taken off: what is known of it widens the covariance all the same
+        covariance[STRAP_ERRORS, STRAP_ERRORS] += np.outer(mean[STRAP_ERRORS], mean[STRAP_ERRORS])
+        error_m = np.zeros((len(JOINTS), 3))
+        if joints:
+            error_m = mean[JOINT_ERRORS].reshape(-1, 3)
+            error_m = error_m - error_m[[JOINTS.index(joint) for joint in joints]].mean(axis=0)
+        return ConstantErrors(
+            mean[IMU_ERRORS].reshape(2, 3, 3),
+            JointBias(error_m, joints, sizes.joint_m),
+            Considered(covariance, pooled.shared_sensitivity()),
+        )
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """How large an element of each kind of error is: a prior's sigmas, learnt from the recording.
+
+    Expectation-maximisation of the sigmas (Dempster, Laird and Rubin 1977) with a weak prior on them.
+    """
+
+    accelerometer: float
+    gyroscope: float
+    joint_m: float
+    strap_rad: float
+
+    def covariance(self) -> FloatArray:
+        """Of the errors, (SIZE, SIZE); no direction is exactly free of error."""
+        variance = np.repeat(
+            np.square([self.accelerometer, self.gyroscope, max(self.joint_m, 1e-6), self.strap_rad]),
+            [9, 9, 3 * len(JOINTS), 9],
+        )
+        covariance = np.diag(variance)
+        turn = np.zeros((3, SIZE))
+        for row, (a, b) in zip(turn, GYROSCOPE_PAIRS, strict=True):
+            row[a], row[b] = np.sqrt(0.5), -np.sqrt(0.5)
+        return covariance - (self.gyroscope**2 - DEFINED_RAD**2) * turn.T @ turn
+
+    def updated(
+        self, mean: FloatArray, covariance: FloatArray, joints: tuple[str, ...], first: _Sizes
+    ) -> _Sizes:
+        """A step: each kind's mean square over its elements."""
+        square = mean**2 + np.diag(covariance)
+        of_joints = square[JOINT_ERRORS].reshape(-1, 3)[[JOINTS.index(joint) for joint in joints]]
+
+        def size(squares: FloatArray, free: int, before: float) -> float:
+            return float(np.sqrt((squares.sum() + WEIGHT * (USUAL * before) ** 2) / (free + WEIGHT)))
+
+        return _Sizes(
+            size(square[:9], 9, first.accelerometer),
+            size(square[9:18], 6, first.gyroscope),
+            size(of_joints, 3 * len(joints), first.joint_m) if joints else 0.0,
+            size(square[STRAP_ERRORS], 9, first.strap_rad),
+        )
+
+
+def _told(windows: Sequence[Window]) -> tuple[str, ...]:
+    """Joints of the forearm with enough samples; none where there are not two."""
+    counts: dict[str, int] = {}
+    for window in windows:
+        for measured in window.joint_measurements:
+            counts[measured.joint] = counts.get(measured.joint, 0) + len(measured.node)
+    joints = tuple(joint for joint, count in counts.items() if count >= FEWEST_SAMPLES)
+    return joints if len(joints) > 1 else ()
