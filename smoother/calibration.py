@@ -61,6 +61,11 @@ class ArmCalibration:
         In {A}; None where unknown.
     gyroscope_bias : ndarray, shape (3,), rad/s, or None
         In {A}; None where unknown.
+    upper_imu : dict of str to LeverArm
+        Elbow and shoulder in the axes {B} of an IMU on the upper arm; empty where there is none.
+    R_U_B : ndarray, shape (3, 3), or None
+        Maps a vector from that IMU's axes to the upper arm's (y elbow to shoulder, z the axis of elbow
+        flexion from the medial to the lateral epicondyle).
     """
 
     side: str = ""
@@ -69,6 +74,8 @@ class ArmCalibration:
     R_F_A: FloatArray | None = None
     accelerometer_bias: FloatArray | None = None
     gyroscope_bias: FloatArray | None = None
+    upper_imu: dict[str, LeverArm] = field(default_factory=dict)
+    R_U_B: FloatArray | None = None
 
     @property
     def forearm_direction(self) -> FloatArray | None:
