@@ -11,7 +11,7 @@ import numpy as np
 from ..recording import FloatArray
 
 #: Dimension of a variable by the letter of its key (see `build`).
-_DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+_DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3, "y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
 
 
 class Marginals(Protocol):

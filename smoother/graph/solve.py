@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
 from ..window.problem import Message, Solution, States, Window
 from ..window.shared import Gaussian
-from .build import bias_of_intervals, build, shared_jacobian, shared_keys
+from .build import bias_of_intervals, shared_jacobian, shared_keys
+from .chain import build_arm, upper_solution
 from .clock_information import offset_information
 from .marginals import Marginals, marginals_of
 from .optimise import optimise
@@ -75,7 +76,7 @@ def _solved(
     """The answer; raises LinAlgError where something is free."""
     for tighten in TIGHTEN:
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
-        graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
+        graph, values = build_arm(_tightened(window, tighten))
         try:
             optimum = optimise(graph, values, window, tolerance)
             graph, values = optimum.graph, optimum.values
@@ -88,6 +89,8 @@ def _solved(
                 pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
             shoulder, shoulder_covariance = _shoulder(values, marginals, window, with_covariance)
             message = _message(values, marginals, window, biases, with_message)
+            nodes = _covariance_nodes(window) if with_covariance else None
+            upper = upper_solution(values, marginals, window, biases, nodes)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
@@ -108,8 +111,17 @@ def _solved(
             error=optimum.error,
             offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
             accepted=optimum.accepted,
+            upper=upper,
         )
     raise np.linalg.LinAlgError
+
+
+def _tightened(window: Window, tighten: float) -> Window:
+    """The window with its attitude priors' sigmas times `tighten`."""
+    upper = tuple(
+        replace(run, attitude_covariance=run.attitude_covariance * tighten**2) for run in window.upper
+    )
+    return replace(window, attitude_covariance=window.attitude_covariance * tighten**2, upper=upper)
 
 
 def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
@@ -135,9 +147,7 @@ def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[F
     Marginals are the costly part, and change slowly where the camera sees the arm: they are taken more
     often near a gap and in it, and interpolated between.
     """
-    t = window.t
-    in_gap = np.isfinite(window.velocity_change)
-    nodes = _spaced(t, in_gap, COVARIANCE_S)
+    t, nodes = window.t, _covariance_nodes(window)
     body = np.array([marginals.marginalCovariance(X(i)) for i in nodes])
     velocity = np.array([marginals.marginalCovariance(V(i)) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
@@ -146,6 +156,11 @@ def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[F
     turn[:, :3, :3] = turn[:, 3:, 3:] = R[nodes]
     pose = turn @ body @ np.swapaxes(turn, 1, 2)
     return interpolate(t[nodes], pose, t), interpolate(t[nodes], velocity, t)
+
+
+def _covariance_nodes(window: Window) -> IntArray:
+    """Where the covariance of a window is computed."""
+    return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S)
 
 
 def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
@@ -202,6 +217,10 @@ def _message(
         mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
     for joint in layout.joints:
         mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
+    for joint, rows in layout.upper_levers.items():
+        mean[rows] = values.atPoint3(M(JOINTS.index(joint)))
+    if layout.has_upper_imu:
+        mean[layout.upper_bias] = values.atConstantBias(keys[-1]).vector()
     covariance = np.full((layout.size, layout.size), np.nan)
     if with_covariance:
         joint_marginal = marginals.jointMarginalCovariance(keys)

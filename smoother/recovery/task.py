@@ -71,7 +71,7 @@ class Task:
             model=model,
             config=config,
             prior=first_priors(model.initial, model.prior, config),
-            noise=noise_of(config, model.upper_arm_sigma_m),
+            noise=replace(noise_of(config, model.upper_arm_sigma_m), tissue_m=model.tissue_m),
             sharing=sum(max(round(section.length_s / length_s), 1) for section in sections.all),
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
             magnetometer=takes_part(recording.imu),

@@ -82,6 +82,8 @@ class SelfCalibration:
         How far from constant the upper arm's length is.
     direction_spread_rad : float, rad
         How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
+    tissue_m : float, m
+        How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
     """
 
     estimate: ArmCalibration
@@ -93,6 +95,7 @@ class SelfCalibration:
     joint_bias: JointBias
     upper_arm_sigma_m: float
     direction_spread_rad: float = float("nan")
+    tissue_m: float = 0.0
 
     @property
     def clock(self) -> Clock:
