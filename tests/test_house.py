@@ -17,7 +17,7 @@ STACK = (
     ("recording", "calibration", "config", "linalg", "units"),
     ("runtime",),
     ("measurements",),
-    ("result", "joint_angles"),
+    ("result", "upper_motion", "joint_angles", "shoulder_angles"),
     ("window",),
     ("graph",),
     ("selfcal",),

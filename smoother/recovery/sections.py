@@ -21,6 +21,8 @@ from ..window.cut import KEEP_S
 SECTION_S = 60.0
 #: What is read more on both sides, s: for the inertial filter, the alignment and the margins of the windows.
 CONTEXT_S = 12.0
+#: Of an upper-arm IMU so much more, s: it has to cover the last node.
+UPPER_MORE_S = 0.5
 #: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it counts as so many times as much distance from its place.
@@ -124,7 +126,11 @@ class Sections:
         for section in self.all:
             imu, arm = self._recording.imu.select(section.samples), self._recording.arm.select(section.frames)
             even_t = self._timeline.even_t_imu[section.samples]
-            runs = () if self._upper is None else self._upper.runs(float(imu.t_s[0]), float(imu.t_s[-1]))
+            runs = (
+                ()
+                if self._upper is None
+                else self._upper.runs(imu.t_s[0] - UPPER_MORE_S, imu.t_s[-1] + UPPER_MORE_S)
+            )
             yield SectionData(section, _imu_here(imu), _arm_here(arm), even_t, self._timeline.traits, runs)
 
 

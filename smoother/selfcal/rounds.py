@@ -84,6 +84,8 @@ class SelfCalibration:
         How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
     tissue_m : float, m
         How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
+    upper_clock_offset_s : float, s
+        t_upper = t_camera + offset, mean, of the camera's stamps as they were recorded; nan without one.
     """
 
     estimate: ArmCalibration
@@ -96,6 +98,7 @@ class SelfCalibration:
     upper_arm_sigma_m: float
     direction_spread_rad: float = float("nan")
     tissue_m: float = 0.0
+    upper_clock_offset_s: float = float("nan")
 
     @property
     def clock(self) -> Clock:

@@ -45,11 +45,14 @@ class UpperArm:
         Of the upper arm, whose shoulder is called elbow and whose elbow wrist in it.
     tissue_m : float, m
         How far elbow and shoulder are from constant in its axes.
+    clock : Clock
+        Of the camera against it.
     """
 
     imu: ImuStream
     model: SelfCalibration
     tissue_m: float
+    clock: Clock
 
     def runs(self, start_s: float, end_s: float) -> tuple[ImuStream, ...]:
         """Its samples between two times of the forearm IMU's clock, cut at its pauses, in memory."""
@@ -76,6 +79,7 @@ class UpperArm:
             prior=with_upper(forearm.prior, own.prior),
             initial=replace(forearm.initial, upper_bias=bias),
             tissue_m=self.tissue_m,
+            upper_clock_offset_s=self.clock.mean_s,
         )
 
 
@@ -131,11 +135,12 @@ def calibrate_upper_arm(
         return None, (
             f"{name} was left out: the upper arm hardly moved in view; raise the arm and turn it about there"
         )
-    t_s = _on_forearm_clock(recording.upper_imu.t_s, model.clock.after(coarse), forearm.clock, store)
+    clock = model.clock.after(coarse)
+    t_s = _on_forearm_clock(recording.upper_imu.t_s, clock, forearm.clock, store)
     imu = replace(recording.upper_imu, t_s=t_s)
     for rows in split_at_pauses(imu):
         t_s[rows] = dejitter(np.array(t_s[rows]))
-    return UpperArm(imu, model, _tissue(model)), ""
+    return UpperArm(imu, model, _tissue(model), clock), ""
 
 
 def _as_forearm(recording: Recording, imu: ImuStream) -> Recording:
