@@ -29,6 +29,9 @@ from .rounds import SelfCalibration, self_calibrate
 STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}
 #: How far elbow and shoulder are from constant in {B}, m an axis: no less and no more than this.
 LEAST_TISSUE_M, MOST_TISSUE_M = 0.005, 0.04
+#: Where shoulder and elbow scatter by more, an axis, the IMU is on another limb: the right one shows 0.016 at
+#: most on simulated arms, the forearm's or another person's 0.060.
+WRONG_LIMB_M = 0.05
 #: A run of samples shorter than this is not worth a filter.
 FEWEST_SAMPLES = 40
 
@@ -134,6 +137,12 @@ def calibrate_upper_arm(
     if set(STANDS_FOR) - set(model.estimate.lever_arms) or model.mounting_unknown:
         return None, (
             f"{name} was left out: the upper arm hardly moved in view; raise the arm and turn it about there"
+        )
+    scatter_m = max(noise.sample_m for noise in model.joint_noise.values())
+    if scatter_m > WRONG_LIMB_M:
+        return None, (
+            f"{name} was left out: shoulder and elbow scatter by {100 * scatter_m:.0f} cm about its motion;"
+            " look whether it was on this upper arm, and the other IMU on the forearm"
         )
     clock = model.clock.after(coarse)
     t_s = _on_forearm_clock(recording.upper_imu.t_s, clock, forearm.clock, store)
