@@ -1,8 +1,8 @@
 """The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd [options]`.
 
 `broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
-`--gap-s 5 10 20 30` tables gaps of those lengths in random motion; `--imus 2` then sets one IMU and two (wrist
-and upper arm) side by side on the same arms.
+`--gap-s 5 10 20 30` tables gaps of those lengths in random motion; `--imus 2` then sets one IMU and two
+(wrist and upper arm) side by side on the same arms.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from chain_accuracy import compare_imus
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
-from chain_accuracy import compare_imus
 from shared import datasets, rms
 
 from calib.motion.several_recordings import calibrate_motion

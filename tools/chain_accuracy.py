@@ -24,7 +24,7 @@ BETWEEN_GAPS_S, BEFORE_END_S = 8.0, 45.0
 
 @dataclass(frozen=True)
 class ChainErrors:
-    """A gap's samples (n,) against the truth; `heading_deg` of forearm against upper arm, nan with one IMU."""
+    """A gap's samples (n,) against the truth; `heading_deg` of forearm on upper arm, nan with one IMU."""
 
     distance_m: np.ndarray
     squared_sigmas: np.ndarray

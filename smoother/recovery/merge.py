@@ -87,7 +87,7 @@ def merge(
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
-        upper=upper.motion(recording, model),
+        upper=upper.motion(recording, model, coarse_clock),
     )
     return magnetometer.noted(recovery)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..calibration import ArmCalibration
+from ..measurements.clock import Clock
 from ..recording import FloatArray, Recording
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration
@@ -55,14 +56,18 @@ class UpperColumns:
         R_U_B, _ = humerus_axes(self._answers, model.estimate, side, model.tissue_m)
         return replace(model.estimate, R_U_B=R_U_B)
 
-    def motion(self, recording: Recording, model: SelfCalibration) -> UpperMotion | None:
-        """The whole of it; None without such an IMU."""
+    def motion(
+        self, recording: Recording, model: SelfCalibration, coarse_clock: Clock | None
+    ) -> UpperMotion | None:
+        """The whole of it; None without such an IMU. The coarse clock moved the camera's stamps before."""
         if not self._columns or recording.upper_imu is None:
             return None
         _, sigma = humerus_axes(self._answers, model.estimate, recording.side, model.tissue_m)
+        moved_s = 0.0 if coarse_clock is None else coarse_clock.mean_s
         return UpperMotion(
             **self._columns,
             mount_sigma_rad=sigma,
-            clock_offset_s=model.upper_clock_offset_s,
+            clock_offset_s=model.upper_clock_offset_s
+            + (0.0 if coarse_clock is None else coarse_clock.mean_s),
             name=recording.upper_imu.name,
         )

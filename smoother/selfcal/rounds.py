@@ -85,7 +85,7 @@ class SelfCalibration:
     tissue_m : float, m
         How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
     upper_clock_offset_s : float, s
-        t_upper = t_camera + offset, mean, of the camera's stamps as they were recorded; nan without one.
+        t_upper = t_camera + offset, mean, of the camera's stamps as `clocks` have them; nan without one.
     """
 
     estimate: ArmCalibration

@@ -113,8 +113,8 @@ def calibrate_upper_arm(
     -------
     upper : UpperArm or None
         None without such an IMU, or where the motion does not tell how it sits.
-    why : str
-        A sentence where an IMU was left out.
+    note : str
+        A sentence on it, or on why it was left out; "" without such an IMU.
     """
     if recording.upper_imu is None:
         return None, ""
@@ -149,7 +149,9 @@ def calibrate_upper_arm(
     imu = replace(recording.upper_imu, t_s=t_s)
     for rows in split_at_pauses(imu):
         t_s[rows] = dejitter(np.array(t_s[rows]))
-    return UpperArm(imu, model, _tissue(model), clock), ""
+    ahead_ms = 1e3 * (clock.mean_s - forearm.clock.mean_s)
+    note = f"{name} is used on the upper arm; its clock is {ahead_ms:.1f} ms ahead of the forearm IMU's"
+    return UpperArm(imu, model, _tissue(model), clock), note
 
 
 def _as_forearm(recording: Recording, imu: ImuStream) -> Recording:
