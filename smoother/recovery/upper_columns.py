@@ -67,7 +67,6 @@ class UpperColumns:
         return UpperMotion(
             **self._columns,
             mount_sigma_rad=sigma,
-            clock_offset_s=model.upper_clock_offset_s
-            + (0.0 if coarse_clock is None else coarse_clock.mean_s),
+            clock_offset_s=model.upper_clock_offset_s + moved_s,
             name=recording.upper_imu.name,
         )
