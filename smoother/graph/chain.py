@@ -24,6 +24,8 @@ from .marginals import Marginals
 _ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
 #: The elbow on the forearm's side: the strap sits firmer at the wrist, and its lever arm is a variable, m.
 FOREARM_TIE_M = 0.005
+#: How long a movement of the tissue lasts, s.
+TISSUE_S = 1.0
 
 
 def build_arm(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -64,9 +66,10 @@ def _add_elbow(
     """`ReferenceFrameFactorPoint3Pose3` (lever, pose, point): one point on both bodies."""
     layout, mean = window.priors.layout, window.priors.shared.mean
     lever = mean[layout.upper_levers["elbow"]]
-    forearm, tissue = isotropic(3, FOREARM_TIE_M), isotropic(3, window.noise.tissue_m)
+    sigma = _tissue(window, np.arange(run.first, run.first + len(run.start.p)))
     for k in range(len(run.start.p)):
         node = run.first + k
+        forearm, tissue = isotropic(3, FOREARM_TIE_M), isotropic(3, sigma[k])
         values.insert(E(node), run.start.p[k] + run.start.R[k] @ lever)
         graph.add(gtsam.ReferenceFrameFactorPoint3Pose3(L(_ELBOW), X(node), E(node), forearm))
         graph.add(gtsam.ReferenceFrameFactorPoint3Pose3(M(_ELBOW), Y(node), E(node), tissue))
@@ -76,10 +79,17 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, window: Window, run: UpperR
     """`ReferenceFrameFactorPoint3Pose3`: the upper arm ends in the shoulder's knots."""
     if window.shoulder is None:
         return
-    tissue = isotropic(3, window.noise.tissue_m)
-    for knot, node in enumerate(window.shoulder.node.tolist()):
+    for knot, sigma in enumerate(_tissue(window, window.shoulder.node)):
+        node, tissue = int(window.shoulder.node[knot]), isotropic(3, sigma)
         if run.first <= node < run.first + len(run.start.p):
             graph.add(gtsam.ReferenceFrameFactorPoint3Pose3(M(_SHOULDER), Y(node), S(knot), tissue))
+
+
+def _tissue(window: Window, nodes: IntArray) -> list[float]:
+    """Sigma of a point in {B} at nodes (k,): tissue moves slowly, so what is denser does not say more."""
+    step = np.gradient(window.t[nodes]) if len(nodes) > 1 else np.full(len(nodes), TISSUE_S)
+    sigma = window.noise.tissue_m * np.sqrt(np.maximum(TISSUE_S / step, 1.0))
+    return [float(each) for each in np.round(sigma, 3)]
 
 
 def _add_attitude(graph: gtsam.NonlinearFactorGraph, run: UpperRun) -> None:

@@ -28,7 +28,7 @@ from .rounds import SelfCalibration, self_calibrate
 #: Joint of the upper arm by the joint of the forearm that stands for it.
 STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}
 #: How far elbow and shoulder are from constant in {B}, m an axis: no less and no more than this.
-LEAST_TISSUE_M, MOST_TISSUE_M = 0.005, 0.04
+LEAST_TISSUE_M, MOST_TISSUE_M = 0.003, 0.04
 #: Where shoulder and elbow scatter by more, an axis, the IMU is on another limb: the right one shows 0.016 at
 #: most on simulated arms, the forearm's or another person's 0.060.
 WRONG_LIMB_M = 0.05
