@@ -16,6 +16,7 @@ from ..config import Config
 from ..errors import UnoccludeError
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_camera
+from ..measurements.segment import without_spikes
 from ..measurements.timeline import Timeline
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, FloatArray, ImuStream, JointTracks, Recording
@@ -63,7 +64,7 @@ class UpperArm:
         part = self.imu.select(slice(int(first), int(last)))
         part = replace(part, t_s=np.array(part.t_s), acc=np.array(part.acc), gyro=np.array(part.gyro))
         runs = [rows for rows in split_at_pauses(part) if rows.stop - rows.start >= FEWEST_SAMPLES]
-        return tuple(replace(part.select(rows), mag=None) for rows in runs)
+        return tuple(without_spikes(replace(part.select(rows), mag=None)) for rows in runs)
 
     def joined(self, forearm: SelfCalibration) -> SelfCalibration:
         """The forearm's model with what is known of the upper arm's IMU."""

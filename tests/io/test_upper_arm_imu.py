@@ -13,6 +13,7 @@ from made_results import recovery as made_recovery
 
 from smoother.calibration import LeverArm
 from smoother.io import (
+    describe,
     export_csv,
     open_recording,
     read_recording,
@@ -44,6 +45,7 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.upper_imu.acc, made.upper_imu.acc)
     np.testing.assert_array_equal(back.upper_imu.gyro, made.upper_imu.gyro)
     assert any("upper_arm_right is on the same arm" in note for note in back.notes)
+    assert describe(tmp_path / "a.mcap").upper_imu == "/imu/upper_arm_right"
 
 
 def test_any_name_is_written_as_the_upper_arms(tmp_path: Path) -> None:
