@@ -29,6 +29,8 @@ COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
 NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.1
+#: The same near gaps, in them and for the shoulder where a second IMU takes part, s.
+UPPER_COVARIANCE_S = 0.25
 
 
 def solve(
@@ -159,11 +161,12 @@ def _covariances(marginals: Marginals, window: Window, R: FloatArray) -> tuple[F
 
 
 def _covariance_nodes(window: Window) -> IntArray:
-    """Where the covariance of a window is computed."""
-    return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S)
+    """Where the covariance of a window is computed; with two IMUs it hardly changes over a gap."""
+    near_s = UPPER_COVARIANCE_S if window.upper else COVARIANCE_NEAR_S
+    return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S, near_s)
 
 
-def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
+def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float, near_s: float = COVARIANCE_NEAR_S) -> IntArray:
     """Nodes about so far apart, and finer in and near gaps (intervals `in_gap`), where covariances change."""
 
     def every(step_s: float) -> BoolArray:
@@ -178,7 +181,7 @@ def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
         after = np.clip(np.searchsorted(t[edge], t), 0, len(edge) - 1)
         near = np.minimum(np.abs(t[edge][after] - t), np.abs(t - t[edge][np.maximum(after - 1, 0)]))
         inside = np.append(in_gap, False) | np.append(False, in_gap)
-        chosen |= (inside | (near < NEAR_S)) & every(COVARIANCE_NEAR_S)
+        chosen |= (inside | (near < NEAR_S)) & every(near_s)
     return np.flatnonzero(chosen)
 
 
@@ -191,7 +194,8 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if not with_covariance:
         return position, None
-    knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
+    apart_s = UPPER_COVARIANCE_S if window.upper else SHOULDER_COVARIANCE_S
+    knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
     covariance = np.array([marginals.marginalCovariance(S(k)) for k in knots])
     return position, interpolate(t[knots], covariance, t)
 
