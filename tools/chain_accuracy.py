@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.cli.config_file import read_config
 from smoother.evaluation.validate import sample_errors
+from smoother.measurements.visibility import Gap
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
@@ -50,7 +51,7 @@ def compare_imus(options: argparse.Namespace) -> None:
             for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
                 recovery, seconds = _timed(recording, simulated, options, config)
                 spent[imus] += seconds
-                gaps[imus] += _gaps(recovery, simulated, length_s)
+                gaps[imus] += _gaps(recovery, simulated, length_s, options.at_end)
         for imus in (1, 2):
             _show(length_s, imus, gaps[imus], spent[imus])
         one, two = (_rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
@@ -84,12 +85,18 @@ def _timed(
     return recovery, time.process_time() - began
 
 
-def _gaps(recovery: Recovery, simulated: SimulatedArm, length_s: float) -> Iterator[ChainErrors]:
+def _gaps(
+    recovery: Recovery, simulated: SimulatedArm, length_s: float, at_end: bool
+) -> Iterator[ChainErrors]:
+    """Of each gap of about that length; of the recording's end as much, answered or not."""
     truth = simulated.recording.truth
     assert truth is not None
     errors = sample_errors(recovery, truth)
-    for gap in recovery.gaps:
-        rows = np.flatnonzero((recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s) & errors.scored)
+    end_s = float(recovery.t_s[-1])
+    wanted = (Gap(end_s - length_s, end_s + 1.0, open_end=True),) if at_end else recovery.gaps
+    for gap in wanted:
+        inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s)
+        rows = np.flatnonzero(inside if at_end else inside & errors.scored)
         if gap.length_s < 0.5 * length_s or not len(rows):
             continue  # a gap of some frames that the preset makes besides
         answer, true = (

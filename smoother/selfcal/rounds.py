@@ -112,7 +112,7 @@ class SelfCalibration:
 
 
 def self_calibrate(
-    segments: list[Segment], given: ArmCalibration, config: Config, workers: Pool
+    segments: list[Segment], given: ArmCalibration, config: Config, workers: Pool, rounds: int = ROUNDS
 ) -> SelfCalibration:
     """Find what the calibration lacks, and each recording's clock.
 
@@ -125,6 +125,8 @@ def self_calibrate(
     config : Config
     workers : Pool
         Windows of a round are solved side by side.
+    rounds : int
+        At most.
 
     Returns
     -------
@@ -148,7 +150,7 @@ def self_calibrate(
         config.arm.upper_arm_flex_m,
     )
     joint_bias, trajectories = JointBias(), None
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         corrected = [joint_bias.corrected(segment) for segment in excerpts]
         cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
         windows = cut_round.windows

@@ -28,6 +28,10 @@ from .rounds import SelfCalibration, self_calibrate
 
 #: Joint of the upper arm by the joint of the forearm that stands for it.
 STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}
+#: A run's ends are held so much longer, s.
+HELD_S = 0.02
+#: Rounds at most: the windows with both IMUs refine all but the clock.
+ROUNDS = 3
 #: How far elbow and shoulder are from constant in {B}, m an axis: no less and no more than this.
 LEAST_TISSUE_M, MOST_TISSUE_M = 0.003, 0.04
 #: Where shoulder and elbow scatter by more, an axis, the IMU is on another limb: the right one shows 0.016 at
@@ -64,7 +68,7 @@ class UpperArm:
         part = self.imu.select(slice(int(first), int(last)))
         part = replace(part, t_s=np.array(part.t_s), acc=np.array(part.acc), gyro=np.array(part.gyro))
         runs = [rows for rows in split_at_pauses(part) if rows.stop - rows.start >= FEWEST_SAMPLES]
-        return tuple(without_spikes(replace(part.select(rows), mag=None)) for rows in runs)
+        return tuple(_longer(without_spikes(replace(part.select(rows), mag=None))) for rows in runs)
 
     def joined(self, forearm: SelfCalibration) -> SelfCalibration:
         """The forearm's model with what is known of the upper arm's IMU."""
@@ -132,7 +136,7 @@ def calibrate_upper_arm(
         ]
         if not excerpts:
             return None, f"{name} was left out: the camera never saw shoulder and elbow with its samples"
-        model = self_calibrate(excerpts, known, config, workers)
+        model = self_calibrate(excerpts, known, config, workers, ROUNDS)
     except UnoccludeError as error:
         return None, f"{name} was left out: {str(error).removeprefix(f'{recording.name}: ')}"
     if set(STANDS_FOR) - set(model.estimate.lever_arms) or model.mounting_unknown:
@@ -153,6 +157,17 @@ def calibrate_upper_arm(
     ahead_ms = 1e3 * (clock.mean_s - forearm.clock.mean_s)
     note = f"{name} is used on the upper arm; its clock is {ahead_ms:.1f} ms ahead of the forearm IMU's"
     return UpperArm(imu, model, _tissue(model), clock), note
+
+
+def _longer(run: ImuStream) -> ImuStream:
+    """A run with its first and last samples held a little: clocks known to milliseconds end apart."""
+    step = 1.0 / run.rate_hz
+    more = np.arange(1, max(round(HELD_S / step), 1) + 1)
+    t_s = np.concatenate([run.t_s[0] - step * more[::-1], run.t_s, run.t_s[-1] + step * more])
+    acc, gyro = (
+        np.pad(values, ((len(more), len(more)), (0, 0)), mode="edge") for values in (run.acc, run.gyro)
+    )
+    return replace(run, t_s=t_s, acc=acc, gyro=gyro)
 
 
 def _as_forearm(recording: Recording, imu: ImuStream) -> Recording:
