@@ -105,6 +105,11 @@ class ArmCalibration:
         In {A}; None where unknown.
     sigma_factors : SigmaFactors or None
         How much wider positions in gaps must be stated for this camera; None where nobody looked.
+    upper_imu : dict of str to LeverArm
+        Elbow and shoulder in the axes {B} of an IMU on the upper arm; empty where there is none.
+    R_U_B : ndarray, shape (3, 3), or None
+        Maps a vector from that IMU's axes to the upper arm's (y elbow to shoulder, z the axis of elbow
+        flexion from the medial to the lateral epicondyle).
     """
 
     side: str = ""
@@ -114,6 +119,8 @@ class ArmCalibration:
     accelerometer_bias: FloatArray | None = None
     gyroscope_bias: FloatArray | None = None
     sigma_factors: SigmaFactors | None = None
+    upper_imu: dict[str, LeverArm] = field(default_factory=dict)
+    R_U_B: FloatArray | None = None
 
     @property
     def forearm_direction(self) -> FloatArray | None:

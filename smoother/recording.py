@@ -215,6 +215,8 @@ class Recording:
         What was dropped or decided on reading, one sentence each.
     gravity_sigma_rad : float, rad, optional
         How well `gravity_hint` is known, an axis; to some degrees where None.
+    upper_imu : ImuStream, optional
+        An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
     """
 
     imu: ImuStream
@@ -228,13 +230,15 @@ class Recording:
     name: str = "recording"
     notes: tuple[str, ...] = ()
     gravity_sigma_rad: float | None = None
+    upper_imu: ImuStream | None = None
 
     def __repr__(self) -> str:
         length_s = float(self.imu.t_s[-1] - self.imu.t_s[0]) if len(self.imu) else 0.0
         side = f"{self.side} arm, " if self.side else ""
         return (
             f"Recording({self.name!r}: {side}{length_s:.1f} s, IMU {self.imu.rate_hz:.1f} Hz,"
-            f" camera {self.arm.rate_hz:.1f} Hz with {', '.join(self.arm.present) or 'no joint'})"
+            f" camera {self.arm.rate_hz:.1f} Hz with {', '.join(self.arm.present) or 'no joint'}"
+            f"{'' if self.upper_imu is None else ', an IMU on the upper arm'})"
         )
 
     @classmethod
@@ -253,6 +257,7 @@ class Recording:
         gravity_hint: FloatArray | None = None,
         truth: Truth | None = None,
         name: str = "recording",
+        upper_imu: ImuStream | None = None,
     ) -> Recording:
         """Build a recording from arrays, in SI units.
 
@@ -283,6 +288,8 @@ class Recording:
             Reference motion, for validation.
         name : str
             For messages.
+        upper_imu : ImuStream, optional
+            The samples of an IMU on the upper arm.
 
         Raises
         ------
@@ -320,7 +327,11 @@ class Recording:
             state[:, JOINTS.index(joint)] = _rows(values, (len(frame_t),), f"the state of {joint}", name)
         hint = None if gravity_hint is None else _rows(gravity_hint, (3,), "gravity_hint", name, finite=True)
         arm = JointTracks("camera", frame_t, position, state)
-        return cls(imu, arm, side, frame, hint, truth=truth, name=name)
+        if upper_imu is not None:
+            count = (len(_times(upper_imu.t_s, "the upper arm's t_s", name)), 3)
+            _rows(upper_imu.acc, count, "the upper arm's acc", name, finite=True)
+            _rows(upper_imu.gyro, count, "the upper arm's gyro", name, finite=True)
+        return cls(imu, arm, side, frame, hint, truth=truth, name=name, upper_imu=upper_imu)
 
 
 def _rows(

@@ -15,6 +15,7 @@ from .errors import UnoccludeError
 from .measurements.rejection import Reason
 from .measurements.visibility import Gap
 from .recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
+from .upper_motion import UpperMotion
 
 if TYPE_CHECKING:
     import pandas
@@ -265,6 +266,8 @@ class Recovery:
         The effective configuration, as plain values.
     estimates : Estimates
         What was found besides the motion.
+    upper : UpperMotion, optional
+        Of an IMU on the upper arm, at the same samples.
     """
 
     method: str
@@ -290,6 +293,7 @@ class Recovery:
     notes: tuple[str, ...] = ()
     config: dict[str, object] = field(default_factory=dict)
     estimates: Estimates = field(default_factory=Estimates)
+    upper: UpperMotion | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -336,6 +340,7 @@ class Recovery:
             velocity_covariance=part(self.velocity_covariance),
             joints={joint: part(values) for joint, values in self.joints.items()},
             joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
+            upper=None if self.upper is None else self.upper.rows(rows),
         )
 
     def batches(self, overlap: int = 0) -> Iterator[Recovery]:
@@ -387,7 +392,8 @@ class Recovery:
         -------
         dict with `t_s` (N,), `occluded` (N,), `imu` (N, 3), `imu_quaternion` (N, 4; qw, qx, qy,
         qz), `velocity` (N, 3), `sigma` (N, 3), `sigma_deg` (N,), and for each joint found its
-        position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame.
+        position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame. With an
+        IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`.
         """
         arrays: dict[str, FloatArray | BoolArray] = {
             "t_s": self.t_s,
@@ -401,6 +407,9 @@ class Recovery:
         for joint in (name for name in JOINTS if name in self.joints):
             arrays[joint] = self.joints[joint]
             arrays[f"{joint}_sigma"] = np.sqrt(np.einsum("nii->ni", self.joint_covariance[joint]))
+        if self.upper is not None:
+            arrays |= {"upper_imu": self.upper.position, "upper_imu_quaternion": self.upper.quaternion}
+            arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
         return arrays
 
     def to_dataframe(self) -> pandas.DataFrame:

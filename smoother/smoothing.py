@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import TypeVar
 
 from .calibration import ArmCalibration
@@ -28,6 +29,7 @@ from .selfcal.coarse_clock import synchronise_coarsely
 from .selfcal.excerpts import informative_excerpts
 from .selfcal.given_check import contradictions
 from .selfcal.rounds import self_calibrate
+from .selfcal.upper_arm import calibrate_upper_arm
 from .window.pooling import leave_one_out_priors
 from .window.priors import with_measured_noise
 
@@ -98,8 +100,13 @@ def smooth(
             raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
         misfits = tuple(contradictions(excerpts, given))
         model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
+        #    An IMU on the upper arm, where there is one: how it sits, and its clock.
+        upper, note = calibrate_upper_arm(recording, model, given, config, workers, store)
+        if upper is not None:
+            model = upper.joined(model)
+        recording = replace(recording, notes=(*recording.notes, *([note] if note else [])))
         # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
-        sections = Sections(recording, timeline, model.clock)
+        sections = Sections(recording, timeline, model.clock, upper)
         task = Task.of(recording, sections, model, config)
         first = FirstPass.over(
             sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")

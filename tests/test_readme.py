@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -99,10 +100,13 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     from smoother import read_recording, smooth
     from smoother.config import Config
     from smoother.io.export.csv import csv_columns
+    from smoother.upper_motion import UpperMotion
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")
     recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 1}}))
+    own = (recovery.position, recovery.quaternion, recovery.pose_covariance)
+    recovery = replace(recovery, upper=UpperMotion(*own, np.zeros(3)))  # as if with a second IMU
     write_recovery(recovery, tmp_path / "out.mcap")
     with open(tmp_path / "out.mcap", "rb") as file:
         channels = make_reader(file).get_summary().channels.values()

@@ -1,7 +1,8 @@
 """The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd|coverage [options]`.
 
 `broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
-`--gap-s 5 10 20 30` tables gaps of those lengths in random motion.
+`--gap-s 5 10 20 30` tables gaps of those lengths in random motion; `--imus 2` then sets one IMU and two
+(wrist and upper arm) side by side on the same arms.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from chain_accuracy import compare_imus
 from coverage import PRESETS, coverage
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
@@ -91,6 +93,10 @@ def arm(options: argparse.Namespace) -> None:
     """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
     tally, config = Tally(), read_config(options.config)
     changes = dict(pair.split("=", 1) for pair in options.set)
+    if options.imus == 2:
+        options.gap_s = options.gap_s or [3.0, 10.0, 30.0, 60.0]
+        compare_imus(options)
+        return
     if options.gap_s:
         for length_s in options.gap_s:
             _long_gaps(length_s, changes, options)
@@ -320,6 +326,8 @@ def main() -> None:
     two.add_argument(
         "--gap-s", type=float, nargs="+", metavar="S", help="random motion with gaps of these lengths instead"
     )
+    two.add_argument("--imus", type=int, choices=(1, 2), default=1, help="2: one IMU and two, side by side")
+    two.add_argument("--at-end", action="store_true", help="with --imus 2: one gap, at the recording's end")
     two.add_argument("--each", action="store_true", help="with --gap-s: also print every gap")
     three = commands.add_parser("utd", help=utd.__doc__)
     three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])

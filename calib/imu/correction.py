@@ -37,13 +37,17 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
     if base is not None:
         base, more = _corrected(base, calibration, store)
         notes += more
+    upper = recording.upper_imu
+    if upper is not None:
+        upper, more = _corrected(upper, calibration, store)
+        notes += more
     known = sensors_in(calibration)
     if known and not notes:
         notes.append(
             f"{calibration.source} corrects {', '.join(sorted(known))}; the recording's IMU is"
             f" {recording.imu.name} and was taken as it is"
         )
-    return replace(recording, imu=imu, base_imu=base, notes=(*recording.notes, *notes))
+    return replace(recording, imu=imu, base_imu=base, upper_imu=upper, notes=(*recording.notes, *notes))
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:

@@ -50,6 +50,7 @@ def print_arm(about: RecordingInfo) -> None:
     if about.imu:
         rows += [
             ("taken", f"{about.imu}, {about.side or 'no side'} arm of {about.skeleton}"),
+            *([("on the upper arm", about.upper_imu)] if about.upper_imu else []),
             ("joints", ", ".join(about.joints) or "none tracked"),
             ("camera frame", about.camera_frame or "not stated"),
             ("in common, s", about.duration_s),

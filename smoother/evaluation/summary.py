@@ -130,4 +130,15 @@ def _calibration(recovery: Recovery) -> dict[str, object] | None:
         "R_F_A": arm.R_F_A,
         "accelerometer_bias": arm.accelerometer_bias,
         "gyroscope_bias": arm.gyroscope_bias,
+        **(
+            {}
+            if not arm.upper_imu
+            else {
+                "upper_imu": {
+                    joint: {"position_m": lever.position_m, "sigma_m": lever.sigma_m}
+                    for joint, lever in arm.upper_imu.items()
+                },
+                "R_U_B": arm.R_U_B,
+            }
+        ),
     }

@@ -1,18 +1,20 @@
 """The factor graph of one window (GTSAM), in the camera's frame with gravity's direction unknown.
 
 Variables: X pose `T_K_A` and V velocity a node, B bias every few seconds, G gravity's direction,
-L lever arms of the joints in {A}, S shoulder knots, U correction of the upper-arm length.
+L lever arms of the joints in {A}, S shoulder knots, U correction of the upper-arm length; with an IMU on
+the upper arm C its bias and M the lever arms in {B} (the rest of it: `chain`).
 All factors are GTSAM's own; see each function for the class. Preintegration: Forster et al., TRO 2017.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3, Unit3, noiseModel
-from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from gtsam.symbol_shorthand import B, C, G, L, M, S, U, V, X
 
 from ..recording import JOINTS, FloatArray, IntArray
 from ..window.problem import JointMeasurements, Window
@@ -52,7 +54,7 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     biases = bias_of_intervals(window)
     _add_states(values, window)
     # in this order: `constant_errors` counts rows
-    _add_increments(graph, window, biases)
+    add_increments(graph, window, biases)
     _add_joints(graph, window)
     if window.shoulder is not None:
         _add_shoulder(graph, values, window)
@@ -70,8 +72,28 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
         values.insert(V(i), states.v[i])
 
 
-def _add_increments(graph: gtsam.NonlinearFactorGraph, window: Window, biases: IntArray) -> None:
-    """`ImuFactorWithGravityDirection` between neighbours."""
+def add_increments(
+    graph: gtsam.NonlinearFactorGraph,
+    window: Window,
+    biases: IntArray,
+    symbols: tuple[Callable[[int], int], ...] = (X, V, B),
+    first_node: int = 0,
+) -> None:
+    """`ImuFactorWithGravityDirection` between neighbours.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    window : Window
+        Its increments, times and noise.
+    biases : ndarray of int, shape (n - 1,)
+        Which bias variable each of the intervals uses.
+    symbols : tuple of callable
+        Letters of pose, velocity and bias.
+    first_node : int
+        Number of the window's first node.
+    """
+    pose, velocity, bias_of = symbols
     increments = window.increments
     bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
     acc = increments.acc + increments.bias[:3]
@@ -84,9 +106,11 @@ def _add_increments(graph: gtsam.NonlinearFactorGraph, window: Window, biases: I
         for step in range(first[i], first[i + 1]):
             pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
             pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
+        a, b = first_node + i, first_node + i + 1
+        states = pose(a), velocity(a), pose(b), velocity(b)
         graph.add(
             gtsam.ImuFactorWithGravityDirection(
-                X(i), V(i), X(i + 1), V(i + 1), B(biases[i]), G(0), pim, window.gravity_magnitude
+                *states, bias_of(biases[i]), G(0), pim, window.gravity_magnitude
             )
         )
 
@@ -136,7 +160,11 @@ def shared_keys(window: Window, biases: IntArray) -> list[int]:
     layout = window.priors.layout
     keys = [B((int(biases[-1]) + 1) // 2), G(0)]
     keys += [U(0)] if layout.has_upper_arm else []
-    return keys + [L(JOINTS.index(joint)) for joint in layout.joints]
+    keys += [L(JOINTS.index(joint)) for joint in layout.joints]
+    if layout.has_upper_imu:
+        keys += [M(JOINTS.index(joint)) for joint in layout.upper_levers]
+        keys += [C((int(biases[-1]) + 1) // 2)]
+    return keys
 
 
 def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
@@ -179,6 +207,14 @@ def _add_shared(
         values.insert(U(0), 0.0)
     for joint in layout.joints:
         values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
+    if layout.has_upper_imu:
+        upper_bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2))
+        for k in range(count):
+            values.insert(C(k), upper_bias)
+        for k in range(count - 1):
+            graph.add(gtsam.BetweenFactorConstantBias(C(k), C(k + 1), gtsam.imuBias.ConstantBias(), walk))
+        for joint, rows in layout.upper_levers.items():
+            values.insert(M(JOINTS.index(joint)), mean[rows])
     # the prior's mean is the initial value, so only its information matrix is needed
     jacobian = shared_jacobian(layout, down)
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
@@ -191,12 +227,18 @@ def _add_shared(
         at.insert(U(0), 0.0)
     for joint in layout.joints:
         at.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
+    if layout.has_upper_imu:
+        at.insert(keys[-1], upper_bias)
+        for joint, rows in layout.upper_levers.items():
+            at.insert(M(JOINTS.index(joint)), mean[rows])
     graph.add(gtsam.LinearContainerFactor(factor, at))
 
 
 def _blocks(layout: SharedLayout) -> list[slice]:
     upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
-    return [layout.bias, layout.gravity, *upper_arm, *(layout.lever(joint) for joint in layout.joints)]
+    levers = [layout.lever(joint) for joint in layout.joints]
+    upper_imu = [*layout.upper_levers.values(), layout.upper_bias] if layout.has_upper_imu else []
+    return [layout.bias, layout.gravity, *upper_arm, *levers, *upper_imu]
 
 
 def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArray) -> gtsam.HessianFactor:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, G, S, V, X
+from gtsam.symbol_shorthand import B, E, G, S, V, W, X, Y
 from scipy.sparse import csr_matrix
 
 from ..linalg import skew
@@ -30,6 +30,9 @@ def node_of_variables(window: Window) -> dict[int, int]:
     nodes = {key: i for i in range(len(window.t)) for key in (X(i), V(i))}
     if window.shoulder is not None:
         nodes |= {S(k): int(node) for k, node in enumerate(window.shoulder.node)}
+    for run in window.upper:
+        covered = range(run.first, run.first + len(run.start.p))
+        nodes |= {key: i for i in covered for key in (Y(i), W(i), E(i))}
     return nodes
 
 

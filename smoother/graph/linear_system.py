@@ -20,6 +20,7 @@ from ..recording import FloatArray, IntArray
 
 #: Dimension of a variable by the letter of its key (see `build`).
 DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
 
 
 def dimension(key: int) -> int:
@@ -71,6 +72,10 @@ class LinearSystem:
         self._border_row[self._border] = np.arange(len(self._border))
         self._group(node_of_column)
         self._reduce()
+
+    def columns(self, key: int) -> slice:
+        """Columns of a variable in `jacobian`."""
+        return self._columns[key]
 
     def _group(self, node_of_column: IntArray) -> None:
         """Nodes to groups so that no factor reaches beyond the neighbouring group."""

@@ -86,6 +86,8 @@ def optimise(
     gap = _long_gap(window)
     if gap is None:
         return _descend(graph, values, MAX_ITERATIONS, tolerance)
+    if window.upper:  # its start values lie in the right minimum: the upper arm's direction is measured
+        return _descend(graph, values, LAST_ITERATIONS, min(tolerance, LAST_TOLERANCE))
     lengths = [
         i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)
     ]

@@ -7,14 +7,15 @@ from functools import partial
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, G, L, S, U, V, X
+from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
 from ..window.problem import Message, Solution, States, Window
 from ..window.shared import Gaussian
-from .build import bias_of_intervals, build, shared_jacobian, shared_keys
+from .build import bias_of_intervals, shared_jacobian, shared_keys
+from .chain import build_arm, upper_solution
 from .clock_information import offset_information
 from .constant_errors import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
@@ -30,6 +31,8 @@ COVARIANCE_S = 0.5
 COVARIANCE_NEAR_S = 0.1
 NEAR_S = 0.5
 SHOULDER_COVARIANCE_S = 0.1
+#: The same near gaps, in them and for the shoulder where a second IMU takes part, s.
+UPPER_COVARIANCE_S = 0.25
 
 
 def solve(
@@ -85,7 +88,7 @@ def _solved(
     """The answer; raises LinAlgError where something is free."""
     for tighten in TIGHTEN:
         # a direction that is free but for the attitude prior can be too weak for the solver's precision
-        graph, values = build(replace(window, attitude_covariance=window.attitude_covariance * tighten**2))
+        graph, values = build_arm(_tightened(window, tighten))
         try:
             optimum = optimise(graph, values, window, tolerance)
             graph, values = optimum.graph, optimum.values
@@ -102,6 +105,8 @@ def _solved(
                 pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
             shoulder, shoulder_covariance = _shoulder(values, following, window, with_covariance)
             message = _message(values, system, window, biases, with_message)
+            nodes = _covariance_nodes(window) if with_covariance else None
+            upper = upper_solution(values, following.of_variable, window, biases, nodes)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
@@ -123,8 +128,17 @@ def _solved(
             offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
             accepted=optimum.accepted,
             evidence=evidence(system, values, message.shared.mean, window, biases) if with_evidence else None,
+            upper=upper,
         )
     raise np.linalg.LinAlgError
+
+
+def _tightened(window: Window, tighten: float) -> Window:
+    """The window with its attitude priors' sigmas times `tighten`."""
+    upper = tuple(
+        replace(run, attitude_covariance=run.attitude_covariance * tighten**2) for run in window.upper
+    )
+    return replace(window, attitude_covariance=window.attitude_covariance * tighten**2, upper=upper)
 
 
 def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) -> FloatArray:
@@ -161,9 +175,12 @@ class _Following:
         if window.considered is None:
             return cls(system, None, None)
         jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
+        # an upper-arm IMU adds rows at the end, which the excerpts were solved without
+        shared = np.zeros((window.priors.layout.size, window.considered.covariance.shape[0]))
+        shared[: len(window.considered.shared)] = window.considered.shared
         pull = np.zeros((system.extras.start, window.considered.covariance.shape[0]))
         pull[system.border_rows(shared_keys(window, biases))] = jacobian.T @ np.linalg.solve(
-            window.priors.shared.covariance, window.considered.shared
+            window.priors.shared.covariance, shared
         )
         return cls(system, system.shared_sensitivity(pull), window.considered.covariance)
 
@@ -182,9 +199,7 @@ def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[
     They change slowly where the camera sees the arm: they are taken more often near a gap and in it, and
     interpolated between.
     """
-    t = window.t
-    in_gap = np.isfinite(window.velocity_change)
-    nodes = _spaced(t, in_gap, COVARIANCE_S)
+    t, nodes = window.t, _covariance_nodes(window)
     body = np.array([following.of_variable(X(i)) for i in nodes])
     velocity = np.array([following.of_variable(V(i)) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
@@ -195,7 +210,13 @@ def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[
     return interpolate(t[nodes], pose, t), interpolate(t[nodes], velocity, t)
 
 
-def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
+def _covariance_nodes(window: Window) -> IntArray:
+    """Where the covariance of a window is computed; with two IMUs it hardly changes over a gap."""
+    near_s = UPPER_COVARIANCE_S if window.upper else COVARIANCE_NEAR_S
+    return _spaced(window.t, np.isfinite(window.velocity_change), COVARIANCE_S, near_s)
+
+
+def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float, near_s: float = COVARIANCE_NEAR_S) -> IntArray:
     """Nodes about so far apart, and finer in and near gaps (intervals `in_gap`), where covariances change."""
 
     def every(step_s: float) -> BoolArray:
@@ -210,7 +231,7 @@ def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float) -> IntArray:
         after = np.clip(np.searchsorted(t[edge], t), 0, len(edge) - 1)
         near = np.minimum(np.abs(t[edge][after] - t), np.abs(t - t[edge][np.maximum(after - 1, 0)]))
         inside = np.append(in_gap, False) | np.append(False, in_gap)
-        chosen |= (inside | (near < NEAR_S)) & every(COVARIANCE_NEAR_S)
+        chosen |= (inside | (near < NEAR_S)) & every(near_s)
     return np.flatnonzero(chosen)
 
 
@@ -223,7 +244,8 @@ def _shoulder(
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
     if not with_covariance:
         return position, None
-    knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), SHOULDER_COVARIANCE_S)
+    apart_s = UPPER_COVARIANCE_S if window.upper else SHOULDER_COVARIANCE_S
+    knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
     covariance = np.array([following.of_variable(S(k)) for k in knots])
     return position, interpolate(t[knots], covariance, t)
 
@@ -249,6 +271,10 @@ def _message(
         mean[layout.upper_arm] = window.priors.shared.mean[layout.upper_arm] - values.atDouble(U(0))
     for joint in layout.joints:
         mean[layout.lever(joint)] = values.atPoint3(L(JOINTS.index(joint)))
+    for joint, rows in layout.upper_levers.items():
+        mean[rows] = values.atPoint3(M(JOINTS.index(joint)))
+    if layout.has_upper_imu:
+        mean[layout.upper_bias] = values.atConstantBias(keys[-1]).vector()
     covariance = np.full((layout.size, layout.size), np.nan)
     if with_covariance:
         jacobian = shared_jacobian(layout, down)

@@ -58,6 +58,8 @@ class RecordingInfo:
         Streams found, as sentences a line each.
     imu, skeleton, side : str
         What would be taken; empty where that is not settled.
+    upper_imu : str
+        The one on the same upper arm that would take part; empty without one.
     joints : list of str
         Of the skeleton that would be taken.
     imu_rate_hz, camera_rate_hz : float, optional
@@ -109,6 +111,7 @@ class RecordingInfo:
     allows: str = ""
     ready: bool = False
     result: bool = False
+    upper_imu: str = ""
     notes: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
@@ -185,6 +188,7 @@ def describe(
 def _take(info: RecordingInfo, recording: Recording) -> None:
     arm, imu = recording.arm, recording.imu
     info.imu, info.skeleton, info.side = imu.name, arm.name, recording.side
+    info.upper_imu = "" if recording.upper_imu is None else recording.upper_imu.name
     info.joints = list(arm.present)
     info.imu_rate_hz, info.camera_rate_hz = _finite(imu.rate_hz), _finite(arm.rate_hz)
     info.camera_frame = None if recording.camera_frame is None else str(recording.camera_frame)

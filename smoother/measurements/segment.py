@@ -12,6 +12,7 @@ from .attitude import InertialAttitude, inertial_attitude
 from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import InertialSignal
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
+from .upper_run import UpperRunSamples
 from .visibility import accepted_samples, enough_joints, joints_needed
 
 #: A single sample of the gyroscope that jumps by more than this and back is an error, rad/s.
@@ -58,6 +59,8 @@ class Segment:
         How well `down` is known, an axis; None = roughly.
     core_start_s, core_end_s : float, s
         What the answer is wanted for; the time around it only supports it.
+    upper : tuple of UpperRunSamples
+        Of an IMU on the upper arm, on this one's clock, between its pauses.
     """
 
     signal: InertialSignal
@@ -76,6 +79,7 @@ class Segment:
     down_sigma_rad: float | None = None
     core_start_s: float = -np.inf
     core_end_s: float = np.inf
+    upper: tuple[UpperRunSamples, ...] = ()
 
     def between(self, start_s: float, end_s: float) -> Segment:
         """The same segment with a narrower time range (IMU clock), and the frames in and around it.

@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ..measurements.clock import Clock
 from ..measurements.rejection import REASONS
@@ -18,12 +16,14 @@ from ..result import Estimates, FrameResiduals, Recovery
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration
 from ..window.problem import Message
-from ..window.trajectory import mix, share_after, turn_to
+from ..window.trajectory import share_after
+from .blending import between_quaternions, blend
 from .magnetometer import Magnetometer
 from .notes import notes_on
 from .samples import SectionAnswer
 from .second_pass import SecondAnswer
 from .task import Task
+from .upper_columns import UpperColumns
 
 
 def merge(
@@ -55,9 +55,11 @@ def merge(
         Where the columns live.
     """
     columns = _Columns(recording, task.joints, store)
+    upper = UpperColumns(len(recording.imu), store)
     unexplained: list[Gap] = []
     for answer in answers:
-        columns.add(answer.answer, answer.messages)
+        share, rows = columns.add(answer.answer, answer.messages), answer.answer.samples
+        upper.add(answer.upper, rows, share)
         unexplained = merged_gaps(unexplained, answer.unexplained)
     model = task.model
     clock = model.clock.after(coarse_clock)
@@ -72,7 +74,7 @@ def merge(
         joints=columns.joints,
         joint_covariance=columns.joint_covariance,
         gaps=gaps,
-        calibration=model.estimate,
+        calibration=upper.calibration(model, recording.side),
         gravity_direction=columns.gravity_direction(),
         clock_offset_s=clock.mean_s,
         clock_offset_sigma_s=clock.sigma_s,
@@ -85,6 +87,7 @@ def merge(
         # the answer is the same on any number of processes
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
+        upper=upper.motion(recording, model, coarse_clock),
     )
     return magnetometer.noted(recovery)
 
@@ -127,8 +130,11 @@ class _Columns:
         self.bias: list[FloatArray] = []
         self._end = 0  # first sample without an answer yet
 
-    def add(self, answer: SectionAnswer, messages: list[Message]) -> None:
-        """The next section, blended with the one before over their border; its windows' messages."""
+    def add(self, answer: SectionAnswer, messages: list[Message]) -> FloatArray:
+        """The next section, blended with the one before over their border; its windows' messages.
+
+        Returns the share of this section, against the one before, at each of its samples.
+        """
         rows = answer.samples
         t = self._recording.imu.t_s[rows]
         share = share_after(t, answer.border_s)
@@ -136,13 +142,11 @@ class _Columns:
         both = slice(rows.start, rows.start + int(np.count_nonzero(share < 1.0)))
         before = self.motion["quaternion"][both].copy()
         for name, column in self.motion.items():
-            _blend(column, rows, getattr(answer, name), share)
-        self.motion["quaternion"][both] = _between_quaternions(
-            before, answer.quaternion[: len(before)], share
-        )
+            blend(column, rows, getattr(answer, name), share)
+        self.motion["quaternion"][both] = between_quaternions(before, answer.quaternion[: len(before)], share)
         for joint, column in self.joints.items():
-            _blend(column, rows, answer.joints[joint], share)
-            _blend(self.joint_covariance[joint], rows, answer.joint_covariance[joint], share)
+            blend(column, rows, answer.joints[joint], share)
+            blend(self.joint_covariance[joint], rows, answer.joint_covariance[joint], share)
         mine = (t >= answer.border_s) | (share == 1.0)
         self.occluded[rows] = np.where(mine, answer.occluded, self.occluded[rows])
         self._residual[answer.frames] = answer.residual
@@ -151,6 +155,7 @@ class _Columns:
         self._gravity.append(answer.gravity)
         self.bias += [message.shared.mean[:6] for message in messages]
         self._end = rows.stop
+        return share
 
     def gravity_direction(self) -> FloatArray:
         """Mean direction of down, (3,) in {K}."""
@@ -160,28 +165,6 @@ class _Columns:
     def residuals(self, frame_t_imu: FloatArray) -> FrameResiduals:
         """Camera against answer, frame by frame."""
         return FrameResiduals(frame_t_imu, self._residual, self._used, self._reason, REASONS)
-
-
-def _blend(column: NDArray, rows: slice, value: FloatArray, share: FloatArray) -> None:
-    """Write the values to rows, over what stands there by the share (k,) of the way."""
-    mixed = np.flatnonzero(share < 1.0)
-    old = column[rows.start + mixed]
-    column[rows] = value
-    if len(mixed):
-        mix(old, np.arange(len(mixed)), value[mixed], share[mixed])
-        column[rows.start + mixed] = np.where(np.isfinite(old), old, value[mixed])
-
-
-def _between_quaternions(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:
-    """Quaternions on the way from one to the other by the share; `after` where there is nothing before."""
-    out = after.copy()
-    both = np.flatnonzero(np.isfinite(before).all(axis=1))
-    if len(both):
-        R = Rotation.from_quat(before[both], scalar_first=True).as_matrix()
-        target = Rotation.from_quat(after[both], scalar_first=True).as_matrix()
-        step = Rotation.from_rotvec(share[both, None] * turn_to(R, target, np.ones(len(both), bool)))
-        out[both] = (Rotation.from_matrix(R) * step).as_quat(scalar_first=True)
-    return out
 
 
 def merged_gaps(gaps: list[Gap], more: tuple[Gap, ...]) -> list[Gap]:

@@ -53,7 +53,7 @@ def notes_on(
         *_clock(timeline, clock),
         *_mounting(model),
         *_rejected(residuals),
-        *_open_gaps(gaps),
+        *_open_gaps(gaps, bool(model.estimate.upper_imu)),
         *_unexplained(unexplained),
     )
 
@@ -114,10 +114,11 @@ def _contradicted(residuals: FrameResiduals) -> BoolArray:
     return np.asarray((reason != Rejection.NONE) & (reason != Rejection.INTERPOLATED))
 
 
-def _open_gaps(gaps: tuple[Gap, ...]) -> list[str]:
+def _open_gaps(gaps: tuple[Gap, ...], two_imus: bool) -> list[str]:
+    why = ", by both IMUs: its sigma says how far" if two_imus else ", and soon not to be trusted"
     return [
         f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s is open at its"
-        f" {'start' if gap.open_start else 'end'}: it is recovered from one side, and soon not to be trusted"
+        f" {'start' if gap.open_start else 'end'}: it is recovered from one side{why}"
         for gap in gaps
         if (gap.open_start or gap.open_end) and gap.length_s > OPEN_GAP_S
     ]

@@ -15,6 +15,7 @@ from ..window.trajectory import merge_windows
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
 from .task import Task
+from .upper_samples import UpperAnswer, sample_upper
 
 TOLERANCE = 1e-3
 
@@ -29,6 +30,8 @@ class SecondAnswer:
         At its samples.
     messages : list of Message
         One a window.
+    upper : UpperAnswer or None
+        Of an upper-arm IMU at the same samples.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
     """
@@ -36,6 +39,7 @@ class SecondAnswer:
     answer: SectionAnswer
     messages: list[Message]
     unexplained: tuple[Gap, ...]
+    upper: UpperAnswer | None = None
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
@@ -77,7 +81,9 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         if gap.length_s >= LONG_S
         and any(gap.start_s < window.t[-1] and gap.end_s > window.t[0] for window in refused)
     )
-    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained)
+    rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
+    upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared.upper, task.model)
+    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper)
 
 
 def second_pass(jobs: Iterable[SecondJob], task: Task, workers: Pool) -> Iterator[SecondAnswer]:

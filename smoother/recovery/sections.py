@@ -11,14 +11,18 @@ import numpy as np
 from ..measurements.clock import Clock
 from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, make_segment
 from ..measurements.timeline import Timeline
+from ..measurements.upper_run import upper_run_samples
 from ..measurements.visibility import MISSING_S
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
+from ..selfcal.upper_arm import UpperArm
 from ..window.cut import KEEP_S
 
 #: Length aimed at, s.
 SECTION_S = 60.0
 #: What is read more on both sides, s: for the inertial filter, the alignment and the margins of the windows.
 CONTEXT_S = 12.0
+#: Of an upper-arm IMU so much more, s: it has to cover the last node.
+UPPER_MORE_S = 0.5
 #: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it counts as so many times as much distance from its place.
@@ -59,6 +63,8 @@ class SectionData:
         The samples' dejittered times.
     traits : SegmentTraits
         Of the recording.
+    upper : tuple of ImuStream
+        Of an IMU on the upper arm, on the forearm IMU's clock, between its pauses.
     """
 
     section: Section
@@ -66,13 +72,15 @@ class SectionData:
     arm: JointTracks
     even_t_imu: FloatArray
     traits: SegmentTraits
+    upper: tuple[ImuStream, ...] = ()
 
     def segment(self) -> Segment | None:
         """The section as a segment; None where the camera saw nothing of the forearm."""
         segment = make_segment(self.imu, self.even_t_imu, self.arm, self.section.frames, self.traits)
         if segment is None:
             return None
-        return replace(segment, core_start_s=self.section.start_s, core_end_s=self.section.end_s)
+        upper = tuple(upper_run_samples(imu) for imu in self.upper)
+        return replace(segment, core_start_s=self.section.start_s, core_end_s=self.section.end_s, upper=upper)
 
 
 class Sections:
@@ -86,14 +94,18 @@ class Sections:
         Of the recording.
     clock : Clock
         Takes the camera's times to the IMU's.
+    upper : UpperArm, optional
+        An IMU on the upper arm.
 
     Attributes
     ----------
     all : list of Section
     """
 
-    def __init__(self, recording: Recording, timeline: Timeline, clock: Clock) -> None:
-        self._recording, self._timeline = recording, timeline
+    def __init__(
+        self, recording: Recording, timeline: Timeline, clock: Clock, upper: UpperArm | None = None
+    ) -> None:
+        self._recording, self._timeline, self._upper = recording, timeline, upper
         frame_t_imu = clock.to_imu(recording.arm.t_s)
         visible_times = _visible_times(frame_t_imu[timeline.visible])
         self.all: list[Section] = []
@@ -114,7 +126,12 @@ class Sections:
         for section in self.all:
             imu, arm = self._recording.imu.select(section.samples), self._recording.arm.select(section.frames)
             even_t = self._timeline.even_t_imu[section.samples]
-            yield SectionData(section, _imu_here(imu), _arm_here(arm), even_t, self._timeline.traits)
+            runs = (
+                ()
+                if self._upper is None
+                else self._upper.runs(imu.t_s[0] - UPPER_MORE_S, imu.t_s[-1] + UPPER_MORE_S)
+            )
+            yield SectionData(section, _imu_here(imu), _arm_here(arm), even_t, self._timeline.traits, runs)
 
 
 def _imu_here(imu: ImuStream) -> ImuStream:

@@ -22,6 +22,7 @@ from ..window.prepare import prepare
 from ..window.priors import calibration_from, first_priors, noise_of
 from ..window.problem import Message, NoiseModel, Priors, Window
 from ..window.trajectory import Trajectory
+from ..window.upper_times import with_start
 from .magnetometer import FieldObservation, takes_part
 from .samples import frame_residuals
 from .sections import Sections
@@ -71,7 +72,7 @@ class Task:
             model=model,
             config=config,
             prior=first_priors(model.initial, model.prior, config),
-            noise=noise_of(config, model.upper_arm_sigma_m),
+            noise=replace(noise_of(config, model.upper_arm_sigma_m), tissue_m=model.tissue_m),
             sharing=sum(max(round(section.length_s / length_s), 1) for section in sections.all),
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
             magnetometer=takes_part(recording.imu),
@@ -165,11 +166,13 @@ class SectionState:
                 self.alignment,
             )
         if again is not None:
-            prepared = with_initial_values(again[0], self.trajectory)
+            upper = with_start(again[0].upper, again[0].t, self.trajectory.upper, prepared.upper)
+            prepared = replace(with_initial_values(again[0], self.trajectory), upper=upper)
             return replace(self, segment=inliers, prepared=prepared, outliers_rejected=True)
         # frames may lie elsewhere, on a clock that was found anew; they are propagated to the same nodes
         before = segment.frame_t_imu(self.clock)
         inside = (before >= segment.start_s) & (before <= segment.end_s)
         frame_t = np.clip(frame_t_imu, prepared.signal.start_s, prepared.signal.end_s)[inside]
-        prepared = replace(prepared, start=self.trajectory.states, frame_t_imu=frame_t)
+        upper = with_start(prepared.upper, prepared.t, self.trajectory.upper, prepared.upper)
+        prepared = replace(prepared, start=self.trajectory.states, frame_t_imu=frame_t, upper=upper)
         return replace(self, prepared=prepared, outliers_rejected=True)

@@ -87,6 +87,10 @@ class SelfCalibration:
         How far from constant the upper arm's length is.
     direction_spread_rad : float, rad
         How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
+    tissue_m : float, m
+        How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
+    upper_clock_offset_s : float, s
+        t_upper = t_camera + offset, mean, of the camera's stamps as `clocks` have them; nan without one.
     """
 
     estimate: ArmCalibration
@@ -98,6 +102,8 @@ class SelfCalibration:
     errors: ConstantErrors
     upper_arm_sigma_m: float
     direction_spread_rad: float = float("nan")
+    tissue_m: float = 0.0
+    upper_clock_offset_s: float = float("nan")
 
     @property
     def clock(self) -> Clock:
@@ -132,6 +138,7 @@ def self_calibrate(
     config: Config,
     workers: Pool,
     clock_sigma_s: float = OFFSET_SIGMA_S,
+    rounds: int = ROUNDS,
 ) -> SelfCalibration:
     """Find what the calibration lacks, and each recording's clock.
 
@@ -146,6 +153,8 @@ def self_calibrate(
         Windows of a round are solved side by side.
     clock_sigma_s : float, s
         How far from zero the clocks' offsets may be, one standard deviation: less where they were measured.
+    rounds : int
+        At most.
 
     Returns
     -------
@@ -170,7 +179,7 @@ def self_calibrate(
     )
     errors, trajectories = ConstantErrors(), None
     asked = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         signals: dict[int, InertialSignal] = {}
         corrected = [errors.corrected(segment, signals) for segment in excerpts]
         cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)

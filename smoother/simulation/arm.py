@@ -17,6 +17,7 @@ from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion, MotionModel, draw_stage, draw_wobble
 from .protocol import perform
+from .upper_arm import UpperArmMotion, draw_upper_mount, measure_upper_arm
 
 #: What the true calibration claims to be good to, m.
 LEVER_ARM_SIGMA_M = 0.002
@@ -43,6 +44,8 @@ class SimulatedArm:
         Frames in which the camera cannot see the forearm, whatever it states.
     motion : MotionModel
         The motion itself, for further sensors.
+    upper_motion : UpperArmMotion or None
+        Of the upper-arm IMU, where there is one.
     """
 
     recording: Recording
@@ -51,6 +54,7 @@ class SimulatedArm:
     ideal_imu: ImuStream
     occluded: BoolArray
     motion: MotionModel
+    upper_motion: UpperArmMotion | None = None
 
 
 def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
@@ -83,8 +87,8 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     """
     config = config or ArmSimulation()
     # Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
-    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6)
+    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)
     )
     measures = draw_measures(body_rng)
     stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
@@ -94,6 +98,15 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
 
     ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
+    upper_motion, upper_imu = None, None
+    if config.imus == "wrist,upper-arm":
+        upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
+        mount = draw_upper_mount(measures, config.side, upper_rng)
+        upper_motion = UpperArmMotion(motion, mount, performance.t_s, upper_wobble)
+        upper_imu, upper_parameters = measure_upper_arm(
+            upper_motion, performance.duration_s, stage.gravity, config, upper_rng
+        )
+        parameters |= upper_parameters
 
     times = exposures(performance.duration_s, config.frame_rate_hz, stamp_rng)
     strap = {"strap": motion.imu_pose(times)[1]} if config.strap else {}
@@ -104,6 +117,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         hidden = random_gaps(
             times, config.occlusion_lengths_s, config.occlusion_every_s, config.still_start_s, gap_rng
         )
+        hidden |= times >= performance.duration_s - config.end_gap_s
     else:
         hidden = settle(motion.hidden(times), config.frame_rate_hz)
     before_belly = np.zeros(len(times), dtype=bool)
@@ -124,6 +138,13 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         lever_arms=lever_arms,
         upper_arm=Length(measures.upper_arm, UPPER_ARM_SIGMA_M),
         R_F_A=measures.R_F_A,
+        upper_imu={}
+        if upper_motion is None
+        else {
+            joint: LeverArm(position, np.full(3, LEVER_ARM_SIGMA_M))
+            for joint, position in upper_motion.mount.levers(measures.upper_arm).items()
+        },
+        R_U_B=None if upper_motion is None else upper_motion.mount.R_U_B,
     )
     parameters |= {
         "gravity": stage.gravity,
@@ -140,5 +161,6 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         camera_frame=config.camera_frame,
         truth=true_motion(motion, imu.t_s),
         name=f"simulated arm, seed {seed}",
+        upper_imu=upper_imu,
     )
-    return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion)
+    return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion)

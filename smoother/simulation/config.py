@@ -39,7 +39,13 @@ _REALISTIC = {
     "imu_scale": 0.003,
     "imu_misalignment_deg": 0.2,
 }
-_REALISTIC_ARM = {"wobble_deg": 2.3, "shoulder_lost": 0.05}
+_REALISTIC_ARM = {
+    "wobble_deg": 2.3,
+    "shoulder_lost": 0.05,
+    "upper_wobble_deg": 4.0,
+    "upper_clock_s": 0.035,
+    "upper_clock_ppm": 30.0,
+}
 # Measured: the constant errors' sizes and, for shoulder, elbow and wrist, those of the slow ones (memory of
 # 0.5 to 0.7 s). The hand counts as the wrist; the strap is no joint of the skeleton and as in REALISTIC.
 _AZURE: dict[str, Any] = _REALISTIC | {
@@ -140,6 +146,18 @@ class ArmSimulation(SensorErrors):
         default=0.0, ge=0, description="rms of the strap's rotation on the forearm, degrees"
     )
 
+    imus: Literal["wrist", "wrist,upper-arm"] = Field(default="wrist", description="where an IMU is worn")
+    upper_wobble_deg: float = Field(
+        default=0.0,
+        ge=0,
+        description="soft tissue: rms of the upper-arm IMU's rotation against the bone, degrees; fast motion "
+        "makes two to three times as much",
+    )
+    upper_clock_s: float = Field(
+        default=0.0, description="the upper-arm IMU's clock is ahead of the wrist's by this, s"
+    )
+    upper_clock_ppm: float = Field(default=0.0, description="and gains so many millionths on it")
+
     occluded_state: Literal["not_tracked", "inferred"] = Field(
         default="not_tracked", description="what the camera says of the forearm's joints in an occlusion"
     )
@@ -167,6 +185,9 @@ class ArmSimulation(SensorErrors):
     )
     occlusion_every_s: float = Field(
         default=6.0, gt=0, description="about one occlusion in this time in `random`, s"
+    )
+    end_gap_s: float = Field(
+        default=0.0, ge=0, description="the last so many seconds of `random` are occluded, s"
     )
 
     @classmethod

@@ -111,6 +111,13 @@ class ArmMotion:
         table = np.hstack([performance.posture, performance.sway, wobble])
         self._spline: BSpline = make_interp_spline(performance.t_s, table, k=5)
 
+    def upper_arm(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The bone of the upper arm: elbow (N, 3) m in {K}, and `R_K_U` (N, 3, 3) (see `body`)."""
+        table = self._spline(t_s)
+        _, elbow, _, _ = self._chain(t_s)
+        R_T_U = (reference() * Rotation.from_rotvec(table[:, SHOULDER])).as_matrix()
+        return self._to_camera(elbow), self.stage.R_K_T @ self._mirror @ R_T_U @ self._flip
+
     def _chain(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Shoulder, elbow (N, 3) and `R_T_F` (N, 3, 3) in {T}, and the strap's rotation vector (N, 3)."""
         table = self._spline(t_s)

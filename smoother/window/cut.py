@@ -19,9 +19,11 @@ from .problem import (
     Priors,
     ShoulderMeasurements,
     States,
+    UpperRun,
     Window,
 )
 from .propagate import propagate
+from .upper_runs import PreparedRun
 
 #: Shoulder knots keep at least so far apart, s.
 KNOT_S = 0.09
@@ -66,6 +68,8 @@ class PreparedSegment:
         Of the attitude, in {K}.
     start_s, end_s : float, s
         What the answer is wanted for; nodes beyond only support it.
+    upper : tuple of PreparedRun
+        An upper-arm IMU between its pauses.
     """
 
     signal: InertialSignal
@@ -82,6 +86,7 @@ class PreparedSegment:
     attitude_covariance: FloatArray
     start_s: float
     end_s: float
+    upper: tuple[PreparedRun, ...] = ()
 
 
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
@@ -170,6 +175,7 @@ def cut(
             priors=prior,
             noise=noise,
             gravity_magnitude=gravity_magnitude,
+            upper=tuple(_upper_runs(prepared, lo, hi, prior, sharing)),
         )
 
 
@@ -211,6 +217,27 @@ def _increments(signal: InertialSignal, t: FloatArray, bias: FloatArray) -> ImuI
     step_t, first = split_steps(t)
     acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
     return ImuIncrements(acc, gyro, h, first, bias, signal.velocity_error(t))
+
+
+def _upper_runs(
+    prepared: PreparedSegment, lo: int, hi: int, prior: Priors, sharing: int
+) -> Iterator[UpperRun]:
+    """What nodes lo to hi - 1 have of the upper-arm IMU."""
+    for run in prepared.upper:
+        first, last = max(run.first, lo), min(run.first + len(run.start.p), hi)
+        if last - first < 2:
+            continue
+        rows = slice(first - run.first, last - run.first)
+        node = _best_node(run.attitude_covariance[rows])
+        bias = prior.shared.mean[prior.layout.upper_bias]
+        yield UpperRun(
+            first=first - lo,
+            start=States(run.start.R[rows], run.start.p[rows], run.start.v[rows]),
+            increments=_increments(run.signal, prepared.t[first:last], bias),
+            attitude_node=node,
+            attitude=run.attitude[rows][node],
+            attitude_covariance=_weakened(run.attitude_covariance[rows][node], sharing),
+        )
 
 
 def _joint_measurements(

@@ -10,6 +10,8 @@ from ..recording import BoolArray, FloatArray, IntArray
 
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.2
+#: The same with an IMU on the upper arm: both meet in the elbow at nodes alone, s.
+GAP_NODE_UPPER_S = 0.1
 #: Nodes keep at least so far apart, s; of closer frames only one takes part.
 CLOSEST_S = 0.008
 #: Frames up to so far from a node belong to it, s (`propagate`), except so near to a gap, s: there the
@@ -67,7 +69,7 @@ def group_frames(t: FloatArray, visible: BoolArray) -> IntArray:
     return np.where(np.abs(t - t[owner]) <= 1.5 * GROUPED_S, owner, np.arange(len(t)))
 
 
-def insert_nodes(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
+def insert_nodes(t: FloatArray, start_s: float, end_s: float, spacing_s: float = GAP_NODE_S) -> FloatArray:
     """Node times: the given ones, start and end, and evenly spaced ones where they are far apart.
 
     Parameters
@@ -76,15 +78,17 @@ def insert_nodes(t: FloatArray, start_s: float, end_s: float) -> FloatArray:
         Increasing times that nodes are wanted at.
     start_s, end_s : float, s
         The first node and the last.
+    spacing_s : float, s
+        Where nodes are far apart.
 
     Returns
     -------
     nodes : ndarray, shape (n,), s
-        At most `GAP_NODE_S` apart.
+        At most `spacing_s` apart.
     """
     inner = t[(t > start_s + CLOSEST_S) & (t < end_s - CLOSEST_S)]
     knots = np.concatenate(([start_s], inner, [end_s]))
-    count = np.maximum(np.ceil(np.diff(knots) / GAP_NODE_S - 1e-9).astype(int), 1)
+    count = np.maximum(np.ceil(np.diff(knots) / spacing_s - 1e-9).astype(int), 1)
     inside = np.arange(count.sum()) - np.repeat(np.concatenate(([0], np.cumsum(count)[:-1])), count)
     nodes = np.repeat(knots[:-1], count) + np.repeat(np.diff(knots) / count, count) * inside
     return np.append(nodes, knots[-1])

@@ -66,6 +66,8 @@ def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator
     t = np.array([message.t_s for message in messages])
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
+    if prior.layout.has_upper_imu:
+        walk[prior.layout.upper_bias] = SLOW_WALK
     others = leave_one_out([message.shared for message in messages], prior.shared, t, walk)
     return (replace(prior, shared=shared) for shared in others)
 

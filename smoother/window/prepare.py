@@ -13,10 +13,11 @@ from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
 from .cut import PreparedSegment
-from .nodes import decimate, group_frames, insert_nodes
+from .nodes import GAP_NODE_S, GAP_NODE_UPPER_S, decimate, group_frames, insert_nodes
 from .problem import States
+from .upper_runs import forearm_in_gaps, prepare_upper, takes_part
 
-#: Beyond so much time from the last visible frame there is no answer, s.
+#: Beyond so much time from the last visible frame there is no answer, s; with an upper-arm IMU there is one.
 REACH_S = 10.0
 
 
@@ -58,25 +59,35 @@ def prepare(
     if measured.sum() < 2:
         return None
     first_s, last_s = frame_t_imu[measured][[0, -1]].tolist()
-    start_s, end_s = max(segment.start_s, first_s - REACH_S), min(segment.end_s, last_s + REACH_S)
+    with_upper = takes_part(segment, calibration)
+    reach_s = np.inf if with_upper else REACH_S
+    start_s, end_s = max(segment.start_s, first_s - reach_s), min(segment.end_s, last_s + reach_s)
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
         return None
     visible = enough_joints(accepted, segment.needed)
     rows = np.flatnonzero(inside)
     gaps = find_gaps(frame_t_imu[rows], visible[rows], start_s, end_s)
-    reach_s = reach(core_start_s, core_end_s, gaps, margin_s)
-    t, frame_node = _nodes(frame_t_imu, measured, visible, (start_s, end_s), reach_s)
+    t, frame_node = _nodes(
+        frame_t_imu,
+        measured,
+        visible,
+        (start_s, end_s),
+        reach(core_start_s, core_end_s, gaps, margin_s),
+        GAP_NODE_UPPER_S if with_upper else GAP_NODE_S,
+    )
     if alignment is None:
         alignment = align(pairs(segment, frame_t_imu, accepted, calibration), start_s, end_s, segment.down)
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
+    position = _imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
+    runs = prepare_upper(segment, frame_t_imu, accepted, calibration, t) if with_upper else ()
+    if runs:
+        position = forearm_in_gaps(runs, t, R, gaps, calibration, position)
     prepared = PreparedSegment(
         signal=segment.signal,
         t=t,
-        start=states_from_camera(
-            t, R, *_imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
-        ),
+        start=states_from_camera(t, R, *position),
         frame_t_imu=frame_t_imu[rows],
         frame_node=frame_node[rows],
         position=segment.position[rows],
@@ -88,6 +99,7 @@ def prepare(
         attitude_covariance=alignment.covariance[nearest],
         start_s=core_start_s,
         end_s=core_end_s,
+        upper=runs,
     )
     return prepared, alignment
 
@@ -98,12 +110,13 @@ def _nodes(
     visible: BoolArray,
     range_s: tuple[float, float],
     reach_s: tuple[float, float],
+    spacing_s: float,
 ) -> tuple[FloatArray, IntArray]:
     """Nodes (n,) of the time range within reach, and the node of each frame (f,), -1 where there is none."""
     rows = np.flatnonzero(measured)
     rows = rows[decimate(frame_t_imu[rows])]
     owner = rows[group_frames(frame_t_imu[rows], visible[rows])]
-    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s)
+    t = insert_nodes(frame_t_imu[np.unique(owner)], *range_s, spacing_s)
     t = t[(t >= reach_s[0]) & (t <= reach_s[1])]
     node = np.clip(np.searchsorted(t, frame_t_imu[owner] - 1e-9), 0, len(t) - 1)
     frame_node = np.full(len(frame_t_imu), -1)

@@ -38,12 +38,15 @@ class InitialValues:
         In {A}.
     has_shoulder : bool
         The camera saw the shoulder.
+    upper_bias : ndarray, shape (6,), m/s^2 and rad/s, or None
+        Of an IMU on the upper arm, in {B}.
     """
 
     down: FloatArray
     down_sigma_rad: float
     gyroscope_bias: FloatArray
     has_shoulder: bool
+    upper_bias: FloatArray | None = None
 
 
 def initial_values(
@@ -97,6 +100,7 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
         joints=tuple(joint for joint in JOINTS if joint in calibration.lever_arms),
         has_upper_arm=initial.has_shoulder and "elbow" in calibration.lever_arms,
         gravity_axes=axes_across(initial.down),
+        has_upper_imu=bool(calibration.upper_imu) and "elbow" in calibration.lever_arms,
     )
     mean, variance = np.zeros(layout.size), np.ones(layout.size)
     mean[:3] = 0.0 if calibration.accelerometer_bias is None else calibration.accelerometer_bias
@@ -112,6 +116,12 @@ def first_priors(initial: InitialValues, calibration: ArmCalibration, config: Co
     for joint in layout.joints:
         lever = calibration.lever_arms[joint]
         mean[layout.lever(joint)], variance[layout.lever(joint)] = lever.position_m, lever.sigma_m**2
+    for joint, rows in layout.upper_levers.items():
+        lever = calibration.upper_imu[joint]
+        mean[rows], variance[rows] = lever.position_m, lever.sigma_m**2
+    if layout.has_upper_imu:
+        mean[layout.upper_bias] = 0.0 if initial.upper_bias is None else initial.upper_bias
+        variance[layout.upper_bias] = variance[layout.bias]
     walk = np.repeat([config.imu.accelerometer_bias_walk, config.imu.gyroscope_bias_walk], 3)
     return Priors(layout, Gaussian(mean, np.diag(variance)), walk)
 
@@ -229,4 +239,11 @@ def calibration_from(
     upper_arm = before.upper_arm
     if layout.has_upper_arm:
         upper_arm = Length(float(constants.mean[0]), float(sigma[0]))
-    return replace(before, lever_arms=levers, upper_arm=upper_arm)
+    upper_imu = {
+        joint: LeverArm(
+            constants.mean[rows.start - start : rows.stop - start],
+            sigma[rows.start - start : rows.stop - start],
+        )
+        for joint, rows in layout.upper_levers.items()
+    }
+    return replace(before, lever_arms=levers, upper_arm=upper_arm, upper_imu=upper_imu or before.upper_imu)

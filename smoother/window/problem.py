@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..recording import FloatArray, IntArray
+from ..recording import BoolArray, FloatArray, IntArray
 from .constant_errors import Considered, Evidence
 from .shared import Gaussian, SharedLayout
 
@@ -173,6 +173,8 @@ class NoiseModel:
         How far from constant the upper arm's length is.
     shoulder_walk : float, m/sqrt(s)
         How the shoulder wanders.
+    tissue_m : float, m
+        How far elbow and shoulder are from constant in an upper-arm IMU's axes, an axis.
     """
 
     accelerometer_density: float
@@ -182,6 +184,35 @@ class NoiseModel:
     cauchy: float
     upper_arm_sigma_m: float
     shoulder_walk: float
+    tissue_m: float = 0.01
+
+
+@dataclass(frozen=True)
+class UpperRun:
+    """An upper-arm IMU at neighbouring nodes of a window.
+
+    Attributes
+    ----------
+    first : int
+        The window's node that it begins at.
+    start : States
+        Initial values at its m nodes: `R_K_B`, position and velocity of that IMU.
+    increments : ImuIncrements
+        Of its m - 1 intervals.
+    attitude_node : int
+        The node, counted from `first`, with a weak prior on its orientation.
+    attitude : ndarray, shape (3, 3)
+        The prior's `R_K_B`.
+    attitude_covariance : ndarray, shape (3, 3), rad^2
+        Of the prior, in {K}.
+    """
+
+    first: int
+    start: States
+    increments: ImuIncrements
+    attitude_node: int
+    attitude: FloatArray
+    attitude_covariance: FloatArray
 
 
 @dataclass(frozen=True)
@@ -221,6 +252,8 @@ class Window:
         A magnetometer's directions where there is a calibrated one.
     considered : Considered or None
         Constant errors that widen the covariance.
+    upper : tuple of UpperRun
+        Of an upper-arm IMU, between its pauses; empty without one.
     """
 
     index: int
@@ -240,6 +273,7 @@ class Window:
     gravity_magnitude: float
     field: FieldMeasurements | None = None
     considered: Considered | None = None
+    upper: tuple[UpperRun, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -256,6 +290,27 @@ class Message:
 
     t_s: float
     shared: Gaussian
+
+
+@dataclass(frozen=True)
+class UpperSolution:
+    """A window's answer on the upper-arm IMU, at all of its nodes.
+
+    Attributes
+    ----------
+    known : ndarray of bool, shape (n,)
+        Nodes at which that IMU has samples; elsewhere orientation is the identity and the rest nan.
+    states : States
+        `R_K_B`, position and velocity of that IMU.
+    pose_covariance : ndarray, shape (n, 6, 6), m^2, m rad, rad^2, or None
+        Of (position, rotation vector) in {K}; None where not asked for.
+    bias : ndarray, shape (n, 6), m/s^2 and rad/s
+    """
+
+    known: BoolArray
+    states: States
+    pose_covariance: FloatArray | None
+    bias: FloatArray
 
 
 @dataclass(frozen=True)
@@ -293,6 +348,8 @@ class Solution:
         there, so that the covariance covers what is open.
     evidence : Evidence or None
         On errors that are constant over the recording; None where not asked for.
+    upper : UpperSolution or None
+        None where the recording has no upper-arm IMU.
     """
 
     index: int
@@ -309,3 +366,4 @@ class Solution:
     offset_information: float = 0.0
     accepted: bool = True
     evidence: Evidence | None = None
+    upper: UpperSolution | None = None

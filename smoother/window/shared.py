@@ -40,6 +40,9 @@ class SharedLayout:
     gravity_axes : ndarray, shape (2, 3)
         Unit vectors in {K} across the direction of down; gravity's two coordinates are the components of
         the unit vector of down along them.
+    has_upper_imu : bool
+        An IMU on the upper arm takes part: elbow and shoulder in its axes {B}, (3,) m each, and its bias
+        (6,) at the end.
     bias : slice
         Accelerometer's and gyroscope's, (6,) m/s^2 and rad/s.
     gravity : slice
@@ -49,6 +52,7 @@ class SharedLayout:
     joints: tuple[str, ...]
     has_upper_arm: bool
     gravity_axes: FloatArray
+    has_upper_imu: bool = False
 
     bias = slice(0, 6)
     gravity = slice(6, 8)
@@ -56,7 +60,7 @@ class SharedLayout:
     @property
     def size(self) -> int:
         """Length of the vector."""
-        return 8 + int(self.has_upper_arm) + 3 * len(self.joints)
+        return 8 + int(self.has_upper_arm) + 3 * len(self.joints) + 12 * int(self.has_upper_imu)
 
     @property
     def upper_arm(self) -> slice:
@@ -66,12 +70,25 @@ class SharedLayout:
     @property
     def constants(self) -> slice:
         """Rows of the arm's constants: upper arm and lever arms."""
-        return slice(8, self.size)
+        return slice(8, self.size - 6 * int(self.has_upper_imu))
 
     def lever(self, joint: str) -> slice:
         """Rows of a joint's lever arm."""
         first = self.upper_arm.stop + 3 * self.joints.index(joint)
         return slice(first, first + 3)
+
+    @property
+    def upper_levers(self) -> dict[str, slice]:
+        """Rows of elbow and shoulder in {B}; none without an IMU on the upper arm."""
+        if not self.has_upper_imu:
+            return {}
+        first = self.size - 12
+        return {"elbow": slice(first, first + 3), "shoulder": slice(first + 3, first + 6)}
+
+    @property
+    def upper_bias(self) -> slice:
+        """Rows of the upper-arm IMU's bias; empty without one."""
+        return slice(self.size - 6 * int(self.has_upper_imu), self.size)
 
     def down(self, vector: FloatArray) -> FloatArray:
         """Unit vector of gravity (3,) in {K}, of a shared vector (s,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -40,6 +40,8 @@ class Trajectory:
         In {K}.
     levers : dict of str to ndarray, shape (n, 3), m
         Lever arms by joint in {A}, as the windows that the poses come from have them.
+    upper : Trajectory or None
+        The upper-arm IMU in place of the forearm's: position nan where it has no samples.
     """
 
     t: FloatArray
@@ -51,6 +53,7 @@ class Trajectory:
     shoulder: FloatArray | None
     shoulder_covariance: FloatArray | None
     levers: dict[str, FloatArray]
+    upper: Trajectory | None = None
 
     def lever_at(self, joint: str, t: FloatArray) -> FloatArray:
         """A joint's lever arm (k, 3) m in {A} at times (k,), as the windows there have it; 0 for the IMU."""
@@ -129,7 +132,27 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
         shoulder if has_shoulder else None,
         shoulder_covariance if has_shoulder else None,
         levers,
+        _merge_upper(t, windows, solutions),
     )
+
+
+def _merge_upper(t: FloatArray, windows: list[Window], solutions: list[Solution]) -> Trajectory | None:
+    """The same for an upper-arm IMU: each window with that one in place of the forearm's."""
+    own = [
+        replace(
+            solution,
+            states=solution.upper.states,
+            pose_covariance=solution.upper.pose_covariance,
+            velocity_covariance=None,
+            bias=solution.upper.bias,
+            upper=None,
+        )
+        for solution in solutions
+        if solution.upper is not None
+    ]
+    if len(own) < len(solutions):
+        return None
+    return merge_windows(t, [replace(window, shoulder=None) for window in windows], own)
 
 
 def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:

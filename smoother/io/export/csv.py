@@ -10,6 +10,8 @@ import numpy as np
 from ...recording import FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
+from ...shoulder_angles import shoulder_angles
+from ...upper_motion import UpperMotion
 from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
 
@@ -111,10 +113,38 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     groups.append((["vx", "vy", "vz"], recovery.velocity, "m/s", "velocity of the IMU in the camera's frame"))
     if "hand" in recovery.joints:
         groups.append((_xyz("hand"), recovery.joints["hand"], *position))
+    if recovery.upper is not None:
+        groups += _upper_arm(recovery, recovery.upper)
     return [
         ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
         for names, values, *said in groups
     ]
+
+
+def _upper_arm(recovery: Recovery, upper: UpperMotion) -> list[tuple[list[str], FloatArray, str, str]]:
+    """Columns of an upper-arm IMU, and of the shoulder's angles by it."""
+    angles, sigmas = shoulder_angles(recovery)
+    about = "of the shoulder (ISB), the trunk upright and facing the camera"
+    groups = [
+        (_xyz("upper_imu"), upper.position, "m", "position of the upper-arm IMU in the camera's frame"),
+        (
+            [f"upper_imu_q{part}" for part in "wxyz"],
+            upper.quaternion,
+            "1",
+            "rotation upper-arm IMU axes to camera, quaternion",
+        ),
+        (_xyz("upper_sigma"), upper.sigma_m, "m", "one standard deviation, an axis of the camera"),
+        (
+            ["upper_sigma_deg"],
+            upper.sigma_deg,
+            "deg",
+            "as sigma_deg, of the upper-arm IMU",
+        ),
+    ]
+    for name, values in angles.items():
+        groups.append(([f"{name}_deg"], values, "deg", f"{name.removeprefix('shoulder_')} {about}"))
+        groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))
+    return groups
 
 
 def _xyz(name: str) -> list[str]:

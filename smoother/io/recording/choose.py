@@ -71,6 +71,8 @@ class StreamChoice:
         The reference motion.
     notes : list of str
         How it was decided, one sentence each.
+    upper : ImuSamples, optional
+        The IMU on the same arm's upper arm.
     """
 
     imu: ImuSamples
@@ -79,6 +81,7 @@ class StreamChoice:
     base: ImuSamples | None = None
     truth: PoseSamples | None = None
     notes: list[str] = field(default_factory=list)
+    upper: ImuSamples | None = None
 
 
 def role(stream: ImuSamples) -> str:
@@ -160,7 +163,31 @@ def choose(
     chosen_side = _side(*pair) or side or ""
     base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
     truth, truth_notes = choose_truth(file, chosen_side)
-    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + truth_notes)
+    upper, upper_notes = choose_upper(file, pair[0], chosen_side)
+    more = truth_notes + upper_notes
+    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, upper)
+
+
+def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU that names say is on the same upper arm, or None, and a sentence on it.
+
+    One without a side in its name counts as on the arm of the only forearm IMU.
+    """
+    uppers = [imu for imu in file.imus if imu is not forearm and role(imu) == "upper_arm"]
+    sided = [imu for imu in uppers if side and named_side(imu.topic, imu.frame_id) == side]
+    other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
+    free = [imu for imu in uppers if not named_side(imu.topic, imu.frame_id)]
+    fitting = sided or ([] if other_forearms else free)
+    if not side and not fitting and not other_forearms:
+        fitting = uppers
+    if len(fitting) == 1:
+        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's upper arm by its name."]
+    if len(fitting) > 1:
+        names = ", ".join(imu.topic for imu in fitting)
+        return None, [
+            f"Of the upper-arm IMUs {names} none was taken: their names do not tell which is meant."
+        ]
+    return None, []
 
 
 def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int | None) -> list[ArmFrames]:

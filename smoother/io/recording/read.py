@@ -186,14 +186,19 @@ def select_recording(
     arm, arm_dropped = clean_arm(choice.arm, source, store)
     notes += dropped + arm_dropped
     _check_overlap(forearm, arm, source)
-    base, truth = None, None
+    base, truth, upper = None, None, None
     if choice.base is not None:
         base, dropped = clean_imu(choice.base, source, store)
         notes += dropped
     if choice.truth is not None:
         truth, dropped = clean_poses(choice.truth, store)
         notes += dropped
-    first = [int(s.stamp_ns[0]) for s in (forearm, arm, base, truth) if s is not None and len(s.stamp_ns)]
+    if choice.upper is not None:
+        upper, dropped = clean_imu(choice.upper, source, store)
+        notes += dropped
+    first = [
+        int(s.stamp_ns[0]) for s in (forearm, arm, base, truth, upper) if s is not None and len(s.stamp_ns)
+    ]
     origin = min(first) // SECOND_NS * SECOND_NS
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
     return Recording(
@@ -207,6 +212,7 @@ def select_recording(
         origin_ns=origin,
         name=file.name,
         notes=tuple(notes),
+        upper_imu=None if upper is None else _imu_stream(upper, origin, store),
     )
 
 

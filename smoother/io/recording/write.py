@@ -106,6 +106,13 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             base = one.base_imu
             stamp = nanoseconds(base.t_s, one.origin_ns)
             file.imus.append(ImuSamples("/imu/base", "base", stamp, base.acc, base.gyro, base.mag))
+        if one.upper_imu is not None:
+            upper = one.upper_imu
+            topic = _free(imu_topic(upper.name, one.side, "upper_arm"), topics)
+            stamp = nanoseconds(upper.t_s, one.origin_ns)
+            file.imus.append(
+                ImuSamples(topic, topic.rpartition("/")[2], stamp, upper.acc, upper.gyro, upper.mag)
+            )
         body = 0
         while (body, one.side) in sides:
             body += 1
@@ -167,12 +174,14 @@ def as_session(
     return file
 
 
-def imu_topic(name: str, side: str = "") -> str:
-    """The topic `/imu/NAME` of a forearm IMU by the name that it has."""
+def imu_topic(name: str, side: str = "", limb: str = "forearm") -> str:
+    """The topic `/imu/NAME` of a limb's IMU by the name that it has."""
     if name.startswith("/imu/"):
         return name
     clean = "_".join(part for part in name.strip("/").replace("/", "_").split() if part)
-    return f"/imu/{clean or 'forearm' + ('_' + side if side else '')}"
+    if limb == "upper_arm" and "upper" not in clean.lower():  # by its name it is found again
+        clean = ""
+    return f"/imu/{clean or limb + ('_' + side if side else '')}"
 
 
 def _free(topic: str, topics: set[str]) -> str:

@@ -54,8 +54,18 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "notes": recovery.notes,
             "config": _lasting(recovery.config),
             "figures": recovery.estimates.plain(),
+            **_upper_arm(recovery),
         }.items()
     }
+
+
+def _upper_arm(recovery: Recovery) -> dict[str, object]:
+    """What an upper-arm IMU adds; nothing without one."""
+    upper = recovery.upper
+    if upper is None:
+        return {}
+    names = ("name", "clock_offset_s", "mount_sigma_rad")
+    return {"upper_arm": {name: getattr(upper, name) for name in names}}
 
 
 def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,14 +91,19 @@ def calibration_of(value: dict[str, Any] | None) -> ArmCalibration | None:
     def array(name: str) -> Any:
         return None if value.get(name) is None else np.array(value[name], float)
 
+    def levers(name: str) -> dict[str, LeverArm]:
+        return {
+            joint: LeverArm(np.array(lever["position_m"], float), np.array(lever["sigma_m"], float))
+            for joint, lever in value.get(name, {}).items()
+        }
+
     return ArmCalibration(
         side=value["side"],
-        lever_arms={
-            joint: LeverArm(np.array(lever["position_m"], float), np.array(lever["sigma_m"], float))
-            for joint, lever in value["lever_arms"].items()
-        },
+        lever_arms=levers("lever_arms"),
         upper_arm=None if value["upper_arm"] is None else Length(**value["upper_arm"]),
         R_F_A=array("R_F_A"),
         accelerometer_bias=array("accelerometer_bias"),
         gyroscope_bias=array("gyroscope_bias"),
+        upper_imu=levers("upper_imu"),
+        R_U_B=array("R_U_B"),
     )

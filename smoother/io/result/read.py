@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...measurements.rejection import Reason
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import Estimates, FrameResiduals, Recovery
+from ...upper_motion import UpperMotion
 from ..mcap.container import Container
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds
@@ -99,12 +100,26 @@ def _recovery(path: Path, container: Container, tables: dict[str, _Table], name:
             notes=tuple([*values["notes"], *container.notes]),
             config=values["config"],
             estimates=Estimates.from_plain(values["figures"]),
+            upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise RecordingError(
             f"{path}: its result{suffix} is damaged or of another version ({error!r}); "
             "run `unocclude smooth` again."
         ) from error
+
+
+def _upper(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None) -> UpperMotion | None:
+    """An upper-arm IMU's poses at the samples (n,)."""
+    if values is None:
+        return None
+    arrays = _motion(len(stamp), *_rows(stamp, table))
+    return UpperMotion(
+        **{name: arrays[name] for name in ("position", "quaternion", "pose_covariance")},
+        mount_sigma_rad=np.array(values["mount_sigma_rad"], float),
+        clock_offset_s=values["clock_offset_s"],
+        name=values["name"],
+    )
 
 
 def _rows(stamp: IntArray, table: _Table | None) -> tuple[IntArray, dict[str, NDArray]]:
@@ -277,6 +292,7 @@ class _CameraTable(_Table):
 
 _TABLES: dict[str, type[_Table]] = {
     "forearm": _OdometryTable,
+    "upper_arm": _OdometryTable,
     "skeleton": _SkeletonTable,
     "residuals": _ResidualTable,
     "camera": _CameraTable,

@@ -68,6 +68,7 @@ class RecoveryStreams:
         return [
             self._skeleton(part),
             *self._odometry(part),
+            *self._upper_arm(part),
             *self._camera(part),
             *self._residuals(part_residuals),
             *self._drawn(part, nearest, inside),
@@ -97,7 +98,20 @@ class RecoveryStreams:
         channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
         return Outgoing(channel, stamp[rows] + self.shift, encode)
 
-    def _odometry(self, r: Recovery) -> Iterator[Outgoing]:
+    def _upper_arm(self, r: Recovery) -> Iterator[Outgoing]:
+        """An upper-arm IMU's poses, without velocities."""
+        if r.upper is None:
+            return
+        upper = replace(
+            r,
+            position=r.upper.position,
+            quaternion=r.upper.quaternion,
+            pose_covariance=r.upper.pose_covariance,
+            velocity=np.full_like(r.velocity, np.nan),
+        )
+        yield from self._odometry(upper, "upper_arm", self.body.replace("forearm", "upper_arm"))
+
+    def _odometry(self, r: Recovery, topic: str = "forearm", body: str | None = None) -> Iterator[Outgoing]:
         from scipy.spatial.transform import Rotation
 
         stamp = self._stamps(r.t_s)
@@ -115,7 +129,7 @@ class RecoveryStreams:
                     turn = wire.message(2, wire.constants(0, 0, 0, 1))
                 parts = [
                     *head,
-                    wire.text(3, self.body if turned else self.frame_id),
+                    wire.text(3, (body or self.body) if turned else self.frame_id),
                     wire.message(4, wire.vector(1, "position"), turn),
                 ]
                 if moving:
@@ -141,7 +155,7 @@ class RecoveryStreams:
 
                 rows = np.flatnonzero(mine)
                 template = wire.join(*parts)
-                yield self._stream("forearm", "foxglove.Odometry", template, stamp, rows, columns)
+                yield self._stream(topic, "foxglove.Odometry", template, stamp, rows, columns)
 
     def _skeleton(self, r: Recovery) -> Outgoing:
         """Every sample, so that times and occlusion are whole even where there is no answer."""

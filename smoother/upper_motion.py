@@ -1,0 +1,57 @@
+"""The motion of an upper-arm IMU beside that of the forearm's, at the same samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .recording import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class UpperMotion:
+    """An upper-arm IMU at the forearm IMU's times; nan where it has no samples.
+
+    Attributes
+    ----------
+    position : ndarray, shape (N, 3), m
+        In {K}.
+    quaternion : ndarray, shape (N, 4)
+        qw, qx, qy, qz of `R_K_B`.
+    pose_covariance : ndarray, shape (N, 6, 6), m and rad
+        Of (position in {K}, rotation vector in {K}).
+    mount_sigma_rad : ndarray, shape (3,), rad
+        How far the bone's axes may be from where `ArmCalibration.R_U_B` has them, soft tissue included,
+        about each of them.
+    clock_offset_s : float, s
+        t_upper = t_camera + offset, mean.
+    name : str
+        Of the IMU.
+    """
+
+    position: FloatArray
+    quaternion: FloatArray
+    pose_covariance: FloatArray
+    mount_sigma_rad: FloatArray
+    clock_offset_s: float = float("nan")
+    name: str = "upper_arm"
+
+    def rows(self, rows: slice | IntArray) -> UpperMotion:
+        """Some of the samples."""
+        return replace(
+            self,
+            position=self.position[rows],
+            quaternion=self.quaternion[rows],
+            pose_covariance=self.pose_covariance[rows],
+        )
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """(N, 3) standard deviation of the IMU's position, m an axis of {K}."""
+        return np.sqrt(np.einsum("nii->ni", self.pose_covariance[:, :3, :3]))
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """(N,) square root of the trace of the orientation covariance, degrees."""
+        return np.degrees(np.sqrt(np.trace(self.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))

@@ -1,0 +1,108 @@
+"""The chain with a border against GTSAM's own marginals and against dense algebra."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, G, L, S, V, X
+from scenes import arm, last_pass
+
+from smoother.graph.build import bias_of_intervals, build
+from smoother.graph.constant_errors import constant_error_columns, node_of_variables
+from smoother.graph.linear_system import LinearSystem
+from smoother.recording import JOINTS
+from smoother.window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE
+from smoother.window.problem import Window
+
+
+@pytest.fixture(scope="module")
+def window() -> Window:
+    """Of 8 s with a gap of 2 s."""
+    made = arm(3, protocol="random", duration_s=8.0, occlusion_lengths_s=(2.0,), occlusion_every_s=5.0)
+    return last_pass(made.recording, made.calibration)[0].window
+
+
+@pytest.fixture(scope="module")
+def solved(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    graph, values = build(window)
+    return graph, gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+
+
+@pytest.fixture(scope="module")
+def system(
+    window: Window, solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
+) -> tuple[LinearSystem, np.ndarray]:
+    """With the columns of the constant errors, and those columns."""
+    graph, values = solved
+    R = np.array([values.atPose3(X(i)).rotation().matrix() for i in range(len(window.t))])
+    taken: list[np.ndarray] = []
+
+    def columns(*found: object) -> np.ndarray:
+        taken.append(
+            constant_error_columns(*found, window=window, biases=bias_of_intervals(window), R=R)  # type: ignore[arg-type]
+        )
+        return taken[0]
+
+    return LinearSystem(graph, values, node_of_variables(window), columns), taken[0]
+
+
+def test_covariances_are_those_of_gtsam(
+    system: tuple[LinearSystem, np.ndarray], solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
+) -> None:
+    """Two eliminations of one system: equal to the rounding of a condition number of about 1e10."""
+    reference = gtsam.Marginals(*solved)
+    for key in (X(0), X(7), X(60), V(3), S(4)):
+        expected = reference.marginalCovariance(key)
+        np.testing.assert_allclose(system[0].covariance(key), expected, atol=1e-7 * np.abs(expected).max())
+    keys = [B(0), G(0), L(JOINTS.index("elbow"))]
+    joint = reference.jointMarginalCovariance(keys)
+    expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    np.testing.assert_allclose(
+        system[0].shared_covariance(keys), expected, atol=1e-7 * np.abs(expected).max()
+    )
+
+
+def test_sensitivities_are_those_of_least_squares(system: tuple[LinearSystem, np.ndarray]) -> None:
+    """An error moves the optimum by -(A' A)^-1 A' e, here by a dense solver."""
+    linear, columns = system
+    A = linear.jacobian.toarray()
+    full = np.zeros((len(A), SIZE))
+    full[: len(columns)] = columns
+    expected = -np.linalg.lstsq(A, full, rcond=None)[0]
+    shared = linear.shared_sensitivity()
+    for key in (X(0), X(31), V(12), S(2)):
+        rows = linear.columns(key)
+        np.testing.assert_allclose(
+            linear.sensitivity(key, shared), expected[rows], atol=1e-4 * np.abs(expected[rows]).max()
+        )
+    np.testing.assert_allclose(shared[linear.border_rows([G(0)])], expected[linear.columns(G(0))], atol=1e-4)
+
+
+def test_columns_are_derivatives_of_the_error(
+    window: Window, system: tuple[LinearSystem, np.ndarray]
+) -> None:
+    """A joint that the camera sees 1 mm off raises its whitened error by 1 mm over its sigma."""
+    _, columns = system
+    first = window.joint_measurements[0]
+    error = JOINT_ERRORS.start + 3 * JOINTS.index(first.joint)
+    rows = columns[:, error] != 0
+    count = len(np.unique(first.node))
+    assert rows.sum() == count
+    weight = 1.0 / columns[rows, error]
+    # the robust loss only lowers weights: sigmas are no smaller than the measurements'
+    assert (weight > 0.99 * first.sigma_m.min() / np.sqrt(np.bincount(first.node).max())).all()
+    assert (columns[9 * (len(window.t) - 1) :, IMU_ERRORS] == 0).all()
+
+
+def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:
+    graph, values = solved
+    freed = gtsam.NonlinearFactorGraph()
+    for i in range(graph.size()):
+        if not isinstance(graph.at(i), gtsam.LinearContainerFactor | gtsam.BetweenFactorConstantBias):
+            freed.push_back(graph.at(i))
+    freed.resize(0)
+    with pytest.raises((np.linalg.LinAlgError, ValueError)):
+        LinearSystem(freed, values, node_of_variables(window), partial(lambda *_: np.zeros((0, 0))))

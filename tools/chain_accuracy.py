@@ -1,0 +1,156 @@
+"""One and two IMUs on the same simulated arms: `python tools/accuracy.py arm --imus 2 --gap-s 3 10 30 60`."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smoother.cli.config_file import read_config
+from smoother.evaluation.validate import sample_errors
+from smoother.measurements.visibility import Gap
+from smoother.recording import Recording
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
+
+#: What is seen between two gaps, about, and before one at the end, s.
+BETWEEN_GAPS_S, BEFORE_END_S = 8.0, 45.0
+
+
+@dataclass(frozen=True)
+class ChainErrors:
+    """A gap's samples (n,) against the truth; `heading_deg` of forearm on upper arm, nan with one IMU."""
+
+    distance_m: np.ndarray
+    squared_sigmas: np.ndarray
+    wrist_to_shoulder_m: np.ndarray
+    angle_deg: np.ndarray
+    heading_deg: np.ndarray
+
+
+def compare_imus(options: argparse.Namespace) -> None:
+    """A table of gaps by their length, with one IMU and with two; nothing is calibrated unless asked for."""
+    changes = dict(pair.split("=", 1) for pair in options.set)
+    config = read_config(options.config)
+    print(
+        "nothing calibrated" if not options.calibrated else "calibrated", f"preset {options.preset}", changes
+    )
+    for length_s in options.gap_s:
+        gaps: dict[int, list[ChainErrors]] = {1: [], 2: []}
+        spent = {1: 0.0, 2: 0.0}
+        for seed in options.seeds:
+            settings = _settings(length_s, options.at_end) | changes
+            simulated = simulate_arm(ArmSimulation.preset(options.preset, **settings), seed=seed)
+            whole = replace(simulated.recording, truth=None)
+            for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
+                recovery, seconds = _timed(recording, simulated, options, config)
+                spent[imus] += seconds
+                gaps[imus] += _gaps(recovery, simulated, length_s, options.at_end)
+        for imus in (1, 2):
+            _show(length_s, imus, gaps[imus], spent[imus])
+        one, two = (_rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
+        print(f"    two against one: error {two / one:.2f}, time {spent[2] / spent[1]:.2f}", flush=True)
+
+
+def _settings(length_s: float, at_end: bool) -> dict[str, Any]:
+    if at_end:
+        return {
+            "imus": "wrist,upper-arm",
+            "protocol": "random",
+            "duration_s": BEFORE_END_S + length_s,
+            "occlusion_lengths_s": (),
+            "end_gap_s": length_s,
+        }
+    return {
+        "imus": "wrist,upper-arm",
+        "protocol": "random",
+        "duration_s": max(60.0, 2.5 * length_s),
+        "occlusion_lengths_s": (length_s,),
+        "occlusion_every_s": length_s + BETWEEN_GAPS_S,
+    }
+
+
+def _timed(
+    recording: Recording, simulated: SimulatedArm, options: argparse.Namespace, config: Any
+) -> tuple[Recovery, float]:
+    began = time.process_time()
+    calibration = simulated.calibration if options.calibrated else None
+    recovery = smooth(recording, calibration, config, processes=1)
+    return recovery, time.process_time() - began
+
+
+def _gaps(
+    recovery: Recovery, simulated: SimulatedArm, length_s: float, at_end: bool
+) -> Iterator[ChainErrors]:
+    """Of each gap of about that length; of the recording's end as much, answered or not."""
+    truth = simulated.recording.truth
+    assert truth is not None
+    errors = sample_errors(recovery, truth)
+    end_s = float(recovery.t_s[-1])
+    wanted = (Gap(end_s - length_s, end_s + 1.0, open_end=True),) if at_end else recovery.gaps
+    for gap in wanted:
+        inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s)
+        rows = np.flatnonzero(inside if at_end else inside & errors.scored)
+        if gap.length_s < 0.5 * length_s or not len(rows):
+            continue  # a gap of some frames that the preset makes besides
+        answer, true = (
+            joints["wrist"][rows] - joints["shoulder"][rows] for joints in (recovery.joints, truth.joints)
+        )
+        yield ChainErrors(
+            errors.distance_m[rows],
+            errors.squared_sigmas[rows],
+            np.linalg.norm(answer - true, axis=1),
+            errors.angle_deg[rows],
+            _heading(recovery.rows(rows), simulated),
+        )
+
+
+def _heading(recovery: Recovery, simulated: SimulatedArm) -> np.ndarray:
+    """Error of the forearm's heading against the upper arm's (n,), degrees."""
+    assert simulated.upper_motion is not None
+    heading = np.full(len(recovery), np.nan)
+    if recovery.upper is None:
+        return heading
+    known = np.isfinite(recovery.upper.quaternion).all(axis=1) & np.isfinite(recovery.quaternion).all(axis=1)
+    t = recovery.t_s[known]
+    turns = []
+    for quaternion, motion in (
+        (recovery.quaternion, simulated.motion),
+        (recovery.upper.quaternion, simulated.upper_motion),
+    ):
+        answer = Rotation.from_quat(quaternion[known], scalar_first=True)
+        turns.append(answer * Rotation.from_matrix(motion.imu_pose(t)[0]).inv())
+    between = (turns[0] * turns[1].inv()).as_rotvec()
+    heading[known] = np.degrees(between @ recovery.gravity_direction)
+    return heading
+
+
+def _show(length_s: float, imus: int, gaps: list[ChainErrors], seconds: float) -> None:
+    def every(name: str) -> np.ndarray:
+        return np.concatenate([getattr(gap, name) for gap in gaps])
+
+    if not gaps:
+        print(f"{length_s:g} s: no gap")
+        return
+    distance = every("distance_m")
+    last = np.array([gap.heading_deg[-40:] for gap in gaps if len(gap.heading_deg) >= 40])
+    print(
+        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * _rms(distance):5.2f} cm"
+        f"  max {100 * np.nanmax(distance):5.2f}"
+        f"  squared error / sigma^2 {np.nanmean(every('squared_sigmas')) / 3:4.2f}"
+        f"  wrist to shoulder {100 * _rms(every('wrist_to_shoulder_m')):5.2f} cm"
+        f"  orientation {_rms(every('angle_deg')):4.2f} deg"
+        f"  relative heading at the end {_rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
+        f"  answered {100 * np.isfinite(distance).mean():.1f} %  {seconds:.1f} s",
+        flush=True,
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
