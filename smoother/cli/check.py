@@ -36,7 +36,7 @@ from .remedies import (
 )
 
 if TYPE_CHECKING:
-    from ..evaluation.allowance import Allowance
+    from ..evaluation.tried_gaps import TriedGaps
     from ..recording import Recording
     from ..result import Recovery
 
@@ -108,7 +108,7 @@ def check(
             recovery = recover(excerpt)
             figures = _figures(recovery)
             if recovery.estimates.trusted:
-                allowed = _allowance(
+                allowed = _tried(
                     excerpt, recovery, recover, lambda part, text: progress(0.3 + 0.7 * part, text)
                 )
         except (SolveError, CalibrationError) as error:  # what cannot be recovered is the finding
@@ -124,14 +124,14 @@ def check(
         raise typer.Exit(NOT_TRUSTED)
 
 
-def _allowance(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> Allowance:
+def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> TriedGaps:
     from calib.motion.estimates import found_in
 
-    from ..evaluation.allowance import allowance
+    from ..evaluation.tried_gaps import try_gaps
 
     found = found_in(recovery, excerpt)
     left_open = () if found is None else found.not_determined
-    return allowance(replace(excerpt, truth=None), recover, left_open, progress)
+    return try_gaps(replace(excerpt, truth=None), recover, left_open, progress)
 
 
 def _figures(recovery: Recovery) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def _refused(sentence: str) -> dict[str, Any]:
     }
 
 
-def _print(figures: dict[str, Any], allowed: Allowance | None) -> None:
+def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
     say(figures["verdict"])
     if allowed is not None:
         say(f"allows: {allowed.sentence}")

@@ -53,7 +53,7 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     biases = bias_of_intervals(window)
     _add_states(values, window)
-    # in this order: `constant_errors` counts rows
+    # in this order: `error_columns` counts rows
     add_increments(graph, window, biases)
     _add_joints(graph, window)
     if window.shoulder is not None:

@@ -17,7 +17,7 @@ from ..window.shared import Gaussian
 from .build import bias_of_intervals, shared_jacobian, shared_keys
 from .chain import build_arm, upper_solution
 from .clock_information import offset_information
-from .constant_errors import constant_error_columns, evidence, node_of_variables
+from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
 from .optimise import optimise
 

@@ -43,7 +43,7 @@ from ..window.problem import Priors, Solution, Window
 from ..window.trajectory import Trajectory, at_times, merge_windows
 from .camera_noise import joint_noise, sigma_by_joint
 from .clock_fit import refined_clocks
-from .constant_errors import ConstantErrors
+from .error_estimate import ConstantErrors
 from .excerpts import choose_excerpts
 from .joint_bias import JointBias
 from .mounting import Mounting, find_mounting

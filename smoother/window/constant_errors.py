@@ -21,7 +21,7 @@ SIZE = STRAP_ERRORS.stop
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ErrorEvidence:
     """What a window says of the shared constants and the constant errors, its prior on them taken off.
 
     In information form, about [gravity, upper arm, lever arms (rows 6.. of the shared vector); errors], the

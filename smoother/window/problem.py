@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..recording import BoolArray, FloatArray, IntArray
-from .constant_errors import Considered, Evidence
+from .constant_errors import Considered, ErrorEvidence
 from .shared import Gaussian, SharedLayout
 
 
@@ -346,7 +346,7 @@ class Solution:
     accepted : bool
         The model explains the motion in the window's long gaps; where False the upper arm is left out
         there, so that the covariance covers what is open.
-    evidence : Evidence or None
+    evidence : ErrorEvidence or None
         On errors that are constant over the recording; None where not asked for.
     upper : UpperSolution or None
         None where the recording has no upper-arm IMU.
@@ -365,5 +365,5 @@ class Solution:
     error: float
     offset_information: float = 0.0
     accepted: bool = True
-    evidence: Evidence | None = None
+    evidence: ErrorEvidence | None = None
     upper: UpperSolution | None = None

@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import B, G, L, S, V, X
 from scenes import arm, last_pass
 
 from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.constant_errors import constant_error_columns, node_of_variables
+from smoother.graph.error_columns import constant_error_columns, node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.recording import JOINTS
 from smoother.window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE

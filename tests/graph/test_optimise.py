@@ -50,7 +50,7 @@ def gap_rms(recording: Recording, window: Window, position: FloatArray) -> float
 
 @pytest.fixture(scope="module")
 def hidden() -> SimulatedArm:
-    return long_gaps(0, 10.0, duration_s=30.0)
+    return long_gaps(1, 20.0)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_stages_end_in_the_right_minimum(hidden: SimulatedArm, first_window: Job
         )
         for optimum in (straight, staged)
     ]
-    assert apart[0] > 0.10  # measured 14.6 cm
+    assert apart[0] > 0.10  # measured 42 cm
     assert apart[1] < 0.06
     assert staged.accepted
     assert staged.error < straight.error - 20.0

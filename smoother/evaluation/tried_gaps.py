@@ -20,7 +20,7 @@ WITHIN_M = 0.02
 
 
 @dataclass(frozen=True)
-class Allowance:
+class TriedGaps:
     """How uncertain hidden gaps are by their length.
 
     Attributes
@@ -77,12 +77,12 @@ class Allowance:
         }
 
 
-def allowance(
+def try_gaps(
     recording: Recording,
     recover: Callable[[Recording], Recovery],
     not_determined: Sequence[str] = (),
     progress: Callable[[float, str], None] | None = None,
-) -> Allowance:
+) -> TriedGaps:
     """Hide visible seconds and see how uncertain they become.
 
     Parameters
@@ -99,10 +99,10 @@ def allowance(
     try:
         table = evaluate_gaps(recording, LENGTHS_S, {"graph": recover}, gaps_per_run=GAPS, progress=progress)
     except RecordingError:  # never visible for long enough
-        return Allowance((), (), tuple(not_determined))
+        return TriedGaps((), (), tuple(not_determined))
     rows = [(length_s, _sigma_m(table, length_s)) for length_s in table.lengths]
     known = [(length_s, sigma_m) for length_s, sigma_m in rows if np.isfinite(sigma_m)]
-    return Allowance(tuple(row[0] for row in known), tuple(row[1] for row in known), tuple(not_determined))
+    return TriedGaps(tuple(row[0] for row in known), tuple(row[1] for row in known), tuple(not_determined))
 
 
 def _sigma_m(table: GapTable, length_s: float) -> float:

@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 
 from ..linalg import skew
 from ..recording import JOINTS, FloatArray, IntArray
-from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, Evidence
+from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
 from ..window.problem import Window
 from .build import shared_jacobian, shared_keys
 from .linear_system import LinearSystem
@@ -131,7 +131,7 @@ def _weight(
 
 def evidence(
     system: LinearSystem, values: gtsam.Values, mean: FloatArray, window: Window, biases: IntArray
-) -> Evidence:
+) -> ErrorEvidence:
     """What a window says of the shared constants and the constant errors.
 
     Parameters
@@ -149,7 +149,7 @@ def evidence(
 
     Returns
     -------
-    evidence : Evidence
+    evidence : ErrorEvidence
     """
     layout, keys = window.priors.layout, shared_keys(window, biases)
     jacobian = shared_jacobian(layout, values.atUnit3(G(0)))[6:, 6:]
@@ -172,4 +172,4 @@ def evidence(
     rows = slice(0, len(constants))
     reduced[rows, rows] -= prior
     told[rows] -= prior @ (window.priors.shared.mean[6:] - mean[6:])
-    return Evidence(reduced, told + reduced[:, rows] @ mean[6:])
+    return ErrorEvidence(reduced, told + reduced[:, rows] @ mean[6:])
