@@ -180,6 +180,7 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
             f"{summary.gap.length_s:.2f}",
             centimetres(summary.sigma_max_m),
             "-" if summary.sigma_max_deg is None else f"{summary.sigma_max_deg:.1f}",
+            "-" if summary.sigma_max_flexion_deg is None else f"{summary.sigma_max_flexion_deg:.1f}",
             "one side" if summary.gap.open_start or summary.gap.open_end else "both sides",
         )
         for summary in gap_summaries(recovery)
@@ -195,7 +196,14 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
         f" {len(rows)} gaps, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
     if rows:
-        columns = ("gap starts, s", "length, s", "largest sigma, cm", "largest sigma, deg", "seen from")
+        columns = (
+            "gap starts, s",
+            "length, s",
+            "largest sigma, cm",
+            "orientation, deg",
+            "elbow, deg",
+            "seen from",
+        )
         print_table("Gaps (sigma = one standard deviation)", columns, rows[:MOST_ROWS])
         if len(rows) > MOST_ROWS:
             say(f".. and {len(rows) - MOST_ROWS} gaps more; --json and the report have them all")

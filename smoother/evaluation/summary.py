@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..recording import BoolArray, FloatArray
 from ..result import Recovery
@@ -23,6 +24,8 @@ class GapSummary:
         Largest standard deviation of the IMU's position in it, on one axis.
     sigma_max_deg : float or None, degrees
         Largest standard deviation of the orientation in it.
+    sigma_max_flexion_deg : float or None, degrees
+        Likewise of the elbow's flexion.
     answered : float
         Part of the samples in it that have an answer, 0 to 1.
     """
@@ -30,6 +33,7 @@ class GapSummary:
     gap: Gap
     sigma_max_m: float | None
     sigma_max_deg: float | None
+    sigma_max_flexion_deg: float | None
     answered: float
 
     @property
@@ -51,6 +55,7 @@ class GapSummary:
             "open_end": self.gap.open_end,
             "sigma_max_m": self.sigma_max_m,
             "sigma_max_deg": self.sigma_max_deg,
+            "sigma_max_flexion_deg": self.sigma_max_flexion_deg,
             "answered": self.answered,
         }
 
@@ -64,7 +69,8 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
         inside = recovery.rows(slice(start, stop))
         answered = float(inside.answered.mean()) if len(inside) else 0.0
         sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
-        summaries.append(GapSummary(gap, sigma_m, sigma_deg, answered))
+        flexion_deg = _largest(elbow_flexion_sigma(inside))
+        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered))
     return summaries
 
 

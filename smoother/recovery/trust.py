@@ -43,7 +43,7 @@ JOINT_SIGMA_M = 0.05
 #: Where more of the tracked samples are rejected, camera and IMU contradict each other.
 REJECTED_SHARE = 0.30
 #: A measured clock is contradicted where the motion moves it by so many of its sigmas, and by so much, s.
-MEASURED_SIGMAS, MEASURED_S = 4.0, 0.02
+MEASURED_SIGMAS, MEASURED_S = 4.0, 0.01
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
 #: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.

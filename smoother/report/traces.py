@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..evaluation.validate import sample_errors
-from ..joint_angles import arm_angles
+from ..joint_angles import arm_angles, elbow_flexion_sigma
 from ..linalg import unit
 from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import FrameResiduals, Recovery
@@ -28,6 +28,7 @@ from .style import (
     shade,
 )
 
+FLEXION = "elbow flexion"
 _TIME = "time, s"
 
 
@@ -88,7 +89,12 @@ def angles(recovery: Recovery) -> go.Figure | None:
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
     index = decimate(recovery.occluded)
     t = recovery.t_s[index]
+    sigma_deg = elbow_flexion_sigma(recovery)[index]
     for row, (name, value) in enumerate(rows, start=1):
+        if name == FLEXION and np.isfinite(sigma_deg).any():
+            x, y = band(t, value[index] - 2 * sigma_deg, value[index] + 2 * sigma_deg)
+            around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
+            figure.add_trace(around.update(name="+- 2 sigma"), row=row, col=1)
         for line in seen_and_recovered(t, value[index], recovery.occluded[index]):
             figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=f"{name}, degrees", row=row, col=1)
@@ -104,7 +110,7 @@ def _angles(recovery: Recovery) -> dict[str, FloatArray]:
         return {}
     rise = np.clip(-unit(joints["wrist"] - joints["elbow"]) @ down, -1, 1)
     return {
-        "elbow flexion": arm_angles(joints, len(recovery))["elbow_flexion"],
+        FLEXION: arm_angles(joints, len(recovery))["elbow_flexion"],
         "forearm elevation": np.degrees(np.arcsin(rise)),
     }
 

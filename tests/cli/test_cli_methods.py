@@ -154,9 +154,9 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     seen: list[Recording] = []
     original = smoothing.smooth
 
-    def counting(recording: Recording, *arguments: object):
+    def counting(recording: Recording, *arguments: object, **options: object):
         seen.append(recording)
-        return original(recording, *arguments)
+        return original(recording, *arguments, **options)
 
     monkeypatch.setattr(smoothing, "smooth", counting)
     return seen

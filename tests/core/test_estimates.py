@@ -24,6 +24,7 @@ PLAIN = {
     "magnetic_field_direction": [0.0, 1.0, 0.0],
     "given": ["wrist", "upper_arm"],
     "max_sigma_m": 0.02,
+    "sigma_factors": [1.2, 1.5],
     "trusted": False,
     "reasons": ["the upper arm is 53 cm"],
     "cautions": ["the gyroscope was clipped"],

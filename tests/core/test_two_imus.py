@@ -128,7 +128,7 @@ def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:
     answer = (recovery.joints["wrist"] - recovery.joints["shoulder"])[inside]
     true = (truth.joints["wrist"] - truth.joints["shoulder"])[inside]
     assert np.sqrt(np.mean(np.sum((answer - true) ** 2, axis=1))) < 0.01
-    assert np.nanmax(recovery.worst_sigma_m[inside]) > 0.05  # and says so
+    assert np.nanmax(recovery.worst_sigma_m[inside]) > 0.03  # and says so
 
 
 def test_a_shoulder_that_is_never_seen(made: SimulatedArm) -> None:

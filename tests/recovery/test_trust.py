@@ -117,10 +117,13 @@ def test_a_slow_sensor_and_a_clipped_one() -> None:
     assert "Usable with care: the IMU has 27" in judged(recovery, half, anatomy).estimates.verdict
     acc = np.clip(recording.imu.acc, -10.0, 10.0)
     clipped = judged(recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy).estimates
-    assert clipped.trusted is True
-    assert clipped.cautions == (
-        "the accelerometer was clipped at about 10 m/s^2: fast movement is less certain",
-    )
+    assert clipped.trusted is False
+    assert any("clipped at about 10 m/s^2 in 18 % of its samples" in reason for reason in clipped.reasons)
+    limit = float(np.sort(np.abs(recording.imu.acc).ravel())[-20])  # the ends of a few samples
+    acc = np.clip(recording.imu.acc, -limit, limit)
+    touched = judged(recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy).estimates
+    assert touched.trusted is True
+    assert any("the accelerometer was clipped" in caution for caution in touched.cautions)
 
 
 def test_one_wild_sample_of_the_gyroscope_is_replaced_and_said() -> None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...recording import FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
@@ -113,6 +114,10 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
     groups.append((["vx", "vy", "vz"], recovery.velocity, "m/s", "velocity of the IMU in the camera's frame"))
     if "hand" in recovery.joints:
         groups.append((_xyz("hand"), recovery.joints["hand"], *position))
+    if {"shoulder", "elbow", "wrist"} <= set(recovery.joints):
+        flexion, flexion_sigma = recovery_angles(recovery)["elbow_flexion"], elbow_flexion_sigma(recovery)
+        groups.append((["elbow_flexion_deg"], flexion, "deg", "angle at the elbow, 0 = straight"))
+        groups.append((["elbow_flexion_sigma_deg"], flexion_sigma, "deg", "one standard deviation"))
     if recovery.upper is not None:
         groups += _upper_arm(recovery, recovery.upper)
     return [
