@@ -33,22 +33,16 @@ PARTS = (START, READ, "calibrate", "first pass", "second pass", "join and assemb
 #: Functions that are a part by themselves, wherever they are called from.
 FUNCTIONS = {READ: ("smoother.cli.load:load_arm",), WRITE: ("smoother.io.result.write:write_recovery",)}
 SMOOTH = "smoother.smoothing:smooth"
-#: GTSAM's own methods that solve: what building a graph costs is not among them.
+#: GTSAM's own methods that solve: what building a graph costs is not among them, nor what our own algebra
+#: makes of the linearised graph (covariances), which is found among the functions.
 SOLVING: dict[str, dict[str, tuple[str, ...]]] = {
-    "linearise and solve": {
+    "optimise": {
         "LevenbergMarquardtOptimizer": ("__init__", "optimize", "iterate"),
         "GaussNewtonOptimizer": ("__init__", "optimize", "iterate"),
-        "NonlinearFactorGraph": ("linearize", "error"),
-        "GaussianFactorGraph": ("optimize", "eliminateMultifrontal", "eliminateSequential", "hessian"),
     },
-    "marginals": {
-        "Marginals": (
-            "__init__",
-            "marginalCovariance",
-            "jointMarginalCovariance",
-            "marginalInformation",
-            "jointMarginalInformation",
-        ),
+    "linearise": {
+        "NonlinearFactorGraph": ("linearize", "error"),
+        "GaussianFactorGraph": ("sparseJacobian_", "hessian"),
     },
 }
 #: The timer looks this often, s of processor time.

@@ -120,7 +120,7 @@ def rest(measured: dict[str, Any], cores: int) -> list[str]:
     lines = [
         "",
         f"Beyond file and GTSAM, {m['minutes']:g} min"
-        " (GTSAM: processor seconds of its optimisers and marginals on one process)",
+        " (GTSAM: processor seconds of optimising and linearising on one process)",
         f"  read {number(spent['parts'].get(READ), 2)} s + write {number(spent['parts'].get(WRITE), 2)} s,"
         f" GTSAM {'  '.join(f'{kind} {number(s, 2)} s' for kind, s in spent['gtsam'].items())},"
         f" / {cores} cores = {number(gtsam / cores, 2)} s",

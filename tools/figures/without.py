@@ -41,7 +41,7 @@ def without_clock(recording: Recording, config: Config) -> Recovery:
     """Clock offset not solved: the camera's stamps are believed as they came."""
     place = "smoother.selfcal.rounds"
     with (
-        patch(f"{place}.constant_clock", lambda offset_s: constant_clock(0.0, 1e-4)),
+        patch(f"{place}.constant_clock", lambda *_: constant_clock(0.0, 1e-4)),
         patch(f"{place}.refined_clocks", lambda clocks, *_: tuple(clocks)),
     ):
         return smooth(recording, None, config)
