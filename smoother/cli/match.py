@@ -72,7 +72,8 @@ def print_matches(title: str, matches: list[ImuMatch]) -> None:
         rows.append((one.imu, body, one.joint, f"{one.probability:.3f}", clock, others or "-"))
     print_table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
     sure = sum(one.is_sure for one in matches)
-    say(f"{sure} of {len(matches)} IMUs are on a limb for sure (probability above 0.95)")
+    are = "is" if sure == 1 else "are"
+    say(f"{sure} of {len(matches)} IMUs {are} on a limb for sure (probability above 0.95)")
 
 
 def _print_beside(answers: dict[str, list[ImuMatch]]) -> None:

@@ -143,7 +143,7 @@ def smooth(
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
-    """All figures of a recovery, what it found and what it set aside included."""
+    """All figures of a recovery, what it found and what it rejected included."""
     from calib.motion.estimates import found_in
 
     from ..evaluation.advice import advice
@@ -168,7 +168,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
 
 def print_recovery(recording: Recording, recovery: Recovery) -> None:
-    """Print a recovery's gaps, what was found and set aside, and what must be known of it."""
+    """Print a recovery's gaps, what was found and rejected, and what must be known of it."""
     from calib.motion.estimates import found_in
 
     from ..evaluation.summary import gap_summaries
@@ -224,7 +224,7 @@ def print_found(found: ArmEstimates) -> None:
 
 
 def print_rejected(recovery: Recovery) -> None:
-    """Print what was set aside of the camera's samples, a row a reason."""
+    """Print what was rejected of the camera's samples, a row a reason."""
     from ..evaluation.rejected import rejected
     from .output import print_table
 
@@ -242,7 +242,7 @@ def print_rejected(recovery: Recovery) -> None:
         )
     if table:
         columns = ("why", "samples (share of the joint's tracked ones)", "first .. last, s")
-        print_table("Tracked samples that were set aside", columns, table)
+        print_table("Tracked samples that were rejected", columns, table)
 
 
 #: A table longer than this helps nobody on a terminal.

@@ -57,8 +57,9 @@ class RealGaps:
         start = "gaps were hidden where the camera saw the arm, which is easier than where it lost it"
         if self.turning_ratio is None or self.acceleration_ratio is None:
             return f"{start}: real gaps may be worse, and no real gap here says by how much"
+        where = "the real gap" if self.count == 1 else f"its {self.count} real gaps"
         movement = (
-            f"in its {self.count} real gaps the forearm turned {self.turning_ratio:.1f} times as fast and was"
+            f"in {where} the forearm turned {self.turning_ratio:.1f} times as fast and was"
             f" accelerated {self.acceleration_ratio:.1f} times as strongly"
         )
         if self.error_ratio is not None:

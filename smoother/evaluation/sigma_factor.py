@@ -175,14 +175,16 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
     if not factors:
         return []
     listed = "; ".join(
-        f"{row.length_s:g} s by {row.factor_95:.2f} ({row.count} gaps{', all lengths' if row.pooled else ''})"
+        f"{row.length_s:g} s by {row.factor_95:.2f}"
+        f" ({row.count} {'gap' if row.count == 1 else 'gaps'}{', all lengths' if row.pooled else ''})"
         for row in factors
     )
     sentences = [f"for the 95 % region to hold in hidden gaps sigma would have to be multiplied: {listed}"]
     fewest = min(factors, key=lambda row: row.level)
     if fewest.level < LEVELS[1]:
         sentences.append(
-            f"{fewest.count} gaps are too few for 95 %: the largest error of them is taken, which holds in"
+            f"{fewest.count} {'gap is' if fewest.count == 1 else 'gaps are'} too few for 95 %: the largest"
+            " error counts, which holds in"
             f" {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are needed (--repetitions, or several"
             " recordings)"
         )

@@ -139,7 +139,7 @@ def camera_pushed(recovery: Recovery, recording: Recording) -> Iterator[str]:
     sigmas, angle_deg, changed_s = best
     if angle_deg > PUSHED_DEG and sigmas > PUSHED_SIGMAS:
         yield (
-            f"from about {changed_s:.0f} s on down is {angle_deg:.1f} degrees elsewhere in the camera's"
+            f"from about {changed_s:.0f} s on, down points {angle_deg:.1f} degrees elsewhere in the camera's"
             " frame: was the camera pushed, or the sensor turned on the arm?"
         )
 
@@ -170,6 +170,6 @@ def skeleton_filled(recovery: Recovery) -> Iterator[str]:
     count = int(np.count_nonzero(recovery.residuals.reason == Rejection.INTERPOLATED))
     if count > FEW_FILLED:
         yield (
-            f"a program filled gaps of the skeleton and called them tracked ({count} samples of joints on"
-            " lines or cubics): they count as not seen; export the skeleton without filling and filtering"
+            f"a program filled gaps of the skeleton and called them tracked ({count} samples of joints lie on"
+            " lines or cubics): these count as not seen; export the skeleton without filling and filtering"
         )

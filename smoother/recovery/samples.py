@@ -174,7 +174,7 @@ def frame_residuals(
     motion: Trajectory,
     calibration: ArmCalibration,
 ) -> FloatArray:
-    """Camera minus answer (f, 5, 3) m at frames (IMU clock), seen or set aside; nan where there is none."""
+    """Camera minus answer (f, 5, 3) m at frames (IMU clock), used or rejected; nan where there is none."""
     residual = np.full(position.shape, np.nan)
     rows = np.flatnonzero((frame_t >= motion.t[0]) & (frame_t <= motion.t[-1]))
     if not len(rows):

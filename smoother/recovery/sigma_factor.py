@@ -58,5 +58,5 @@ def _note(applied: tuple[float, ...], factors: SigmaFactors, longest_s: float) -
         f" {factors.longest_s:g} s ask for ({count} or more behind each factor)"
     )
     if longest_s > BEYOND * factors.longest_s:
-        note += f"; for gaps up to {longest_s:.1f} s nobody has looked"
+        note += f"; no gap as long as {longest_s:.1f} s was hidden"
     return note

@@ -286,7 +286,8 @@ def _clipped(imu: ImuStream, least_share: float) -> Iterator[str]:
 def _spikes(imu: ImuStream) -> Iterator[str]:
     count = int(np.count_nonzero(spikes(np.asarray(imu.gyro))))
     if count:
-        yield f"samples of the gyroscope that jump away and back were replaced ({count})"
+        samples, were = ("1 sample", "was") if count == 1 else (f"{count} samples", "were")
+        yield f"{samples} of the gyroscope jumped away and back and {were} replaced"
 
 
 def _plateaus(axis: FloatArray) -> list[float]:

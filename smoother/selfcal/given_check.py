@@ -63,15 +63,15 @@ def _direction(excerpts: list[Segment], given: ArmCalibration) -> Iterator[str]:
     if angle_deg > OTHERWISE_DEG + np.degrees(own.direction_spread_rad):
         yield (
             "the calibration does not fit this recording: the IMU sits"
-            f" {angle_deg:.0f} degrees otherwise on the forearm"
+            f" {angle_deg:.0f} degrees off the calibration's mounting on the forearm"
         )
 
 
 def _other_length(what: str, given_m: float, sigma_m: float, seen_m: float | None) -> Iterator[str]:
     if seen_m is not None and abs(seen_m - given_m) > max(LENGTH_M, 3.0 * sigma_m):
         yield (
-            f"the calibration does not fit this recording: its {what} is {100 * given_m:.0f} cm, and the"
-            f" camera sees {100 * seen_m:.0f} cm"
+            f"the calibration does not fit this recording: its {what} is {100 * given_m:.0f} cm long, and"
+            f" the camera sees {100 * seen_m:.0f} cm"
         )
 
 

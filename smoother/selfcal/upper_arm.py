@@ -157,7 +157,8 @@ def calibrate_upper_arm(
     for rows in split_at_pauses(imu):
         t_s[rows] = dejitter(np.array(t_s[rows]))
     ahead_ms = 1e3 * (clock.mean_s - forearm.clock.mean_s)
-    note = f"{name} is used on the upper arm; its clock is {ahead_ms:.1f} ms ahead of the forearm IMU's"
+    where = f"{abs(ahead_ms):.1f} ms {'ahead of' if ahead_ms >= 0 else 'behind'}"
+    note = f"{name} is used on the upper arm; its clock is {where} the forearm IMU's"
     return UpperArm(imu, model, _tissue(model), clock), note
 
 

@@ -41,7 +41,7 @@ def test_without_a_calibration(frozen, tmp_path, capsys):
     assert "the IMU's clock is " in out and "noise of the camera's joints, mm an axis: elbow " in out
     assert "constant errors of the joints against each other, mm: elbow " in out
     assert "not determined: the camera places joints some " in out
-    assert "Tracked samples that were set aside" in out and "frozen: the value stands still" in out
+    assert "Tracked samples that were rejected" in out and "frozen: the value stands still" in out
     found = figures["found"]
     assert set(found["lever_arms"]) == {"elbow", "wrist", "hand"} and found["given"] == []
     assert found["lengths"]["forearm"]["sigma_m"] > 0 and found["clock_offsets"][0]["sigma_s"] < 0.01

@@ -39,7 +39,7 @@ def test_it_is_said():
     assert "sigma of positions in gaps was multiplied by" in after.notes[-1]
     assert "24 or more" in after.notes[-1]
     short = SigmaFactors((SigmaFactor(0.01, 1.2, 24),))
-    assert "nobody has looked" in with_sigma_factors(made(), short).notes[-1]
+    assert "was hidden" in with_sigma_factors(made(), short).notes[-1]
 
 
 def test_nothing_is_done_without_factors():

@@ -133,7 +133,7 @@ def test_one_wild_sample_of_the_gyroscope_is_replaced_and_said() -> None:
     wild = smooth(replace(recording, imu=replace(recording.imu, gyro=gyro)), None, ALONE)
     away = np.linalg.norm(wild.position - smooth(recording, None, ALONE).position, axis=1)
     assert np.nanmax(away) < 0.003  # one sample of 100 a second is missing
-    assert wild.estimates.cautions == ("samples of the gyroscope that jump away and back were replaced (1)",)
+    assert wild.estimates.cautions == ("1 sample of the gyroscope jumped away and back and was replaced",)
 
 
 def test_a_sensor_that_sends_zeros_is_said() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import FloatArray
 from ...units import STANDARD_GRAVITY
+from .head import amount
 from .protocol import FileHead, ImuTable
 
 #: A data block: 512 bytes, little-endian (Open Movement, "AX3/AX6 technical documentation", CWA data blocks).
@@ -104,7 +105,7 @@ def _table(blocks: NDArray[np.void], left_out: int) -> ImuTable:
     acc = values[:, :, 3:] * (STANDARD_GRAVITY / per_g)[:, None, None]
     rate = 3200.0 / (1 << (15 - (blocks["rate"] & 15).astype(int)))
     t_s = _starts(blocks, rate)[:, None] + np.arange(40) / rate[:, None]
-    notes = [f"{left_out} damaged blocks were left out."] if left_out else []
+    notes = [f"{amount(left_out, 'damaged block was', 'damaged blocks were')} left out."] if left_out else []
     return ImuTable(
         name="",
         t_s=_even(t_s, blocks)[filled],

@@ -79,6 +79,11 @@ def decode(raw: bytes) -> str:
     return "" if control > _CONTROL_SHARE * len(start) else text
 
 
+def amount(count: int, one: str, many: str) -> str:
+    """A count with the words behind it: of one, or of many."""
+    return f"{count} {one if count == 1 else many}"
+
+
 def shown(text: str, characters: int = SHOWN_CHARACTERS) -> str:
     """Text as a message can show it: no control characters, no more than so many characters."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text[: 8 * characters]).split())

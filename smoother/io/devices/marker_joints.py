@@ -91,16 +91,14 @@ def _in_metres(position: dict[str, FloatArray], unit: str, path: Path) -> list[s
     if fits is None:
         raise RecordingError(
             f"{path}: upper arms and forearms are {length:.3g} m long in the unit that the file states"
-            f" ({unit});"
-            " export it again, with lengths in m or mm."
+            f" ({unit}); export it again, with lengths in m or mm."
         )
     if fits[1] != 1.0:
         for joint in position:
             position[joint] = position[joint] * fits[1]
         return [
-            f"The file states {unit}, and arms would be {length:.3g} m long so: they are"
-            f" {length * fits[1]:.2f} m"
-            f" long, by {1 / fits[1]:g} times smaller, and that counts."
+            f"The file states {unit}, and half an arm would be {length:.3g} m long: positions were multiplied"
+            f" by {fits[1]:g}, which makes it {length * fits[1]:.2f} m."
         ]
     return []
 

@@ -10,6 +10,7 @@ from ...errors import RecordingError
 from ...linalg import interpolate
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
 from ...recording import BoolArray, FloatArray
+from .head import amount
 from .imu_checks import turn_notes, with_settled_unit
 from .protocol import ImuTable
 
@@ -62,7 +63,12 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     )
     if not keep.all():
         count = int((~keep).sum())
-        notes.append(f"{count} samples of the gyroscope have no accelerometer and were left out.")
+        samples = amount(
+            count,
+            "sample of the gyroscope has no accelerometer and was",
+            "samples of the gyroscope have no accelerometer and were",
+        )
+        notes.append(f"{samples} left out.")
     table = replace(
         gyro,
         name=gyro.name or acc.name,

@@ -11,6 +11,7 @@ from ...errors import RecordingError
 from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
 from ...recording import BoolArray, FloatArray, IntArray
 from ..recording.clean import increasing
+from .head import amount
 from .protocol import ImuTable, SkeletonTable
 
 #: Rows at the start with a stamp of zero are no times where the next stamp lies this far on, s.
@@ -99,7 +100,8 @@ def _times(
             )
         number = np.arange(count) if number is None else number
         lost = int(number[-1]) + 1 - len(number) if len(number) else 0
-        said = f"; {lost} {what} that the counter misses are holes" if lost else ""
+        misses = f"that the counter misses {'stays' if lost == 1 else 'stay'} missing"
+        said = f"; {amount(lost, what.removesuffix('s'), what)} {misses}" if lost else ""
         return number / rate_hz, [f"Times are counted at {rate_hz:g} Hz{said}."]
     good = not needs_counting(t_s) if number is None else _follows(t_s, number)
     even = None if good else even_times(t_s, number)
@@ -109,11 +111,15 @@ def _times(
     bad = int((np.diff(t_s) <= 0).sum())
     moved = int((np.abs(even.t_s - t_s) > 0.5 * even.tick_s).sum())
     notes.append(
-        f"{bad} of {len(t_s)} stamps repeat or go back: the {what} were counted at the even rate of"
-        f" {1 / even.tick_s:.2f} Hz that the stamps show; {moved} moved by more than half a period."
+        f"{bad} of {len(t_s)} stamps {'repeats or goes' if bad == 1 else 'repeat or go'} back: the {what}"
+        f" were counted at the even rate of {1 / even.tick_s:.2f} Hz that the stamps show; {moved} moved by"
+        " more than half a period."
     )
     if even.pauses:
-        notes.append(f"{even.pauses} pauses in the {what} stay as they are.")
+        notes.append(
+            f"{amount(even.pauses, 'pause', 'pauses')} in the {what}"
+            f" {'stays as it is' if even.pauses == 1 else 'stay as they are'}."
+        )
     if even.set_back:
         notes.append(f"The clock was set back {_times_said(even.set_back)}; the {what} go on evenly.")
     return even.t_s, notes
@@ -129,7 +135,9 @@ def _number(table: ImuTable) -> tuple[IntArray | None, list[str]]:
     number, _ = counted(table.counter, table.counter_wraps)
     lost = int(number[-1]) + 1 - len(number)
     if table.t_s is not None and lost > 0:
-        return number, [f"{lost} samples are missing by the counter; they stay holes."]
+        return number, [
+            f"By the counter {amount(lost, 'sample is', 'samples are')} missing; nothing is put there."
+        ]
     return number, []
 
 
@@ -241,7 +249,7 @@ def _said(keep: BoolArray | IntArray, why: str) -> str:
         count = int((~keep).sum())
         return f"1 {_one(why)}." if count == 1 else f"{count} {why}."
     moved = int((keep != np.arange(len(keep))).sum())
-    return f"{moved} rows were not in the order of their stamps and were put into it."
+    return f"{moved} rows were out of order and were put in the order of their stamps."
 
 
 def _one(why: str) -> str:

@@ -187,7 +187,8 @@ class Sheet:
         count = "1 cell" if len(rows) == 1 else f"{len(rows):,} cells"
         self.notes.append(
             f"{count} of {shown(self.name(column), 60)} {'is' if len(rows) == 1 else 'are'} no number and "
-            f"count as missing ('{self._cell(column, int(rows[0]))}' in line {self.line(int(rows[0]))})."
+            f"{'counts' if len(rows) == 1 else 'count'} as missing"
+            f" ('{self._cell(column, int(rows[0]))}' in line {self.line(int(rows[0]))})."
         )
 
 

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from .head import amount
 from .table_layout import TableLayout, split_line
 
 _QUOTED = re.compile(r'"[^"]*"')
@@ -71,11 +72,18 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
     if not whole_end and counts[-1] < usual:
         notes.append("The last line is cut off and was left out.")
     if repeated:
-        notes.append(f"{repeated} repeated headers among the rows were left out.")
+        headers = amount(
+            repeated, "repeated header among the rows was", "repeated headers among the rows were"
+        )
+        notes.append(f"{headers} left out.")
     if short:
-        notes.append(f"{short} rows are shorter than the others; what they lack counts as missing.")
+        rows_are = amount(short, "row is", "rows are")
+        notes.append(f"{rows_are} shorter than the others; what is lacking counts as missing.")
     if long:
-        notes.append(f"{long} rows with more cells than columns were left out.")
+        rows_were = amount(
+            long, "row with more cells than columns was", "rows with more cells than columns were"
+        )
+        notes.append(f"{rows_were} left out.")
     return even, indices, notes
 
 

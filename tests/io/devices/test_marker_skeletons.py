@@ -135,7 +135,7 @@ def test_a_unit_that_is_not_so(tmp_path: Path) -> None:
     made.trc(path, points, "m")
     table = read(path, "trc")
     assert_allclose(table.position["wrist_right"], made.part("RWrist", FRAMES), atol=1e-6)
-    assert any("The file states m" in note and "1000 times smaller" in note for note in table.notes)
+    assert any("The file states m" in note and "multiplied by 0.001" in note for note in table.notes)
     made.trc(path, {name: 1e6 * rows for name, rows in points.items()}, "mm")
     with pytest.raises(RecordingError, match=r"a\.trc"):
         read(path, "trc")

@@ -56,10 +56,10 @@ def test_rows_that_are_there_twice_and_rows_out_of_order():
     order = np.arange(N)
     order[500:505] = order[500:505][::-1]
     mended = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
-    assert np.array_equal(mended.acc, ACC) and "not in the order" in mended.notes[0]
+    assert np.array_equal(mended.acc, ACC) and "out of order" in mended.notes[0]
 
 
-def test_lost_packets_stay_holes():
+def test_lost_packets_stay_missing():
     keep = np.delete(np.arange(N), np.r_[300:340, 900])
     counter = (keep + 65_000) % 65_536
     parts = {"acc": ACC[keep], "gyro": GYRO[keep], "counter": counter, "counter_wraps": 65_536}
@@ -67,6 +67,15 @@ def test_lost_packets_stay_holes():
     assert np.allclose(mended.t_s, T[keep]) and "41 samples that the counter misses" in mended.notes[0]
     mended = repaired_imu(table(t_s=T[keep] + 5, **parts), "a.txt")
     assert np.array_equal(mended.t_s, T[keep] + 5) and "41 samples are missing" in mended.notes[0]
+
+
+def test_one_of_anything_is_said_in_the_singular():
+    keep = np.delete(np.arange(N), 900)
+    parts = {"acc": ACC[keep], "gyro": GYRO[keep], "counter": keep, "counter_wraps": 65_536}
+    mended = repaired_imu(table(t_s=T[keep], **parts), "a.txt")
+    assert mended.notes == ["By the counter 1 sample is missing; nothing is put there."]
+    mended = repaired_imu(table(t_s=None, rate_hz=100.0, **parts), "a.txt")
+    assert mended.notes == ["Times are counted at 100 Hz; 1 sample that the counter misses stays missing."]
 
 
 def test_stamps_before_the_clock_was_set():
