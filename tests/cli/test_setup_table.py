@@ -91,10 +91,8 @@ def test_every_case_stands_in_the_table() -> None:
 
 
 def _cases() -> list[ParameterSet]:
-    """All cases; the sign of a strap that turns is not among these signs."""
-    later = pytest.mark.xfail(reason="what changes half-way needs a sign that looks at time")
-    marks = {"strap_turned_half_way": (later,)}
-    return [pytest.param(case, id=case.__name__, marks=marks.get(case.__name__, ())) for case in CASES]
+    """All cases."""
+    return [pytest.param(case, id=case.__name__) for case in CASES]
 
 
 @pytest.mark.parametrize("case", _cases())
