@@ -157,7 +157,8 @@ class Estimates:
         further: dict[str, object] = {}
         for name, value in values.items():
             kind = _KINDS.get(name)
-            if kind is None or (checked := kind(value)) is None:
+            # an empty list states nothing, and comes back as it was
+            if kind is None or (checked := kind(value)) is None or checked == ():
                 further[name] = value
             else:
                 stated[name] = checked
