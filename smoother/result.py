@@ -157,8 +157,7 @@ class Estimates:
         further: dict[str, object] = {}
         for name, value in values.items():
             kind = _KINDS.get(name)
-            # an empty list states nothing, and comes back as it was
-            if kind is None or (checked := kind(value)) is None or checked == ():
+            if kind is None or (checked := kind(value)) is None:
                 further[name] = value
             else:
                 stated[name] = checked
