@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from .load import load_arm
 from .options import (
+    Anatomy,
     Body,
     Calibration,
     ConfigFile,
@@ -58,12 +59,7 @@ def check(
     camera_frame: CameraAxes = None,
     clock_offset: ClockOffset = None,
     clock_sigma: ClockSigma = CLOCK_SIGMA_S,
-    anatomy: Annotated[
-        str | None,
-        typer.Option(
-            "--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."
-        ),
-    ] = None,
+    anatomy: Anatomy = None,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -135,18 +131,12 @@ def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) 
 
 
 def _figures(recovery: Recovery) -> dict[str, Any]:
-    """The verdict as plain values."""
+    """The verdict as plain values, and the signs besides the cause."""
+    from ..evaluation.summary import verdict_figures
+
     estimates = recovery.estimates
-    reasons = [reason for reason in estimates.reasons if reason != estimates.cause]
-    return {
-        "trusted": bool(estimates.trusted),
-        "verdict": estimates.verdict,
-        "reasons": list(estimates.reasons),
-        "cautions": list(estimates.cautions),
-        "cause": estimates.cause,
-        "remedies": list(estimates.remedies),
-        "signs": reasons,
-    }
+    signs = [reason for reason in estimates.reasons if reason != estimates.cause]
+    return {**verdict_figures(estimates), "trusted": bool(estimates.trusted), "signs": signs}
 
 
 def _refused(sentence: str) -> dict[str, Any]:

@@ -99,6 +99,10 @@ SolveLeverArms = Annotated[
 ]
 
 
+Anatomy = Annotated[
+    str | None,
+    typer.Option("--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."),
+]
 Result = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="What `smooth` wrote.", show_default=False)]
 Align = Annotated[
     bool, typer.Option("--align", help="Align a truth of poses too (another frame, another clock).")

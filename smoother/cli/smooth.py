@@ -11,6 +11,7 @@ from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arm
 from .methods import METHODS, baseline_settings, choose, make_methods
 from .options import (
+    Anatomy,
     Body,
     BoundaryS,
     Calibration,
@@ -78,12 +79,7 @@ def smooth(
     clock_offset: ClockOffset = None,
     clock_sigma: ClockSigma = CLOCK_SIGMA_S,
     solve_lever_arms: SolveLeverArms = False,
-    anatomy: Annotated[
-        str | None,
-        typer.Option(
-            "--anatomy", metavar="adult|child|any", help="Whose arm; other lengths are not trusted."
-        ),
-    ] = None,
+    anatomy: Anatomy = None,
     processes: Processes = None,
     json_file: Json = None,
     force: Force = False,
@@ -148,17 +144,12 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
     from ..evaluation.advice import advice
     from ..evaluation.rejected import rejected
-    from ..evaluation.summary import recovery_figures
+    from ..evaluation.summary import recovery_figures, verdict_figures
     from ..io.result.usable import usable
 
     found = found_in(recovery, recording)
     return recovery_figures(recovery) | {
-        "trusted": recovery.estimates.trusted,
-        "verdict": recovery.estimates.verdict,
-        "reasons": list(recovery.estimates.reasons),
-        "cautions": list(recovery.estimates.cautions),
-        "cause": recovery.estimates.cause,
-        "remedies": list(recovery.estimates.remedies),
+        **verdict_figures(recovery.estimates),
         "usable": int(usable(recovery).sum()),
         "found": None if found is None else found.figures,
         "not_determined": [] if found is None else list(found.not_determined),

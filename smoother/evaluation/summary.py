@@ -9,7 +9,7 @@ import numpy as np
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
 from ..recording import BoolArray, FloatArray
-from ..result import Recovery
+from ..result import Estimates, Recovery
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,18 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "figures": recovery.estimates.plain(),
         "notes": list(recovery.notes),
         "config": recovery.config,
+    }
+
+
+def verdict_figures(estimates: Estimates) -> dict[str, object]:
+    """The verdict as plain values, as `smooth --json` and `check --json` write it."""
+    return {
+        "trusted": estimates.trusted,
+        "verdict": estimates.verdict,
+        "reasons": list(estimates.reasons),
+        "cautions": list(estimates.cautions),
+        "cause": estimates.cause,
+        "remedies": list(estimates.remedies),
     }
 
 
