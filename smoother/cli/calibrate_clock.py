@@ -130,13 +130,13 @@ def clock(
     beeps: list[Beep] = []
     clock_in_motion: MotionClock | None = None
     origin_ns = 0
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     if broadcast is not None:
         receptions.append(read_broadcast(broadcast, 1e-3 * resolution_ms))
         if sound_clocks is None:
             clocks = clocks[0], buzzer_node(receptions[0].node, clocks[1])
     if sound is not None:
-        tracks = read_sound(sound, audio_topic, audio_rate_hz)
+        tracks = read_sound(sound, audio_topic, audio_rate_hz, notes)
         with naming(str(sound)):
             beeps = beeps_of_tracks(tracks, tone_hz, sound_start)
             own = beep_receptions(
@@ -155,7 +155,8 @@ def clock(
         )
         names = _two("--motion-clocks", motion_clocks or f"camera,{recording.imu.name.rpartition('/')[2]}")
         clock_in_motion = clock_from_motion(recording, known, config, names)
-        origin_ns, notes = recording.origin_ns, recording.notes
+        origin_ns = recording.origin_ns
+        notes += recording.notes
     name = session or ", ".join(path.name for path in dict.fromkeys((sound, broadcast, motion)) if path)
     calibration = calibrate_clocks(name, receptions, beeps, clock_in_motion, origin_ns)
     answer = clock_answer(calibration)

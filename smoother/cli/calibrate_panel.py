@@ -21,7 +21,7 @@ from .options import (
     PanelFile,
     Report,
 )
-from .output import print_table, say, say_written
+from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
     from calib.intrinsics import Intrinsics
@@ -72,17 +72,19 @@ def panel(
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
     held_calibration(output, [json_file, report], inputs, force=force)
     known = read_panel(panel_file)
+    notes: list[str] = []
     with pictured(output.with_name(f"{output.stem}.seen.png")):
-        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file)
+        views, positions, lens = _session(recording, depths, infrareds, marked, intrinsics_file, notes)
         calibration = calibrate_panel(views, positions, known, lens, 1e-3 * mocap_sigma_mm)
     answer = panel_answer(calibration)
     if report is not None:
         from ..report.panel import write_panel_report
 
         write_panel_report(report, calibration, views, force=force)
-    write_answer(answer, output, json_file, force)
+    write_answer(answer, output, json_file, force, notes)
     print_panel(calibration)
     print_words(answer)
+    print_notes(notes)
     say_written(output, report, json_file)
 
 
@@ -92,6 +94,7 @@ def _session(
     infrareds: list[Path],
     marked: list[Path],
     intrinsics_file: Path | None,
+    notes: list[str],
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
     """Views, mocap markers by view, and the lens: from files, or from a recording."""
     from calib.panel.definition import read_intrinsics
@@ -106,7 +109,7 @@ def _session(
             raise typer.BadParameter("give either a recording or --depth and --infrared, not both")
         from ..io.media.panel_reading import read_panel_session
 
-        return read_panel_session(recording, positions, lens)
+        return read_panel_session(recording, positions, lens, notes)
     if not depths:
         raise typer.BadParameter("give --depth, --infrared and --markers once a pose, or a recording")
     if not len(depths) == len(infrareds) == len(marked):

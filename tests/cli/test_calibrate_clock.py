@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cut_files import cut_before_the_summary
 from scipy.io import wavfile
 
 from calib import read_calibration
@@ -101,6 +102,9 @@ def test_sound_in_a_recording(folder: Path, tmp_path: Path):
     )
     (link,) = json.loads((tmp_path / "c.json").read_text())["links"]
     assert link["offset_s"] + 1.7e9 == pytest.approx(50.0 - end, abs=1e-3)
+    cut_before_the_summary(tmp_path / "sound.mcap", tmp_path / "cut.mcap")
+    assert command("--sound", tmp_path / "cut.mcap", "--event-time", 50.0, "--json", tmp_path / "d.json") == 0
+    assert "ends in the middle" in json.loads((tmp_path / "d.json").read_text())["notes"][0]
 
 
 def test_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cut_files import cut_before_the_summary
 from scipy.spatial.transform import Rotation
 
 from calib.file import read_calibration
@@ -94,6 +95,21 @@ def test_a_recording_gives_the_same(session: Path, tmp_path: Path):
     # CSV has whole micrometres
     np.testing.assert_allclose(one["rotation"], other["rotation"], atol=1e-5)
     np.testing.assert_allclose(one["translation"], other["translation"], atol=3e-5)
+    cut = tmp_path / "cut.mcap"
+    cut_before_the_summary(session / "s.mcap", cut)
+    json_file = tmp_path / "c.json"
+    command = [
+        "calibrate",
+        "panel",
+        str(cut),
+        *panel,
+        "-o",
+        str(tmp_path / "c.toml"),
+        "--json",
+        str(json_file),
+    ]
+    assert run(command) == 0
+    assert "ends in the middle" in json.loads(json_file.read_text())["notes"][0]
 
 
 def test_infrared_of_8_bits(session: Path, tmp_path: Path):

@@ -45,7 +45,10 @@ class Track:
 
 
 def read_sound(
-    path: str | os.PathLike[str], topic: str | None = None, ros_rate_hz: int = 16000
+    path: str | os.PathLike[str],
+    topic: str | None = None,
+    ros_rate_hz: int = 16000,
+    notes: list[str] | None = None,
 ) -> list[Track]:
     """The tracks of a WAV file, or of the audio topic of an MCAP file.
 
@@ -57,6 +60,8 @@ def read_sound(
         The audio topic, where there are several.
     ros_rate_hz : int
         Sample rate of a ROS audio topic, which does not state it (16-bit PCM, one channel).
+    notes : list of str, optional
+        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
 
     Returns
     -------
@@ -70,7 +75,7 @@ def read_sound(
     """
     path = Path(path)
     if path.suffix.lower() == ".mcap":
-        return _from_mcap(path, topic, ros_rate_hz)
+        return _from_mcap(path, topic, ros_rate_hz, [] if notes is None else notes)
     from scipy.io import wavfile
 
     try:
@@ -103,12 +108,13 @@ def _loudest(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(values[:, int(np.argmax(values.var(axis=0)))])
 
 
-def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int) -> list[Track]:
+def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str]) -> list[Track]:
     container = Container(path)
     blocks: dict[int, list[tuple[float, FloatArray, float]]] = {}
     for batch in container.batches(_is_audio):
         for position, messages in batch.items():
             blocks.setdefault(position, []).extend(_block(message, ros_rate_hz) for message in messages)
+    notes += container.notes
     names = {position: container.topics[position].name for position in blocks}
     chosen = [k for k, name in names.items() if wanted is None or wanted in name]
     if len(chosen) != 1:

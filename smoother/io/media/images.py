@@ -96,7 +96,9 @@ class LensMessage:
 
 
 def read_images(
-    path: str | os.PathLike[str], wanted: Callable[[Topic], bool] = lambda topic: True
+    path: str | os.PathLike[str],
+    wanted: Callable[[Topic], bool] = lambda topic: True,
+    notes: list[str] | None = None,
 ) -> Iterator[ImageMessage | LensMessage]:
     """Yield images and lenses in the file's order; nothing is unpacked, memory stays flat.
 
@@ -106,6 +108,8 @@ def read_images(
         The file.
     wanted : callable
         Topics to look at; those of other schemas are passed over in any case.
+    notes : list of str, optional
+        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
 
     Yields
     ------
@@ -130,6 +134,8 @@ def read_images(
                     yield _decode(topic, bytes(message.data), message.log_ns)
                 except (ValueError, struct.error, IndexError):
                     continue  # a damaged message says nothing of the others
+    if notes is not None:
+        notes += container.notes
 
 
 def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:

@@ -27,7 +27,10 @@ _NAMED = ("marker", "mocap")
 
 
 def read_panel_session(
-    path: str | os.PathLike[str], given: list[dict[str, FloatArray]], lens: Intrinsics | None
+    path: str | os.PathLike[str],
+    given: list[dict[str, FloatArray]],
+    lens: Intrinsics | None,
+    notes: list[str] | None = None,
 ) -> tuple[list[View], list[dict[str, FloatArray]], Intrinsics]:
     """Views of the panel, one a pose, with the mocap markers of their moment, and the lens.
 
@@ -42,6 +45,8 @@ def read_panel_session(
         Markers by pose that take the place of the recording's; may be empty.
     lens : Intrinsics, optional
         Takes the place of the recording's.
+    notes : list of str, optional
+        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
 
     Raises
     ------
@@ -49,7 +54,7 @@ def read_panel_session(
         The recording lacks images, markers or the lens.
     """
     path = Path(path)
-    pairs, found_lens = read_pairs(path)
+    pairs, found_lens = read_pairs(path, notes)
     lens = lens or found_lens
     if lens is None:
         raise RecordingError(

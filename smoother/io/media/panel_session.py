@@ -93,9 +93,16 @@ def read_session(
 
 
 def read_pairs(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str], notes: list[str] | None = None
 ) -> tuple[list[tuple[ImageMessage, ImageMessage]], Intrinsics | None]:
     """Depth and infrared images of one exposure each, one pair a pose, and the depth camera's lens.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    notes : list of str, optional
+        What is to be known of the file (it was cut off, a chunk is damaged) is added to it.
 
     Raises
     ------
@@ -104,7 +111,7 @@ def read_pairs(
     """
     found: dict[bool, list[ImageMessage]] = {True: [], False: []}
     lenses: list[LensMessage] = []
-    for message in read_images(path):
+    for message in read_images(path, notes=notes):
         if isinstance(message, LensMessage):
             lenses.append(message)
             continue
