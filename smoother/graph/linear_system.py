@@ -13,8 +13,8 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_matrix
+from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.sparse import coo_matrix, csr_matrix
 
 from ..recording import FloatArray, IntArray
 
@@ -89,9 +89,10 @@ class LinearSystem:
         group = node_of_column[chain] // reach
         order = np.argsort(group, kind="stable")
         self._groups = np.split(chain[order], np.flatnonzero(np.diff(group[order])) + 1)
-        self._place = {
-            int(column): (g, k) for g, columns in enumerate(self._groups) for k, column in enumerate(columns)
-        }
+        #: group and row in it of every column
+        self._place = np.full((len(node_of_column), 2), -1)
+        for g, columns in enumerate(self._groups):
+            self._place[columns] = np.stack([np.full(len(columns), g), np.arange(len(columns))], axis=1)
 
     def _reduce(self) -> None:
         """Eliminate the chain: what is left of the information on the border and the extra columns."""
@@ -102,28 +103,27 @@ class LinearSystem:
         ends = np.cumsum([len(columns) for columns in self._groups])
         C, B = A[:, chain], A[:, self._border].toarray()
         side = np.column_stack([B, full, b])  # border, extra, right-hand side
-        information = (C.T @ C).tocsr()
-        scale = 1.0 / np.sqrt(information.diagonal())
+        information = (C.T @ C).tocoo()
+        scale = 1.0 / np.sqrt(
+            np.bincount(information.row, information.data * (information.row == information.col))
+        )
         self._scale = np.split(scale, ends[:-1])
         coupling = np.split(scale[:, None] * (C.T @ side), ends[:-1])
-        cuts = list(zip(ends - [len(columns) for columns in self._groups], ends, strict=True))
-        self._factors, self._gains, forward = [], [], []
-        carried_D, carried_r = 0.0, 0.0
-        for g, (start, end) in enumerate(cuts):
-            block = information[start:end]
-            D = block[:, start:end].toarray() * self._scale[g][:, None] * self._scale[g]
-            factor = cho_factor(D - carried_D, lower=True, check_finite=False)
-            r = coupling[g] - carried_r
-            self._factors.append(factor)
-            forward.append(cho_solve(factor, r, check_finite=False))
-            if g + 1 < len(cuts):
-                after, stop = cuts[g + 1]
-                F = block[:, after:stop].toarray() * self._scale[g][:, None] * self._scale[g + 1]
-                gain = cho_solve(factor, F, check_finite=False)
+        own, following = self._blocks(information, scale, ends)
+        self._factors: list[FloatArray] = []
+        self._gains: list[FloatArray] = []
+        forward: list[FloatArray] = []
+        for g, D in enumerate(own):
+            r = coupling[g]
+            if g > 0:  # what the groups before say of this one
+                across = following[g - 1]
+                gain = _solve(self._factors[-1], across)
                 self._gains.append(gain)
-                carried_D, carried_r = F.T @ gain, F.T @ forward[-1]
+                D, r = D - across.T @ gain, r - across.T @ forward[-1]
+            self._factors.append(_cholesky(D))
+            forward.append(_solve(self._factors[-1], r))
         solved = [forward[-1]]
-        for g in range(len(cuts) - 2, -1, -1):
+        for g in range(len(own) - 2, -1, -1):
             solved.append(forward[g] - self._gains[g] @ solved[-1])
         solved.reverse()
         borders = len(self._border)
@@ -133,6 +133,32 @@ class LinearSystem:
         #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
         self.information, self.vector = total[:-1, :-1], total[:-1, -1]
         self._shared_covariance = _inverse(self.information[:borders, :borders])
+
+    def _blocks(
+        self, information: coo_matrix, scale: FloatArray, ends: IntArray
+    ) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Scaled information within each group, and of each with the next."""
+        sizes = np.diff(ends, prepend=0)
+        group = np.repeat(np.arange(len(sizes)), sizes)
+        within = np.arange(len(group)) - np.repeat(ends - sizes, sizes)
+        row, column = information.row, information.col
+        value = information.data * scale[row] * scale[column]
+        blocks = []
+        for step in (0, 1):  # a group's columns, then the next one's
+            width = sizes[step:]
+            height = sizes[: len(width)]
+            start = np.concatenate(([0], np.cumsum(height * width)))
+            mine = group[column] == group[row] + step
+            i, j = row[mine], column[mine]
+            flat = np.zeros(start[-1])
+            flat[start[group[i]] + within[i] * width[group[i]] + within[j]] = value[mine]
+            blocks.append(
+                [
+                    flat[a:b].reshape(h, w)
+                    for a, b, h, w in zip(start[:-1], start[1:], height, width, strict=True)
+                ]
+            )
+        return blocks[0], blocks[1]
 
     @property
     def extras(self) -> slice:
@@ -193,8 +219,8 @@ class LinearSystem:
 
     def _rows(self, key: int) -> tuple[int, IntArray]:
         columns = self._columns[key]
-        places = [self._place[column] for column in range(columns.start, columns.stop)]
-        return places[0][0], np.array([k for _, k in places])
+        place = self._place[columns]
+        return int(place[0, 0]), place[:, 1]
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
@@ -205,9 +231,21 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     if not (diagonal > 0).all():
         raise np.linalg.LinAlgError("a shared quantity is left free")
     scale = 1.0 / np.sqrt(diagonal)
-    inverse = _inverse_of(cho_factor(matrix * scale[:, None] * scale, lower=True))
+    inverse = _inverse_of(_cholesky(matrix * scale[:, None] * scale))
     return np.asarray(inverse * scale[:, None] * scale)
 
 
-def _inverse_of(factor: tuple[FloatArray, bool]) -> FloatArray:
-    return np.asarray(cho_solve(factor, np.eye(len(factor[0])), check_finite=False))
+def _inverse_of(factor: FloatArray) -> FloatArray:
+    return _solve(factor, np.eye(len(factor)))
+
+
+def _cholesky(matrix: FloatArray) -> FloatArray:
+    """Lower factor; LAPACK itself, since checks and conversions cost more than blocks of some thirty rows."""
+    factor, info = dpotrf(matrix, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("a direction is left free")
+    return np.asarray(factor)
+
+
+def _solve(factor: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(dpotrs(factor, right, lower=1)[0])
