@@ -27,6 +27,7 @@ extensions = [
 ]
 exclude_patterns = ["_*"]
 templates_path = ["_templates"]
+highlight_language = "none"  # a block without a language is what a terminal shows
 
 # Markdown as it stands: GitHub's anchors of headings, definition lists, ::: for directives
 myst_enable_extensions = ["colon_fence", "deflist", "substitution"]

@@ -83,15 +83,13 @@ def settings() -> str:
 
 def other_pages(folder: Path) -> str:
     """A hidden list of the pages of a folder that no page names in its own list."""
-    pages = sorted(path for path in folder.glob("*.md") if path.name != "index.md")
-    listed = {
-        line.strip() for page in folder.glob("*.md") for line in page.read_text(encoding="utf-8").splitlines()
-    }
-    patterns = [re.escape(line).replace(r"\*", "[^/]*") for line in listed if re.fullmatch(r"[\w/*-]+", line)]
-    rest = [page.stem for page in pages if not any(re.fullmatch(pattern, page.stem) for pattern in patterns)]
-    if not rest:
-        return ""
-    return "\n".join(["```{toctree}", ":hidden:", "", *rest, "```", ""])
+    lists = re.compile(r"^```{toctree}\n(.*?)^```", re.DOTALL | re.MULTILINE)
+    named = {"index"}
+    for page in folder.glob("*.md"):
+        for listed in lists.findall(page.read_text(encoding="utf-8")):
+            named |= {re.sub(r".*<(.*)>", r"\1", line).strip() for line in listed.splitlines()}
+    rest = sorted({page.stem for page in folder.glob("*.md")} - named)
+    return "\n".join(["```{toctree}", ":hidden:", "", *rest, "```", ""]) if rest else ""
 
 
 def write(app: Any, docname: str, source: list[str]) -> None:
