@@ -8,6 +8,11 @@ HERE = Path(__file__).parent
 #: The notebook calls `unocclude` too: the one of the Python that builds.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 os.environ["COLUMNS"] = "100"
+#: Its kernel has a profile of its own: no start-up files of the person who builds, no word about its sockets.
+PROFILE = HERE.parent / "out" / "ipython"
+os.environ["IPYTHONDIR"] = str(PROFILE)
+(PROFILE / "profile_default").mkdir(parents=True, exist_ok=True)
+(PROFILE / "profile_default" / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 40\n")
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
 from smoother import __version__  # noqa: E402
