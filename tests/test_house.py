@@ -37,6 +37,7 @@ MAY: dict[str, set[str]] = {
     "study": {"calib", "io", "evaluation"},
     "report": {"calib", "io", "evaluation", "strap_search"},
     "cli": {"calib", *MIDDLE},
+    "unocclude": {"io"},
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam"}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
 from ..runtime.plain_values import plain
+
+_TRUTH = "Simulated: what the calibration of these files should find."
 
 
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -41,6 +44,21 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
 
     with writing(path, force) as temporary:
         temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_truth(path: Path, tables: dict[str, Any], force: bool) -> None:
+    """Write what a calibration of simulated files should find, in the form of a calibration file."""
+    from ..runtime.atomic import writing
+
+    with writing(path, force) as temporary:
+        temporary.write_text(truth_text(tables), encoding="utf-8")
+
+
+def truth_text(tables: dict[str, Any]) -> str:
+    """The same as text."""
+    from calib.file import FORMAT, VERSION, to_toml
+
+    return f"# {_TRUTH}\n" + to_toml({"format": FORMAT, "version": VERSION} | tables)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -75,6 +93,11 @@ def print_notes(notes: Iterable[str]) -> None:
 def say(text: str) -> None:
     """Print a line on stdout as it is."""
     print(text)
+
+
+def say_command(*words: object) -> None:
+    """Print the command to try next."""
+    say(f"try: {shlex.join(['unocclude', *map(str, words)])}")
 
 
 def say_written(*paths: Path | None) -> None:
