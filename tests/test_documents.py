@@ -151,6 +151,32 @@ def test_troubleshooting_quotes_the_program():
     assert not missing, f"docs/troubleshooting.md quotes what the program does not say: {missing}"
 
 
+def numberless(text: str) -> str:
+    """A text whose numbers do not count, on one line."""
+    return " ".join(re.sub(r"\d+(\.\d+)?", "N", text).split())
+
+
+def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any):
+    from smoother.cli.run import run
+
+    text, _ = text_of("docs/tutorial.md").split("## 8.")
+    monkeypatch.chdir(tmp_path)
+    lines = [line for line in code_lines(text) if line.startswith("unocclude ") and "doctor" not in line]
+    commands = [shlex.split(line, comments=True)[1:] for line in lines]
+    assert [words[0] for words in commands][:4] == ["simulate", "info", "smooth", "validate"]
+    for words in commands:
+        assert run(words) == 0, words
+    printed = numberless(capsys.readouterr().out)
+    answers = [
+        line
+        for block in re.findall(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+        for line in block.splitlines()
+    ]
+    assert len(answers) >= 3
+    for answer in answers:
+        assert numberless(answer) in printed, answer
+
+
 def test_the_quotes_would_be_missed():
     assert "this was never printed by anybody" not in sentences()
 
