@@ -29,24 +29,41 @@ def text_of(document: str | Path) -> str:
     return (ROOT / document).read_text(encoding="utf-8")
 
 
+def split(text: str) -> tuple[list[tuple[str, str]], str]:
+    """Fenced blocks of a document as (language, content), and the rest of it."""
+    blocks: list[tuple[str, str]] = []
+    rest: list[str] = []
+    fence, language, inside = "", "", [""]
+    for line in text.splitlines():
+        marks = re.match(r"\s*(`{3,})(.*)", line)
+        if not fence and marks:
+            fence, language, inside = marks[1], marks[2].strip(), []
+        elif fence and marks and marks[1] == fence and not marks[2].strip():
+            blocks.append((language, "\n".join(inside)))
+            fence = ""
+        else:
+            (inside if fence else rest).append(line)
+    assert not fence, "a fenced block has no end"
+    return blocks, "\n".join(rest)
+
+
 def without_code(text: str) -> str:
     """A document without its fenced blocks and inline code."""
-    return re.sub(r"`[^`\n]+`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    return re.sub(r"`[^`\n]+`", "", split(text)[1])
 
 
 @cache
 def anchors(path: Path) -> set[str]:
     """What `#..` may name in a document: its headings as GitHub and MyST write them."""
-    text = re.sub(
-        r"^```(?!\{include).*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
-    )
+    blocks, text = split(path.read_text(encoding="utf-8"))
     names: set[str] = set()
     for title in re.findall(r"^#{1,4} +(.+)$", text, re.MULTILINE):
         title = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title)
         slug = re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-")
         names.add(slug if slug not in names else f"{slug}-1")
-    for included in re.findall(r"\{include\} (\S+)", text):
-        names |= anchors((path.parent / included).resolve())
+    for language, _ in blocks:
+        if language.startswith("{include}"):
+            names |= anchors((path.parent / language.split()[1]).resolve())
     return names
 
 
@@ -66,9 +83,10 @@ def test_links_lead_somewhere(document: str):
 
 def code_lines(text: str) -> Iterator[str]:
     """Lines of code in a document: fenced, indented by four, and between backticks on a line of text."""
-    for block in re.findall(r"^ *```(?:sh|sql)?\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE):
-        yield from re.sub(r"\\\n\s*", " ", block).splitlines()
-    rest = re.sub(r"^( *)```.*?^\1```", "", text, flags=re.DOTALL | re.MULTILINE)
+    blocks, rest = split(text)
+    for language, block in blocks:
+        if language in ("", "sh", "{code-cell} ipython3"):
+            yield from (line.strip() for line in re.sub(r"\\\n\s*", " ", block).splitlines())
     yield from re.findall(r"^    (unocclude .*)$", rest, re.MULTILINE)
     yield from (" ".join(code.split()) for code in re.findall(r"(?<!`)`([^`]+)`(?!`)", rest))
 
@@ -167,11 +185,8 @@ def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.Monk
     for words in commands:
         assert run(words) == 0, words
     printed = numberless(capsys.readouterr().out)
-    answers = [
-        line
-        for block in re.findall(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-        for line in block.splitlines()
-    ]
+    blocks, _ = split(text)
+    answers = [line for language, block in blocks if language == "text" for line in block.splitlines()]
     assert len(answers) >= 3
     for answer in answers:
         assert numberless(answer) in printed, answer
