@@ -1,6 +1,7 @@
 """How the documents become a site: `make docs` builds them in out/site."""
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,7 +13,7 @@ os.environ["COLUMNS"] = "90"
 PROFILE = HERE.parent / "out" / "ipython"
 os.environ["IPYTHONDIR"] = str(PROFILE)
 (PROFILE / "profile_default").mkdir(parents=True, exist_ok=True)
-(PROFILE / "profile_default" / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 40\n")
+shutil.copy(HERE / "_ext" / "ipython_kernel_config.py", PROFILE / "profile_default")
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
 from smoother import __version__  # noqa: E402
