@@ -84,7 +84,7 @@ class Estimates:
     magnetometer_blocks, magnetometer_blocks_used : int, optional
         Means of the magnetic field over some seconds, and how many took part.
     magnetometer_sigma_deg : float, degrees, optional
-        How well the field's direction is believed to be known.
+        How well the field's direction counts as known.
     magnetic_field_direction : tuple of float, optional
         Unit vector in {K}.
     given : tuple of str

@@ -155,6 +155,9 @@ def _refused(sentence: str) -> dict[str, Any]:
 def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
     say(figures["verdict"])
     if allowed is not None:
-        say(f"allows: {allowed.sentence}")
+        allows, *open_questions = allowed.sentences
+        say(f"allows: {allows}")
+        for sentence in open_questions:
+            say(f"not determined: {sentence}")
     for sign in figures["signs"] if figures["cause"] else ():
         say(f"sign: {sign}")

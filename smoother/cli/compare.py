@@ -30,7 +30,16 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import (
+    centimetres,
+    check_outputs,
+    percent,
+    print_notes,
+    print_table,
+    say,
+    say_written,
+    write_json,
+)
 from .progress import progress_bar
 from .remedies import (
     CLOCK_SIGMA_S,
@@ -238,7 +247,7 @@ def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
         centimetres(hidden.position_max_m),
         hidden.orientation_rms_deg,
         hidden.nees,
-        hidden.coverage_95,
+        percent(hidden.coverage_95),
         centimetres(visible.position_rms_m),
         visible.orientation_rms_deg,
     )

@@ -30,7 +30,7 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import (
     CLOCK_SIGMA_S,
@@ -281,7 +281,7 @@ def print_gaps(table: GapTable) -> None:
                     name,
                     *[None if value is None else f"{100 * value:.2f}" for value in distances],
                     figures.nees,
-                    figures.coverage_95,
+                    percent(figures.coverage_95),
                     f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
                 )
             )

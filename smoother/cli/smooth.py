@@ -30,7 +30,7 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, say, say_written, write_json
+from .output import check_mcap, check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import (
     CLOCK_SIGMA_S,
@@ -99,6 +99,7 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    check_mcap(output)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     if anatomy is not None:
