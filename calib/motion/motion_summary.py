@@ -18,8 +18,8 @@ LEVER_SIGMA_M = 0.010
 UPPER_ARM_SIGMA_M = 0.020
 DIRECTION_SIGMA_RAD = np.radians(3.0)
 ROLL_SIGMA_RAD = np.radians(10.0)
-#: An angle no better known than this is said to be not known, degrees.
-NOT_KNOWN_DEG = 90.0
+#: A direction that is less certain than this is not known at all, degrees.
+UNKNOWN_DEG = 90.0
 CLOCK_SIGMA_S = 0.005
 JOINT_BIAS_M = 0.005
 #: Less than this is hardly any motion.
@@ -191,7 +191,7 @@ def _roll(
 def known_to(sigma_rad: float) -> str:
     """How well an angle is known, in words: beyond a right angle it is not."""
     degrees = np.degrees(sigma_rad)
-    return f"known to {degrees:.0f} degrees only" if degrees < NOT_KNOWN_DEG else "not known"
+    return f"known to {degrees:.0f} degrees only" if degrees < UNKNOWN_DEG else "not known"
 
 
 def _upper_arm(

@@ -105,10 +105,12 @@ def say(text: str) -> None:
     """Print a line on stdout; on a terminal it is broken between words, in a pipe it stays one line."""
     if sys.stdout.isatty():
         width = shutil.get_terminal_size().columns
-        text = textwrap.fill(
-            text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-        )
+        text = "\n".join(_wrapped(line, width) for line in text.splitlines())
     print(text)
+
+
+def _wrapped(line: str, width: int) -> str:
+    return textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def say_command(*words: object) -> None:

@@ -83,9 +83,9 @@ def test_names_are_no_markup(recording: Recording, recovery: Recovery) -> None:
 def test_nothing_answered_and_nothing_recorded_still_show(recording: Recording, recovery: Recovery) -> None:
     empty = replace(recovery.rows(slice(0, 0)), gaps=())
     assert "0 samples" in repr(empty) and "no gaps" in repr(empty) and "<svg" not in empty._repr_html_()
-    hole = np.full_like(recovery.position, np.nan)
+    nowhere = np.full_like(recovery.position, np.nan)
     spread = np.full_like(recovery.pose_covariance, np.nan)
-    silent = replace(recovery, position=hole, pose_covariance=spread, joints={}, joint_covariance={})
+    silent = replace(recovery, position=nowhere, pose_covariance=spread, joints={}, joint_covariance={})
     assert (
         "no answer" in repr(silent)
         and "no answer" in silent._repr_html_()
