@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from typer.core import TyperGroup
 
+from .option_groups import with_signature
 from .options import Force, Json, Output, Seed
 from .output import check_outputs, print_table, say_written, write_json
 
@@ -159,16 +160,11 @@ def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in fields.items()
     ]
-    # keyword-only throughout: options have no order
-    own = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
 
     def run(**values: Any) -> None:
         command(**values)
 
-    run.__doc__ = command.__doc__
-    run.__signature__ = inspect.Signature(own + more)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + more}
-    return run
+    return with_signature(run, command, own + more)
 
 
 def settings() -> dict[str, FieldInfo]:
