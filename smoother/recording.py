@@ -233,13 +233,15 @@ class Recording:
     upper_imu: ImuStream | None = None
 
     def __repr__(self) -> str:
-        length_s = float(self.imu.t_s[-1] - self.imu.t_s[0]) if len(self.imu) else 0.0
-        side = f"{self.side} arm, " if self.side else ""
-        return (
-            f"Recording({self.name!r}: {side}{length_s:.1f} s, IMU {self.imu.rate_hz:.1f} Hz,"
-            f" camera {self.arm.rate_hz:.1f} Hz with {', '.join(self.arm.present) or 'no joint'}"
-            f"{'' if self.upper_imu is None else ', an IMU on the upper arm'})"
-        )
+        from .recording_view import recording_text
+
+        return recording_text(self)
+
+    def _repr_html_(self) -> str:
+        """What was recorded, and a small picture, as notebooks show it."""
+        from .recording_view import recording_html
+
+        return recording_html(self)
 
     @classmethod
     def from_arrays(

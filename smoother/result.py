@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from .upper_motion import UpperMotion
 
 if TYPE_CHECKING:
     import pandas
+    import pyarrow
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BATCH_ROWS = 8192
@@ -84,7 +84,7 @@ class Estimates:
     magnetometer_blocks, magnetometer_blocks_used : int, optional
         Means of the magnetic field over some seconds, and how many took part.
     magnetometer_sigma_deg : float, degrees, optional
-        How well the field's direction is believed to be known.
+        How well the field's direction counts as known.
     magnetic_field_direction : tuple of float, optional
         Unit vector in {K}.
     given : tuple of str
@@ -299,29 +299,15 @@ class Recovery:
         return len(self.t_s)
 
     def __repr__(self) -> str:
-        closed = [gap.length_s for gap in self.gaps]
-        longest = f", the longest {max(closed):.1f} s" if closed else ""
-        return (
-            f"Recovery({self.name!r} by {self.method}: {len(self)} samples, {len(closed)} gaps{longest};"
-            f" joints {', '.join(self.joints) or 'none'})"
-        )
+        from .result_view import recovery_text
+
+        return recovery_text(self)
 
     def _repr_html_(self) -> str:
-        """A short table of the gaps, as notebooks show it."""
-        rows = "".join(
-            f"<tr><td>{gap.start_s:.2f}</td><td>{gap.length_s:.2f}</td><td>{self._sigma_in(gap)}</td></tr>"
-            for gap in self.gaps[:20]
-        )
-        more = f"<p>.. and {len(self.gaps) - 20} more</p>" if len(self.gaps) > 20 else ""
-        return (
-            f"<p>{escape(repr(self))}</p><table><tr><th>gap from, s</th><th>length, s</th>"
-            f"<th>largest sigma, cm</th></tr>{rows}</table>{more}"
-        )
+        """The gaps as a table, and a small picture, as notebooks show it."""
+        from .result_view import recovery_html
 
-    def _sigma_in(self, gap: Gap) -> str:
-        inside = slice(*np.searchsorted(self.t_s, [gap.start_s, gap.end_s]).tolist())
-        sigma = self.rows(inside).worst_sigma_m
-        return f"{100 * np.nanmax(sigma):.1f}" if np.isfinite(sigma).any() else "no answer"
+        return recovery_html(self)
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
@@ -412,8 +398,21 @@ class Recovery:
             arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
         return arrays
 
+    def to_table(self) -> pyarrow.Table:
+        """The columns of the CSV export, and the velocity, as an Arrow table.
+
+        Returns
+        -------
+        table : pyarrow.Table
+            A row a sample; null where there is no answer. `table.schema.field(NAME).metadata` has the unit.
+            `.to_pandas()` gives a pandas table where pandas is installed.
+        """
+        from .result_view import recovery_table
+
+        return recovery_table(self)
+
     def to_dataframe(self) -> pandas.DataFrame:
-        """The columns of the CSV export, and the velocity, as a pandas table.
+        """The same as a pandas table.
 
         Raises
         ------
@@ -424,12 +423,6 @@ class Recovery:
             import pandas
         except ImportError as error:
             raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
-        columns: dict[str, NDArray] = {}
-        for name, values in self.to_arrays().items():
-            if values.ndim == 1:
-                columns[name] = values
-                continue
-            axes = ("qw", "qx", "qy", "qz") if values.shape[1] == 4 else ("x", "y", "z")
-            stem = name.removesuffix("_quaternion")
-            columns |= {f"{stem}_{axis}": values[:, k] for k, axis in enumerate(axes)}
-        return pandas.DataFrame(columns)
+        from .result_view import flat_columns
+
+        return pandas.DataFrame(flat_columns(self))

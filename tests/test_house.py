@@ -14,10 +14,10 @@ ROOT = Path(__file__).parents[1]
 #: The core from the bottom up; each floor may import those below it and itself.
 STACK = (
     ("errors",),
-    ("recording", "calibration", "config", "linalg", "units"),
+    ("recording", "recording_view", "calibration", "config", "linalg", "sketch", "units"),
     ("runtime",),
     ("measurements",),
-    ("result", "upper_motion", "joint_angles", "shoulder_angles", "matching"),
+    ("result", "result_view", "upper_motion", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),
     ("selfcal",),
@@ -37,6 +37,7 @@ MAY: dict[str, set[str]] = {
     "study": {"calib", "io", "evaluation"},
     "report": {"calib", "io", "evaluation", "strap_search"},
     "cli": {"calib", *MIDDLE},
+    "unocclude": {"io"},
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam"}

@@ -18,6 +18,8 @@ LEVER_SIGMA_M = 0.010
 UPPER_ARM_SIGMA_M = 0.020
 DIRECTION_SIGMA_RAD = np.radians(3.0)
 ROLL_SIGMA_RAD = np.radians(10.0)
+#: A direction that is less certain than this is not known at all, degrees.
+UNKNOWN_DEG = 90.0
 CLOCK_SIGMA_S = 0.005
 JOINT_BIAS_M = 0.005
 #: Less than this is hardly any motion.
@@ -164,8 +166,7 @@ def _roll(
         return ["the forearm's axes in the IMU (R_F_A) need both elbow and wrist"]
     sentences = []
     if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
-        degrees = np.degrees(frame.direction_sigma_rad)
-        sentences.append(f"the forearm's direction in the IMU is known to {degrees:.0f} degrees only")
+        sentences.append(f"the forearm's direction in the IMU is {known_to(frame.direction_sigma_rad)}")
     if not np.isfinite(frame.roll_sigma_rad):
         millimetres = 1e3 * frame.distance_m
         sentences.append(
@@ -173,17 +174,24 @@ def _roll(
             "on which side of the forearm it sits: roll is not known"
         )
     elif frame.roll_sigma_rad > ROLL_SIGMA_RAD:
-        degrees = min(np.degrees(frame.roll_sigma_rad), 180.0)
         cause = ""
         if evidence.axial_rad < LITTLE_AXIAL_RAD:
             turned = np.degrees(evidence.axial_rad)
             cause = f"the forearm hardly turned about its own axis ({turned:.0f} degrees): "
         elif joint_bias_m > JOINT_BIAS_M and joint_bias_m**2 > 0.5 * _worst_variance(calibration):
             cause = "with the camera's constant errors "
-        sentences.append(f"{cause}roll is known to {degrees:.0f} degrees only")
+        sentences.append(f"{cause}roll is {known_to(frame.roll_sigma_rad)}")
     if frame.R_F_A is None:
-        sentences.append("R_F_A is left open; recovering does not need it")
+        sentences.append(
+            "how the IMU is turned on the forearm: R_F_A is left open; recovering does not need it"
+        )
     return sentences
+
+
+def known_to(sigma_rad: float) -> str:
+    """How well an angle is known, in words: beyond a right angle it is not."""
+    degrees = np.degrees(sigma_rad)
+    return f"known to {degrees:.0f} degrees only" if degrees < UNKNOWN_DEG else "not known"
 
 
 def _upper_arm(

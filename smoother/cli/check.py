@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from .load import load_arm
+from .option_groups import with_groups
 from .options import (
     Anatomy,
     Body,
@@ -24,17 +25,7 @@ from .options import (
 )
 from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
-from .remedies import (
-    CLOCK_SIGMA_S,
-    CameraAxes,
-    ClockOffset,
-    ClockSigma,
-    Mirror,
-    Negate,
-    Swap,
-    clock_of,
-    remedy_of,
-)
+from .remedies import AS_RECORDED, SetUp
 
 if TYPE_CHECKING:
     from ..evaluation.tried_gaps import TriedGaps
@@ -45,6 +36,7 @@ if TYPE_CHECKING:
 NOT_TRUSTED = 3
 
 
+@with_groups
 def check(
     recording_file: RecordingPath,
     calibration_file: Calibration = None,
@@ -53,12 +45,7 @@ def check(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
-    mirror: Mirror = None,
-    swap: Swap = None,
-    negate: Negate = None,
-    camera_frame: CameraAxes = None,
-    clock_offset: ClockOffset = None,
-    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
+    set_up: SetUp = AS_RECORDED,
     anatomy: Anatomy = None,
     processes: Processes = None,
     json_file: Json = None,
@@ -75,7 +62,7 @@ def check(
     from ..smoothing import smooth
     from .config_file import read_config, with_anatomy, with_processes
 
-    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    remedy, swap_sides = set_up.remedy()
     check_outputs(force, [json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     if anatomy is not None:
@@ -91,7 +78,7 @@ def check(
         remedy=remedy,
         swap_sides=swap_sides,
     )
-    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+    clock = set_up.clock(calibration_file, recording)
     excerpt = informative_recording(recording, Timeline.of(recording))
 
     def recover(some: Recording) -> Recovery:
@@ -155,6 +142,9 @@ def _refused(sentence: str) -> dict[str, Any]:
 def _print(figures: dict[str, Any], allowed: TriedGaps | None) -> None:
     say(figures["verdict"])
     if allowed is not None:
-        say(f"allows: {allowed.sentence}")
+        allows, *open_questions = allowed.sentences
+        say(f"allows: {allows}")
+        for sentence in open_questions:
+            say(f"not determined: {sentence}")
     for sign in figures["signs"] if figures["cause"] else ():
         say(f"sign: {sign}")

@@ -12,6 +12,7 @@ from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
 from .load import load_arm
 from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
+from .option_groups import with_groups
 from .options import (
     Align,
     Body,
@@ -30,19 +31,18 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
-from .progress import progress_bar
-from .remedies import (
-    CLOCK_SIGMA_S,
-    CameraAxes,
-    ClockOffset,
-    ClockSigma,
-    Mirror,
-    Negate,
-    Swap,
-    clock_of,
-    remedy_of,
+from .output import (
+    centimetres,
+    check_outputs,
+    percent,
+    print_notes,
+    print_table,
+    say,
+    say_written,
+    write_json,
 )
+from .progress import progress_bar
+from .remedies import AS_RECORDED, SetUp
 from .strap import with_strap
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
+@with_groups
 def compare(
     recording_file: RecordingPath,
     truth_file: Annotated[
@@ -82,12 +83,7 @@ def compare(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
-    mirror: Mirror = None,
-    swap: Swap = None,
-    negate: Negate = None,
-    camera_frame: CameraAxes = None,
-    clock_offset: ClockOffset = None,
-    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
+    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
@@ -104,7 +100,7 @@ def compare(
 
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
-    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    remedy, swap_sides = set_up.remedy()
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)
     config = with_processes(read_config(config_file), processes)
@@ -118,7 +114,7 @@ def compare(
         remedy=remedy,
         swap_sides=swap_sides,
     )
-    clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+    clock = set_up.clock(calibration_file, recording)
     _check_truth(recording_file, recording, truth_file, markers, align)
     given = with_strap(calibration, recording) if solve_lever_arms else calibration
     blind = replace(recording, truth=None)
@@ -238,7 +234,7 @@ def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
         centimetres(hidden.position_max_m),
         hidden.orientation_rms_deg,
         hidden.nees,
-        hidden.coverage_95,
+        percent(hidden.coverage_95),
         centimetres(visible.position_rms_m),
         visible.orientation_rms_deg,
     )

@@ -8,11 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import Json, Processes
-from .output import check_outputs, say, write_json
+from .output import (
+    cell,
+    centimetres,
+    check_outputs,
+    percent,
+    print_table,
+    say,
+    say_command,
+    write_json,
+)
 from .progress import progress_bar
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
+    from ..evaluation.validate import Validation
+    from ..result import Recovery
 
 #: Used where `data/` holds no recording.
 SEED = 1
@@ -36,8 +47,7 @@ def demo(
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config_file import read_config, with_processes
-    from .smooth import print_recovery, smooth_figures
-    from .validate import print_validation
+    from .smooth import smooth_figures
 
     folder.mkdir(parents=True, exist_ok=True)
     check_outputs(True, [json_file])
@@ -58,11 +68,52 @@ def demo(
         "report": report,
     }
     write_json(json_file, figures, True)
-    print_recovery(recording, recovery)
+    if recovery.estimates.verdict:
+        say(recovery.estimates.verdict)
+    print_gaps(recovery, validation)
+    say("Joints, joint angles and the calibration are in the report.")
     if validation is not None:
-        print_validation(validation)
+        say_command("validate", result, "--truth", source)
     say(f"result: {result}")
     say(f"report: {report.resolve()}")
+
+
+def print_gaps(recovery: Recovery, validation: Validation | None) -> None:
+    """Print one table: every gap, its stated sigma, and the error against the truth where there is one."""
+    from ..evaluation.summary import gap_summaries
+
+    errors = {} if validation is None else {gap.start_s: figures for gap, figures in validation.gaps}
+    rows = []
+    for summary in gap_summaries(recovery):
+        figures = errors.get(summary.gap.start_s)
+        rows.append(
+            (
+                f"{summary.gap.start_s:.2f}",
+                f"{summary.gap.length_s:.2f}",
+                centimetres(summary.sigma_max_m),
+                *(
+                    ("-", "-", "-")
+                    if figures is None
+                    else (
+                        centimetres(figures.position_rms_m),
+                        centimetres(figures.position_max_m),
+                        cell(figures.orientation_rms_deg),
+                    )
+                ),
+            )
+        )
+    columns = (
+        *("gap starts, s", "length, s", "stated sigma, cm"),
+        *("error rms, cm", "error max, cm", "error rms, deg"),
+    )
+    print_table(f"{recovery.name}: the forearm where the camera did not see it", columns, rows)
+    if validation is not None and validation.occluded.position_rms_m is not None:
+        inside = percent(validation.occluded.coverage_95)
+        say(
+            f"In the gaps the answer is {centimetres(validation.occluded.position_rms_m)} cm (rms) from the"
+            f" truth, {centimetres(validation.occluded.position_max_m)} cm at most;"
+            f" {inside} of the truth lies inside the stated 95 % region."
+        )
 
 
 def _recording(folder: Path) -> tuple[Path, ArmCalibration | None]:

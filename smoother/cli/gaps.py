@@ -13,6 +13,7 @@ from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import CalibrationError
 from .load import load_arm
 from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
+from .option_groups import with_groups
 from .options import (
     Body,
     BoundaryS,
@@ -30,19 +31,9 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
 from .progress import progress_bar
-from .remedies import (
-    CLOCK_SIGMA_S,
-    CameraAxes,
-    ClockOffset,
-    ClockSigma,
-    Mirror,
-    Negate,
-    Swap,
-    clock_of,
-    remedy_of,
-)
+from .remedies import AS_RECORDED, SetUp
 from .strap import with_strap
 
 if TYPE_CHECKING:
@@ -52,6 +43,7 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 
+@with_groups
 def gaps(
     recording_files: Annotated[
         list[Path],
@@ -79,12 +71,7 @@ def gaps(
     skeleton: Skeleton = None,
     side: Side = None,
     body: Body = None,
-    mirror: Mirror = None,
-    swap: Swap = None,
-    negate: Negate = None,
-    camera_frame: CameraAxes = None,
-    clock_offset: ClockOffset = None,
-    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
+    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     processes: Processes = None,
     report: Report = None,
@@ -113,7 +100,7 @@ def gaps(
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
-    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    remedy, swap_sides = set_up.remedy()
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
@@ -140,7 +127,7 @@ def gaps(
                 remedy=remedy,
                 swap_sides=swap_sides,
             )
-            clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+            clock = set_up.clock(calibration_file, recording)
             given = with_strap(calibration, recording) if solve_lever_arms else calibration
             if keep_in is not None and given is not None:  # what is measured anew is not applied before
                 given = replace(given, sigma_factors=None)
@@ -281,7 +268,7 @@ def print_gaps(table: GapTable) -> None:
                     name,
                     *[None if value is None else f"{100 * value:.2f}" for value in distances],
                     figures.nees,
-                    figures.coverage_95,
+                    percent(figures.coverage_95),
                     f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
                 )
             )

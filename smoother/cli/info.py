@@ -53,7 +53,7 @@ def print_arm(about: RecordingInfo) -> None:
             *([("on the upper arm", about.upper_imu)] if about.upper_imu else []),
             ("joints", ", ".join(about.joints) or "none tracked"),
             ("camera frame", about.camera_frame or "not stated"),
-            ("in common, s", about.duration_s),
+            ("both recorded, s", about.duration_s),
             ("gaps", about.gaps),
             ("occluded, s", about.gap_total_s),
             ("longest gap, s", about.gap_longest_s),

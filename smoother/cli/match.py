@@ -68,7 +68,7 @@ def print_matches(title: str, matches: list[ImuMatch]) -> None:
     for one in matches:
         body = "-" if one.limb is None else str(one.limb.body)
         others = ", ".join(f"{where} {p:.2f}" for where, p in one.others[:3])
-        clock = None if one.limb is None else f"{one.clock_offset_s:+.1f}"
+        clock = None if one.limb is None else f"{one.clock_offset_s:+.2f}"
         rows.append((one.imu, body, one.joint, f"{one.probability:.3f}", clock, others or "-"))
     print_table(title, ("IMU", "body", "joint", "probability", "IMU - camera, s", "else"), rows)
     sure = sum(one.is_sure for one in matches)

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
 from ..runtime.plain_values import plain
+
+_TRUTH = "Simulated: what the calibration of these files should find."
 
 
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -33,6 +39,28 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
         check_output(path, force)
 
 
+#: Endings that say that a file is something else than MCAP; those of `unocclude export` first.
+_OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet")
+_NO_RESULT = ("html", "json", "toml", "txt", "xlsx", "mat", "bag", "rrd", "sto", "osim", "npz")
+
+
+def check_mcap(path: Path) -> None:
+    """Refuse to write MCAP to a file whose ending says something else.
+
+    Raises
+    ------
+    UnoccludeError
+        In one sentence, with the command that writes what the ending says.
+    """
+    ending = path.suffix.lower().removeprefix(".")
+    if ending in _OTHER_ENDINGS:
+        mcap = path.with_suffix(".mcap")
+        command = shlex.join(["unocclude", "export", str(mcap), "--format", ending, "-o", str(path)])
+        raise UnoccludeError(f"{path}: the result is MCAP; write it to {mcap}, then `{command}`")
+    if ending in _NO_RESULT:
+        raise UnoccludeError(f"{path}: what is written is MCAP; name it {path.with_suffix('.mcap')}")
+
+
 def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
     """Write figures as JSON; numbers that are not finite become null."""
     if path is None:
@@ -43,27 +71,28 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
         temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
+def write_truth(path: Path, tables: dict[str, Any], force: bool) -> None:
+    """Write what a calibration of simulated files should find, in the form of a calibration file."""
+    from ..runtime.atomic import writing
+
+    with writing(path, force) as temporary:
+        temporary.write_text(truth_text(tables), encoding="utf-8")
+
+
+def truth_text(tables: dict[str, Any]) -> str:
+    """The same as text."""
+    from calib.file import FORMAT, VERSION, to_toml
+
+    return f"# {_TRUTH}\n" + to_toml({"format": FORMAT, "version": VERSION} | tables)
+
+
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table; columns of numbers stand to the right."""
-    from rich.table import Table
-    from rich.text import Text
+    """Print a table that fits into the terminal; columns of numbers stand to the right."""
+    from .table_layout import laid_out
 
+    screen = console()
     cells = [[cell(value) for value in row] for row in rows]
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for place, column in enumerate(columns):
-        numbers = all(_is_number(row[place]) for row in cells)
-        table.add_column(column, justify="right" if numbers else "left", overflow="fold")
-    for row in cells:
-        table.add_row(*[Text(text) for text in row])
-    console().print(table)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.strip("-+ ") or 0)
-    except ValueError:
-        return False
-    return True
+    screen.print(laid_out(title, columns, cells, screen.width))
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -73,8 +102,20 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on stdout as it is."""
+    """Print a line on stdout; on a terminal it is broken between words, in a pipe it stays one line."""
+    if sys.stdout.isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(_wrapped(line, width) for line in text.splitlines())
     print(text)
+
+
+def _wrapped(line: str, width: int) -> str:
+    return textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def say_command(*words: object) -> None:
+    """Print the command to try next, on one line, so that it can be copied."""
+    print(f"try: {shlex.join(['unocclude', *map(str, words)])}")
 
 
 def say_written(*paths: Path | None) -> None:
@@ -96,6 +137,11 @@ def cell(value: object) -> str:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def percent(share: float | None) -> str:
+    """A share for a table, in percent."""
+    return "-" if share is None or not math.isfinite(share) else f"{100 * share:.0f} %"
 
 
 def centimetres(metres: float | None) -> str:

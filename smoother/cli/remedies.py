@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,6 +52,38 @@ ClockSigma = Annotated[
     typer.Option("--clock-sigma", metavar="S", help="One standard deviation of --clock-offset."),
 ]
 CLOCK_SIGMA_S = 0.02
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """Those options together, as a group of a command's options.
+
+    Attributes
+    ----------
+    mirror, swap, negate, camera_frame : str, optional
+        What to undo.
+    clock_offset, clock_sigma : float, s
+        The measured clock, if any.
+    """
+
+    mirror: Mirror = None
+    swap: Swap = None
+    negate: Negate = None
+    camera_frame: CameraAxes = None
+    clock_offset: ClockOffset = None
+    clock_sigma: ClockSigma = CLOCK_SIGMA_S
+
+    def remedy(self) -> tuple[Remedy, bool]:
+        """See `remedy_of`."""
+        return remedy_of(self.mirror, self.swap, self.negate, self.camera_frame)
+
+    def clock(self, calibration_file: Path | None, recording: Recording) -> Clock | None:
+        """See `clock_of`."""
+        return clock_of(self.clock_offset, self.clock_sigma, calibration_file, recording)
+
+
+#: None of them.
+AS_RECORDED = SetUp()
 #: What `--swap` takes besides two joints.
 SIDES = {"left", "right"}
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from typer.core import TyperGroup
 
+from .option_groups import with_signature
 from .options import Force, Json, Output, Seed
 from .output import check_outputs, print_table, say_written, write_json
 
@@ -32,37 +34,36 @@ PresetName = Annotated[
 ]
 
 
+#: Commands by name: the module that holds them, and an example of their use.
+_COMMANDS = {
+    "arm": ("simulate", "arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"),
+    "clock": ("simulate_clock", "clock -o session --seed 7"),
+    "imu": ("simulate_sensor", "imu -o poses.mcap --seed 7"),
+    "magnetometer": ("simulate_sensor", "magnetometer -o turning.mcap --seed 7"),
+    "panel": ("simulate_panel", "panel -o session --poses 8 --seed 7 --mcap session.mcap"),
+    "people": ("simulate_people", "people -o people.mcap --people 2 --sensors 4 --seed 7"),
+    "strap": ("simulate_strap", "strap -o session.mcap --seed 7"),
+}
+
+
 class SimulateGroup(TyperGroup):
     """Makes a command when it is asked for: its options are the simulation's settings, slow to read."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of the commands."""
-        return ["arm", "panel", "people"]
+        return list(_COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, or None."""
-        app = typer.Typer(add_completion=False, rich_markup_mode=None)
-        if cmd_name == "arm":
-            example = (
-                "Example: unocclude simulate arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"
-            )
-            app.command("arm", epilog=example)(with_settings(arm, _settings()))
-        elif cmd_name == "panel":
-            from . import simulate_panel
-
-            example = "Example: unocclude simulate panel -o session --poses 8 --seed 7 --mcap session.mcap"
-            app.command("panel", epilog=example)(
-                with_settings(simulate_panel.panel, simulate_panel.settings())
-            )
-        elif cmd_name == "people":
-            from . import simulate_people
-
-            example = "Example: unocclude simulate people -o people.mcap --people 2 --sensors 4 --seed 7"
-            app.command("people", epilog=example)(
-                with_settings(simulate_people.people, simulate_people.settings())
-            )
-        else:
+        if cmd_name not in _COMMANDS:
             return None
+        home, example = _COMMANDS[cmd_name]
+        module = import_module(f".{home}", __package__)
+        command = getattr(module, cmd_name)
+        if "settings" in inspect.signature(command).parameters:
+            command = with_settings(command, module.settings())
+        app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        app.command(cmd_name, epilog=f"Example: unocclude simulate {example}")(command)
         return typer.main.get_command(app)
 
 
@@ -159,19 +160,14 @@ def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
         for name, field in fields.items()
     ]
-    # keyword-only throughout: options have no order
-    own = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
 
     def run(**values: Any) -> None:
         command(**values)
 
-    run.__doc__ = command.__doc__
-    run.__signature__ = inspect.Signature(own + more)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + more}
-    return run
+    return with_signature(run, command, own + more)
 
 
-def _settings() -> dict[str, FieldInfo]:
+def settings() -> dict[str, FieldInfo]:
     """Every setting of the simulation by name."""
     from ..simulation import ArmSimulation, MocapSimulation
 
@@ -212,7 +208,7 @@ def _shown(default: Any) -> str:
 
 def parsed_setting(name: str, value: Any) -> Any:
     """A list of numbers for the settings that are one, the value as it is for the others."""
-    if not isinstance(_settings()[name].get_default(), tuple):
+    if not isinstance(settings()[name].get_default(), tuple):
         return value
     try:
         return tuple(float(part) for part in str(value).split(",") if part.strip())

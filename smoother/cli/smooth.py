@@ -10,6 +10,7 @@ from ..baselines.registry import DEFAULT_ORIENTATION
 from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arm
 from .methods import METHODS, baseline_settings, choose, make_methods
+from .option_groups import with_groups
 from .options import (
     Anatomy,
     Body,
@@ -30,19 +31,9 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, print_notes, say, say_written, write_json
+from .output import check_mcap, check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
-from .remedies import (
-    CLOCK_SIGMA_S,
-    CameraAxes,
-    ClockOffset,
-    ClockSigma,
-    Mirror,
-    Negate,
-    Swap,
-    clock_of,
-    remedy_of,
-)
+from .remedies import AS_RECORDED, SetUp
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
@@ -52,6 +43,7 @@ if TYPE_CHECKING:
     from ..result import Recovery
 
 
+@with_groups
 def smooth(
     recording_file: RecordingPath,
     output: Output,
@@ -72,12 +64,7 @@ def smooth(
         float | None,
         typer.Option("--max-sigma-m", metavar="M", help="Mark answers that are less certain than this."),
     ] = None,
-    mirror: Mirror = None,
-    swap: Swap = None,
-    negate: Negate = None,
-    camera_frame: CameraAxes = None,
-    clock_offset: ClockOffset = None,
-    clock_sigma: ClockSigma = CLOCK_SIGMA_S,
+    set_up: SetUp = AS_RECORDED,
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Anatomy = None,
     processes: Processes = None,
@@ -98,7 +85,8 @@ def smooth(
     settings = baseline_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
-    remedy, swap_sides = remedy_of(mirror, swap, negate, camera_frame)
+    remedy, swap_sides = set_up.remedy()
+    check_mcap(output)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     if anatomy is not None:
@@ -116,7 +104,7 @@ def smooth(
             remedy=remedy,
             swap_sides=swap_sides,
         )
-        clock = clock_of(clock_offset, clock_sigma, calibration_file, recording)
+        clock = set_up.clock(calibration_file, recording)
         given = with_strap(calibration, recording) if solve_lever_arms else calibration
         with progress_bar("recovering") as progress:
             recover = make_methods(names, given, config, settings, progress, store, clock)[names[0]]

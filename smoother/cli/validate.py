@@ -10,7 +10,7 @@ import typer
 
 from .load import camera_frame_of, damage, load_recovery
 from .options import Align, Force, Json, Report, Result, Side, one_side
-from .output import centimetres, check_outputs, print_notes, print_table, say, write_json
+from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
     from ..evaluation import Validation
@@ -105,7 +105,7 @@ def _print_errors(validation: Validation) -> None:
                 figures.orientation_p95_deg,
                 figures.orientation_max_deg,
                 figures.nees,
-                figures.coverage_95,
+                percent(figures.coverage_95),
                 figures.samples,
             )
         )

@@ -14,6 +14,7 @@ from calib.motion.motion_summary import (
     ROLL_SIGMA_RAD,
     beyond,
     is_point,
+    known_to,
 )
 
 from ..measurements.visibility import Gap
@@ -97,8 +98,7 @@ def _motion(estimates: ArmEstimates | None) -> list[str]:
         and not evidence.axial_rad > LITTLE_AXIAL_RAD
         and estimates.calibration.R_F_A is None
     ):
-        known = np.degrees(frame.roll_sigma_rad)
-        how = f"is known to {known:.0f} degrees only" if known < 180 else "is not known"
+        how = f"is {known_to(frame.roll_sigma_rad)}"
         sentences.append(
             "Turn the forearm about its own axis, palm up and palm down, three times in view: on which side"
             f" of the forearm the sensor sits {how}."
@@ -139,9 +139,10 @@ def _gaps(gaps: list[GapSummary]) -> list[str]:
             *(["before the first movement out of view"] if early else []),
             *(["after the last one"] if late else []),
         ]
+        was = "was" if len(early) + len(late) == 1 else "were"
         sentences.append(
             f"Keep the forearm in view for at least 1.5 s {' and '.join(when)}: the gap"
-            f"{_times([*early, *late])} was seen from one side only."
+            f"{_times([*early, *late])} {was} seen from one side only."
         )
     two_sided = [each for each in gaps if not each.one_sided]
     weak = [each for each in two_sided if each.is_weaker_than(WEAK_M)]

@@ -50,7 +50,12 @@ class TriedGaps:
 
     @property
     def sentence(self) -> str:
-        """What is allowed."""
+        """What is allowed, and what is not determined."""
+        return "; ".join(self.sentences)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is allowed, then what is not determined, one each."""
         within = f"within {100 * WITHIN_M:.0f} cm"
         longest_s = self.longest_s
         if np.isnan(longest_s):
@@ -61,7 +66,7 @@ class TriedGaps:
         else:
             more = " and more" if longest_s == self.length_s[-1] else ""
             allowed = f"gaps up to about {longest_s:.2g} s{more} {within}"
-        return "; ".join((allowed, *self.not_determined))
+        return (allowed, *self.not_determined)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values by name."""

@@ -157,7 +157,7 @@ def describe(
             for topic in file.topics
         ],
         imus=[
-            f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'not said what on'}"
+            f"{stream.topic}: {len(stream.stamp_ns)} samples, {role(stream) or 'no limb named'}"
             + (f", {at}" if (at := named_side(stream.topic, stream.frame_id)) else "")
             + (", magnetometer" if stream.mag is not None else "")
             for stream in file.imus

@@ -105,14 +105,8 @@ def likeliest_cause(
 ) -> Cause | None:
     """The mistake that explains a recording on which something is wrong; None where none does.
 
-    Parameters
-    ----------
-    recording : Recording
-        Its clocks within the fine search's reach of each other.
-    given : ArmCalibration, optional
-        What was given of the arm.
-    measured : Clock, optional
-        By which the camera's stamps were moved, where one was given.
+    `recording` and `given` as in `selfcal.closed_form.closed_form`; `measured` is the clock by which the
+    camera's stamps were moved, where one was given.
     """
     if any(swapped_joints(recording.arm)):
         remedy = Remedy(swap=("elbow", "wrist"))

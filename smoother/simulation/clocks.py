@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,7 @@ def broadcast(
     missed: float = 0.2,
     late: float = 0.05,
     start_s: float = 0.0,
+    offset_s: Sequence[float] | None = None,
 ) -> tuple[Clocks, Receptions]:
     """Rounds of a broadcast that some nodes miss and some hear late; node n1 runs 390 ppm fast.
 
@@ -66,6 +68,8 @@ def broadcast(
         Fractions of the receptions.
     start_s : float, s
         Added to the clocks' offsets, the first excepted.
+    offset_s : sequence of float, length n, s, optional
+        The clocks' offsets; drawn where None.
 
     Returns
     -------
@@ -76,7 +80,7 @@ def broadcast(
     rng = np.random.default_rng(seed)
     offset = np.concatenate([[0.0], rng.uniform(-5, 5, nodes - 1) + start_s])
     skew = np.concatenate([[0.0, 390e-6], rng.uniform(-4e-4, 4e-4, nodes)])[:nodes]
-    clocks, rows = Clocks(offset, skew), []
+    clocks, rows = Clocks(offset if offset_s is None else np.array(offset_s), skew), []
     for number, tau in enumerate(np.sort(rng.uniform(0, span_s, rounds)).tolist()):
         for node in range(nodes):
             if rng.random() < missed:

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from strap_recordings import radius_of, with_images
+from strap_recordings import with_images
 
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
 from smoother.recording import JointState
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.simulation.strap_session import strap_radius_m
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def session(tmp_path_factory: pytest.TempPathFactory):
     arguments = ["import", "strap", folder / "rec.mcap", "-o", folder / "out.mcap", "--processes", 1]
     arguments += [
         "--radius-m",
-        radius_of(simulated),
+        strap_radius_m(simulated),
         "--json",
         folder / "s.json",
         "--report",

@@ -1,8 +1,9 @@
-"""The README's figures, from the repository's root.
+"""The figures of README and documents, from the repository's root.
 
-`python -m tools.figures picture` draws docs/picture.svg; `python -m tools.figures curves` measures error
-against gap length with every method and draws docs/curves.svg (UNOCCLUDE_DATASETS names the folder of BROAD
-and UTD-MHAD). What was measured is kept in `--rows`: an interrupted run goes on from it.
+`python -m tools.figures picture` draws docs/picture.svg; `python -m tools.figures docs` makes the tutorial's
+pictures, docs/pictures; `python -m tools.figures curves` measures error against gap length with every method
+and draws docs/curves.svg (UNOCCLUDE_DATASETS names the folder of BROAD and UTD-MHAD). What was measured is
+kept in `--rows`: an interrupted run goes on from it.
 """
 
 from __future__ import annotations
@@ -34,8 +35,14 @@ def main() -> None:
     two.add_argument("--minutes", type=float, default=float("inf"), help="begin no job after so long")
     three = commands.add_parser("tables", help="the figures of docs/curves.json as tables in Markdown")
     three.add_argument("file", type=Path, nargs="?", default=HERE / "docs" / "curves.json")
+    four = commands.add_parser("docs", help="the tutorial's pictures")
+    four.add_argument("-o", "--output", type=Path, default=HERE / "docs" / "pictures", help="folder")
     options = parser.parse_args()
-    if options.command == "picture":
+    if options.command == "docs":
+        from .tutorial import draw as draw_tutorial
+
+        draw_tutorial(options.output)
+    elif options.command == "picture":
         from .picture import draw
 
         draw(options.output, options.gap)

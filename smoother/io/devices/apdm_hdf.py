@@ -31,17 +31,7 @@ class ApdmHdf:
         return head.raw[:8] == b"\x89HDF\r\n\x1a\n"
 
     def read(self, path: Path) -> list[ImuTable]:
-        """Read the whole file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        list of ImuTable
-            A sensor each.
+        """A table a sensor: see `DeviceFormat.read`.
 
         Raises
         ------

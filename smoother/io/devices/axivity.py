@@ -51,17 +51,7 @@ class Axivity:
         return head.raw[:4] == b"MD\xfc\x03" or head.raw[:4] == b"AX\xfc\x01"
 
     def read(self, path: Path) -> list[ImuTable]:
-        """Read the whole file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        list of ImuTable
-            One sensor.
+        """A table a sensor: see `DeviceFormat.read`.
 
         Raises
         ------

@@ -41,23 +41,7 @@ class ImuSheetFormat:
         return layout is not None and self.fits(layout)
 
     def read(self, path: Path) -> list[ImuTable]:
-        """Read the whole file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        list of ImuTable
-            A sensor each.
-
-        Raises
-        ------
-        RecordingError
-            In one sentence: the file, what was expected, and what to export instead.
-        """
+        """A table a sensor, of a file that fits: see `DeviceFormat.read`."""
         sheet = read_sheet(path, f"a table of {self.title}")
         if not self.fits(sheet.layout):
             names = ", ".join(sheet.layout.names) or "none"

@@ -33,17 +33,7 @@ class Mvnx:
         return bool(re.match(r"\s*(<\?xml.*?\?>\s*)?(<!--.*?-->\s*)*<mvnx\b", head.text[:4000], re.DOTALL))
 
     def read(self, path: Path) -> list[ImuTable]:
-        """Read the whole file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        list of ImuTable
-            A sensor each, in the file's order.
+        """A table a sensor: see `DeviceFormat.read`.
 
         Raises
         ------

@@ -142,6 +142,16 @@ class DeviceFormat(Protocol):
     def read(self, path: Path) -> list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]:
         """Read the whole file.
 
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Returns
+        -------
+        list of ImuTable, of SkeletonTable, or of both
+            One for each sensor or skeleton, in the file's order.
+
         Raises
         ------
         RecordingError

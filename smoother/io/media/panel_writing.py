@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.file import to_toml
+from calib.intrinsics import Intrinsics
 
 from ...errors import UnoccludeError
 from ...recording import FloatArray, ImuStream
@@ -25,6 +26,7 @@ from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..wire.schemas import message_class
+from .image_messages import CAMERA_CALIBRATION, RAW_IMAGE, lens_message, raw_image
 
 DEPTH_TOPIC = "/camera/depth/image"
 INFRARED_TOPIC = "/camera/infrared/image"
@@ -103,7 +105,7 @@ def check_folder(path: Path, force: bool = False) -> None:
         if not force:
             raise UnoccludeError(f"{path} exists already; give another name, or --force to replace it.")
         if not (path / _TRUTH).is_file():
-            raise UnoccludeError(f"{path} holds other things than a simulated panel; give another name.")
+            raise UnoccludeError(f"{path} holds other things than a simulation; give another name.")
     elif not path.is_dir():
         if path.exists():
             raise UnoccludeError(f"{path} is a file; name a folder to write to.")
@@ -199,40 +201,21 @@ def write_panel_recording(
 def _images(
     output: Output, topic: str, encoding: str, stamp: NDArray[np.int64], images: Sequence[NDArray]
 ) -> Outgoing:
-    def encode(part: slice) -> list[bytes]:
-        out = []
-        for at, image in zip(stamp[part], images[part], strict=True):
-            message = message_class("foxglove.RawImage")(
-                frame_id=CAMERA,
-                width=image.shape[1],
-                height=image.shape[0],
-                encoding=encoding,
-                step=2 * image.shape[1],
-                data=np.ascontiguousarray(image, "<u2").tobytes(),
-            )
-            message.timestamp.FromNanoseconds(int(at))
-            out.append(message.SerializeToString(deterministic=True))
-        return out
+    def encode(rows: slice) -> list[bytes]:
+        return [
+            raw_image(CAMERA, encoding, image, int(at))
+            for at, image in zip(stamp[rows], images[rows], strict=True)
+        ]
 
-    return Outgoing(output.channel(topic, "foxglove.RawImage"), stamp, encode)
+    return Outgoing(output.channel(topic, RAW_IMAGE), stamp, encode)
 
 
 def _lens(output: Output, lens: dict[str, Any], stamp: NDArray[np.int64]) -> Outgoing:
-    fx, fy, cx, cy = (float(lens[key]) for key in ("fx", "fy", "cx", "cy"))
-    message = message_class("foxglove.CameraCalibration")(
-        frame_id=CAMERA,
-        width=lens["width"],
-        height=lens["height"],
-        distortion_model="plumb_bob",
-        D=lens["distortion"],
-        K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
-        R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
-        P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
-    )
-    message.timestamp.FromNanoseconds(int(stamp[0]))
-    data = message.SerializeToString(deterministic=True)
-    channel = output.channel(LENS_TOPIC, "foxglove.CameraCalibration")
-    return Outgoing(channel, stamp, lambda part: [data] * len(stamp[part]))
+    numbers = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
+    seen = Intrinsics(lens["width"], lens["height"], **numbers, distortion=tuple(lens["distortion"]))
+    data = lens_message(CAMERA, seen, int(stamp[0]))
+    channel = output.channel(LENS_TOPIC, CAMERA_CALIBRATION)
+    return Outgoing(channel, stamp, lambda rows: [data] * len(stamp[rows]))
 
 
 def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[PanelShot]) -> Outgoing:

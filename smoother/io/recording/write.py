@@ -55,6 +55,12 @@ def write_recording(
         The file exists and `force` is not given, or it cannot be written.
     """
     file = recording if isinstance(recording, RecordingFile) else as_file(recording)
+    with writing(path, force) as temporary, Output(temporary) as output:
+        output.write(recording_streams(output, file))
+
+
+def recording_streams(output: Output, file: RecordingFile) -> list[Outgoing]:
+    """Enter a recording's metadata and channels into an output; its messages, to be written."""
     metadata = {"notes": json.dumps(file.notes), "name": file.name}
     if file.camera_frame is not None:
         metadata["camera_frame"] = str(file.camera_frame)
@@ -67,16 +73,12 @@ def write_recording(
     }
     if scores:
         metadata["truth_score"] = json.dumps(scores)
-    with writing(path, force) as temporary, Output(temporary) as output:
-        output.metadata(METADATA, metadata)
-        outgoing = []
-        for imu in file.imus:
-            outgoing.append(imu_messages(output, imu))
-        for arm in file.arms:
-            outgoing.append(arm_messages(output, arm))
-        for poses in file.poses:
-            outgoing += _poses(output, poses)
-        output.write(outgoing)
+    output.metadata(METADATA, metadata)
+    outgoing = [imu_messages(output, imu) for imu in file.imus]
+    outgoing += [arm_messages(output, arm) for arm in file.arms]
+    for poses in file.poses:
+        outgoing += _poses(output, poses)
+    return outgoing
 
 
 def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:

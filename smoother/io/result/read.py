@@ -28,7 +28,7 @@ from .write import RESULT
 
 
 def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
-    """Read the recovered motion from a result file.
+    """Read the recovered motion from a result file: a list with one `Recovery` for each arm in it.
 
     Parameters
     ----------
@@ -38,9 +38,10 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     Returns
     -------
     list of Recovery
-        One recovery an arm, as it was written: times to the nanosecond, velocity and its covariance to
-        rounding; covariances that were nan are nan again. A sample without a position has no pose and no
-        velocity. Arrays in `estimates.further` come back as lists.
+        One for each arm, also where the file holds one arm only: ``[recovery] = read_recovery(path)``.
+        Each is as it was written: times to the nanosecond, velocity and its covariance to rounding;
+        covariances that were nan are nan again. A sample without a position has no pose and no velocity.
+        Arrays in `estimates.further` come back as lists.
 
     Raises
     ------

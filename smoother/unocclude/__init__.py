@@ -1,0 +1,120 @@
+"""unocclude: the arm's motion where the depth camera could not see it.
+
+    import unocclude
+
+    recovery = unocclude.smooth("recording.mcap")
+    table = recovery.to_table()
+
+What `smoother` shows, under the name that is installed; `smooth` also takes files.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Unpack
+
+import smoother
+from smoother import __version__ as __version__
+
+if TYPE_CHECKING:
+    from smoother import ArmCalibration as ArmCalibration
+    from smoother import Config as Config
+    from smoother import ImuStream as ImuStream
+    from smoother import JointState as JointState
+    from smoother import JointTracks as JointTracks
+    from smoother import Recording as Recording
+    from smoother import Recovery as Recovery
+    from smoother import Truth as Truth
+    from smoother import UnoccludeError as UnoccludeError
+    from smoother import read_calibration as read_calibration
+    from smoother import read_recording as read_recording
+    from smoother import read_recovery as read_recovery
+    from smoother import validate as validate
+    from smoother import write_recording as write_recording
+    from smoother import write_recovery as write_recovery
+    from smoother.io.recording.choose import Selection
+    from smoother.measurements.clock import Clock
+    from smoother.runtime.store import Store
+    from smoother.smoothing import Progress
+
+__all__ = list(smoother.__all__)
+
+
+def smooth(
+    recording: Recording | str | os.PathLike[str],
+    calibration: ArmCalibration | str | os.PathLike[str] | None = None,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    store: Store | None = None,
+    processes: int | None = None,
+    clock: Clock | None = None,
+    **selection: Unpack[Selection],
+) -> Recovery:
+    """Recover the arm's motion over a whole recording, or over a recording's file.
+
+    Parameters
+    ----------
+    recording : Recording or path-like
+        One arm and its forearm IMU, or the MCAP file that holds them.
+    calibration : ArmCalibration or path-like, optional
+        Lever arms and upper-arm length, with sigmas; what it lacks is solved. A calibration file goes with
+        the recording's file: it also corrects the sensors.
+    config : Config, optional
+        Settings.
+    progress : callable, optional
+        Called with a fraction (0..1) and a word for the step.
+    store : Store, optional
+        Where what grows with the recording's length lives; in memory where None.
+    processes : int, optional
+        Worker processes, 0 for one a core; as the configuration says where None.
+    clock : Clock, optional
+        The camera's against the IMU's as it was measured, with its sigma.
+    imu, skeleton, side : str, optional
+        Of a file with several: the IMU's and the skeleton's topic, "left" or "right".
+    body : int, optional
+        Of a file with several people: whose arm.
+
+    Returns
+    -------
+    Recovery
+        At the IMU's times, in the camera's frame {K}, with covariance.
+
+    Raises
+    ------
+    UnoccludeError
+        A file cannot be used, or nothing of the recording can be solved; in one sentence.
+
+    Examples
+    --------
+    >>> recovery = unocclude.smooth("session.mcap", "arm.toml", side="left")  # doctest: +SKIP
+    """
+    from smoother.calibration import ArmCalibration
+    from smoother.errors import UnoccludeError
+    from smoother.recording import Recording
+
+    given, file = (calibration, None) if isinstance(calibration, ArmCalibration) else (None, calibration)
+    if not isinstance(recording, Recording):
+        from smoother.io.recording.read_arm import read_arm
+
+        recording, of_file = read_arm(recording, file, store=store, truth=False, **selection)
+        given = given or of_file
+    elif selection:
+        raise UnoccludeError(
+            f"{', '.join(selection)}: smooth() chooses among a file's streams; this recording is read already"
+        )
+    elif file is not None:
+        raise UnoccludeError(
+            f"{os.fspath(file)}: a calibration file goes with the recording's file, as it also corrects the"
+            " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
+        )
+    return smoother.smooth(recording, given, config, progress, store, processes, clock)
+
+
+def __getattr__(name: str) -> object:
+    if name in __all__:
+        return getattr(smoother, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -1,0 +1,142 @@
+"""Recordings and recoveries show themselves: text, a page with a picture, an Arrow table."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import made_results
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from smoother.recording import JointState, Recording
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.sketch import MOST_POINTS, Line, lines_svg
+
+SVG_PARTS = ("polyline", "polygon", "rect", "text")
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=12.0), 4).recording
+
+
+@pytest.fixture(scope="module")
+def recovery() -> Recovery:
+    return made_results.recovery()
+
+
+def picture(page: str) -> dict[str, list[ET.Element]]:
+    """The parts of the one picture of a page."""
+    assert page.count("<svg") == 1
+    root = ET.fromstring(page[page.index("<svg") : page.index("</svg>") + len("</svg>")])
+    return {name: root.findall(name) for name in SVG_PARTS}
+
+
+def test_a_recording_in_some_lines(recording: Recording) -> None:
+    lines = repr(recording).splitlines()
+    assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 110
+    assert (
+        "12.0 s" in lines[0] and "80.0 Hz" in lines[1] and "360 frames" in lines[2] and "truth" in lines[-1]
+    )
+
+
+def test_a_recovery_in_some_lines(recovery: Recovery) -> None:
+    lines = repr(recovery).splitlines()
+    assert 3 <= len(lines) <= 5 and max(map(len, lines)) <= 230
+    assert recovery.name in lines[0] and f"{len(recovery)} samples" in lines[0]
+    assert f"{len(recovery.gaps)} gap" in lines[1] and "largest sigma" in lines[1]
+    worst = max(np.nanmax(recovery.worst_sigma_m[_inside(recovery, gap)]) for gap in recovery.gaps)
+    assert f"largest sigma {100 * worst:.1f} cm" in lines[1]
+
+
+def _inside(recovery: Recovery, gap) -> np.ndarray:
+    return (recovery.t_s >= gap.start_s) & (recovery.t_s < gap.end_s)
+
+
+def test_the_page_has_a_row_and_a_shade_a_gap(recovery: Recovery) -> None:
+    page = recovery._repr_html_()
+    assert page.count("<tr>") == 1 + len(recovery.gaps) and len(page) < 60_000
+    parts = picture(page)
+    assert len(parts["rect"]) == len(recovery.gaps) and len(parts["polyline"]) >= 3
+    assert len(parts["polygon"]) == len(parts["polyline"])
+
+
+def test_the_picture_of_a_recording_breaks_where_nothing_was_tracked(recording: Recording) -> None:
+    parts = picture(recording._repr_html_())
+    hidden = ~(recording.arm.state[:, 1:] == JointState.TRACKED).any(axis=1)
+    gaps = int((np.diff(hidden.astype(int)) == 1).sum() + hidden[0])
+    assert len(parts["rect"]) == gaps > 0
+    assert len(parts["polyline"]) >= 3 * (gaps + 1 - hidden[0] - hidden[-1])
+
+
+def test_names_are_no_markup(recording: Recording, recovery: Recovery) -> None:
+    for page in (
+        replace(recording, name="<b>&x")._repr_html_(),
+        replace(recovery, name="<b>&x")._repr_html_(),
+    ):
+        assert "&lt;b&gt;&amp;x" in page and page.count("<b>") == 1
+
+
+def test_nothing_answered_and_nothing_recorded_still_show(recording: Recording, recovery: Recovery) -> None:
+    empty = replace(recovery.rows(slice(0, 0)), gaps=())
+    assert "0 samples" in repr(empty) and "no gaps" in repr(empty) and "<svg" not in empty._repr_html_()
+    nowhere = np.full_like(recovery.position, np.nan)
+    spread = np.full_like(recovery.pose_covariance, np.nan)
+    silent = replace(recovery, position=nowhere, pose_covariance=spread, joints={}, joint_covariance={})
+    assert (
+        "no answer" in repr(silent)
+        and "no answer" in silent._repr_html_()
+        and "<svg" not in silent._repr_html_()
+    )
+    nobody = replace(recording, imu=recording.imu.select(slice(0, 0)), arm=recording.arm.select(slice(0, 0)))
+    assert "0 frames" in repr(nobody) and "joints none" in nobody._repr_html_()
+
+
+def test_a_long_recording_makes_no_long_picture() -> None:
+    t = np.arange(100_000.0)
+    from smoother.sketch import even_rows
+
+    rows = even_rows(len(t))
+    assert len(t[rows]) <= MOST_POINTS
+    svg = lines_svg(t[rows], [Line("x", np.sin(t[rows]))], [(5.0, 9.0)], "a < b")
+    assert len(svg) < 10_000 and "a &lt; b" in svg
+    points = [
+        float(p.split(",")[1]) for p in ET.fromstring(svg).findall("polyline")[0].get("points", "").split()
+    ]
+    # upwards is less in SVG: the largest value is the topmost point
+    assert int(np.argmin(points)) == int(np.argmax(np.sin(t[rows])))
+
+
+def test_the_table_has_the_columns_of_the_arrays_with_units(recovery: Recovery) -> None:
+    table = recovery.to_table()
+    assert isinstance(table, pa.Table) and table.num_rows == len(recovery)
+    expected = [
+        "t_s",
+        "occluded",
+        "imu_x",
+        "imu_qw",
+        "velocity_z",
+        "sigma_x",
+        "sigma_deg",
+        "wrist_x",
+        "wrist_sigma_z",
+    ]
+    assert set(expected) <= set(table.column_names)
+    units = {name: table.schema.field(name).metadata[b"unit"].decode() for name in table.column_names}
+    assert units["t_s"] == "s" and units["velocity_z"] == "m/s" and units["sigma_deg"] == "deg"
+    assert units["wrist_x"] == units["sigma_x"] == "m" and units["imu_qw"] == units["occluded"] == ""
+    np.testing.assert_array_equal(
+        table["wrist_y"].to_numpy(zero_copy_only=False), recovery.joints["wrist"][:, 1]
+    )
+    assert table["occluded"].type == pa.bool_()
+
+
+def test_no_answer_is_null_in_the_table(recovery: Recovery) -> None:
+    position = recovery.position.copy()
+    position[3:5] = np.nan
+    column = replace(recovery, position=position).to_table()["imu_x"]
+    assert column.null_count == 2 + int(np.isnan(recovery.position[:, 0]).sum())
+    assert column[3].as_py() is None

@@ -1,0 +1,258 @@
+"""Every document: its links and anchors lead somewhere, its commands, options and quoted sentences exist."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted(
+    path.relative_to(ROOT).as_posix()
+    for path in (
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "data/README.md")),
+        *(path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parts),
+    )
+)
+
+
+def text_of(document: str | Path) -> str:
+    return (ROOT / document).read_text(encoding="utf-8")
+
+
+def split(text: str) -> tuple[list[tuple[str, str]], str]:
+    """Fenced blocks of a document as (language, content), and the rest of it."""
+    blocks: list[tuple[str, str]] = []
+    rest: list[str] = []
+    fence, language, inside = "", "", [""]
+    for line in text.splitlines():
+        marks = re.match(r"\s*(`{3,})(.*)", line)
+        if not fence and marks:
+            fence, language, inside = marks[1], marks[2].strip(), []
+        elif fence and marks and marks[1] == fence and not marks[2].strip():
+            blocks.append((language, "\n".join(inside)))
+            fence = ""
+        else:
+            (inside if fence else rest).append(line)
+    assert not fence, "a fenced block has no end"
+    return blocks, "\n".join(rest)
+
+
+def without_code(text: str) -> str:
+    """A document without its fenced blocks and inline code."""
+    return re.sub(r"`[^`\n]+`", "", split(text)[1])
+
+
+@cache
+def anchors(path: Path) -> set[str]:
+    """What `#..` may name in a document: its headings as GitHub and MyST write them."""
+    blocks, text = split(path.read_text(encoding="utf-8"))
+    names: set[str] = set()
+    for title in re.findall(r"^#{1,4} +(.+)$", text, re.MULTILINE):
+        title = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title)
+        slug = re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-")
+        names.add(slug if slug not in names else f"{slug}-1")
+    for language, _ in blocks:
+        if language.startswith("{include}"):
+            names |= anchors((path.parent / language.split()[1]).resolve())
+    return names
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_links_lead_somewhere(document: str):
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(text_of(document))):
+        if re.match(r"[a-z]+:", target):  # another site: not followed, but an address all the same
+            assert re.fullmatch(r"https://[a-z0-9.-]+\.[a-z]+(/\S*)?", target), f"{document}: {target}"
+            continue
+        name, _, anchor = target.partition("#")
+        path = (ROOT / document).parent / name if name else ROOT / document
+        assert path.exists(), f"{document} links to {target}: there is no such file"
+        if anchor and path.suffix == ".md":
+            assert anchor in anchors(path.resolve()), (
+                f"{document} links to {target}: there is no such heading"
+            )
+
+
+def code_lines(text: str) -> Iterator[str]:
+    """Lines of code in a document: fenced, indented by four, and between backticks on a line of text."""
+    blocks, rest = split(text)
+    for language, block in blocks:
+        if language in ("", "sh", "{code-cell} ipython3"):
+            yield from (line.strip() for line in re.sub(r"\\\n\s*", " ", block).splitlines())
+    yield from re.findall(r"^    (unocclude .*)$", rest, re.MULTILINE)
+    yield from (" ".join(code.split()) for code in re.findall(r"(?<!`)`([^`]+)`(?!`)", rest))
+
+
+@cache
+def cli() -> Any:
+    from smoother.cli.app import app
+
+    return typer.main.get_command(app)
+
+
+def resolve(words: list[str]) -> tuple[Any, int]:
+    """The command that words begin with, and how many words name it; ValueError where there is none."""
+    command, count = cli(), 0
+    while hasattr(command, "list_commands"):
+        context = typer.Context(command)
+        if count == len(words) or words[count] in ("..", "NAME"):
+            return command, count
+        command = command.get_command(context, words[count])
+        if command is None:
+            raise ValueError(" ".join(words[: count + 1]))
+        count += 1
+    return command, count
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_and_options_exist(document: str):
+    for line in code_lines(text_of(document)):
+        match = re.match(r"\s*(?:TMPDIR=\S+ )?!?unocclude (.*)", line)
+        if match is None:
+            continue
+        try:
+            words = shlex.split(match[1], comments=True)
+        except ValueError:
+            words = match[1].split()
+        if not words or words[0].startswith("-"):
+            continue
+        try:
+            command, count = resolve(words)
+        except ValueError as error:
+            if re.match(r"[a-z][\w-]*$", str(error).split()[-1]):
+                pytest.fail(f"{document}: `unocclude {error}` is no command ({line.strip()})")
+            continue
+        options = {
+            name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)
+        }
+        for word in words[count:]:
+            if re.match(r"--?[a-z]", word) and word.split("=")[0] not in options | {"--help", "-h"}:
+                pytest.fail(
+                    f"{document}: {word} is no option of `unocclude {' '.join(words[:count])}` ({line})"
+                )
+
+
+@cache
+def sentences() -> str:
+    """Every text in the program, formatted values as {}, on one line each."""
+    texts = []
+    for path in sorted(path for folder in ("smoother", "calib") for path in (ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = [v.value if isinstance(v, ast.Constant) else "{}" for v in node.values]
+                texts.append(" ".join("".join(map(str, parts)).split()))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(" ".join(node.value.split()))
+    return "\n".join(texts)
+
+
+def quoted(document: str) -> list[str]:
+    """What a document's tables say that the program prints: italics in the first two columns."""
+    rows = [line.split("|")[1:3] for line in text_of(document).splitlines() if line.startswith("|")]
+    return [
+        text for row in rows for cell in row for text in re.findall(r"(?<![*\w])\*([^*]+)\*(?![*\w])", cell)
+    ]
+
+
+def test_troubleshooting_quotes_the_program():
+    texts = quoted("docs/troubleshooting.md")
+    assert len(texts) > 40
+    missing = [text for text in texts if text.strip() not in sentences()]
+    assert not missing, f"docs/troubleshooting.md quotes what the program does not say: {missing}"
+
+
+def numberless(text: str) -> str:
+    """A text whose numbers do not count, on one line."""
+    return " ".join(re.sub(r"\d+(\.\d+)?", "N", text).split())
+
+
+def test_the_tutorial_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any):
+    from smoother.cli.run import run
+
+    text, _ = text_of("docs/tutorial.md").split("## 8.")
+    monkeypatch.chdir(tmp_path)
+    lines = [line for line in code_lines(text) if line.startswith("unocclude ") and "doctor" not in line]
+    commands = [shlex.split(line, comments=True)[1:] for line in lines]
+    assert [words[0] for words in commands][:4] == ["simulate", "info", "smooth", "validate"]
+    for words in commands:
+        assert run(words) == 0, words
+    printed = numberless(capsys.readouterr().out)
+    blocks, _ = split(text)
+    answers = [line for language, block in blocks if language == "text" for line in block.splitlines()]
+    assert len(answers) >= 3
+    for answer in answers:
+        assert numberless(answer) in printed, answer
+
+
+def test_the_quotes_would_be_missed():
+    assert "this was never printed by anybody" not in sentences()
+
+
+def test_figures_of_the_readme_are_those_of_the_results():
+    rows = [
+        re.findall(r"\d+\.\d+", line) for line in text_of("README.md").splitlines() if line.startswith("|")
+    ]
+    rows = [row for row in rows if len(row) >= 4]
+    results = [re.findall(r"\d+\.\d+", line) for line in text_of("docs/results.md").splitlines()]
+    assert rows
+    for row in rows:
+        assert any(Counter(row[-4:]) <= Counter(other) for other in results), row
+
+
+def test_pages_without_a_list_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    import written_at_build
+
+    (tmp_path / "index.md").write_text("```{toctree}\nhowto\nTitle <named>\n```\n")
+    for name in ("howto", "named", "later"):
+        (tmp_path / f"{name}.md").write_text(f"# {name}\n")
+    assert "\nlater\n" in written_at_build.other_pages(tmp_path)
+    assert "named" not in written_at_build.other_pages(tmp_path)
+    (tmp_path / "later.md").unlink()
+    assert written_at_build.other_pages(tmp_path) == ""
+    text = written_at_build.commands()
+    assert "## unocclude smooth\n" in text and "## unocclude calibrate panel\n" in text
+    assert "`--max-sigma-m M`" in text
+    assert "joint_sigma_m = " in written_at_build.settings()
+    sys.modules.pop("written_at_build")
+
+
+def test_the_site_checker_finds_what_is_wrong(tmp_path: Path):
+    from tools.site_links import faults
+
+    page = '<h1 id="top">x</h1><a href="other.html#there">a</a><a href="https://example.org">b</a>'
+    (tmp_path / "index.html").write_text(page)
+    (tmp_path / "other.html").write_text(
+        '<p id="there">y</p><link rel="canonical" href="https://example.org/o">'
+    )
+    assert faults(tmp_path) == []
+    (tmp_path / "other.html").write_text(
+        '<script src="https://cdn.example.org/a.js"></script><a href="no.html">'
+    )
+    found = "\n".join(faults(tmp_path))
+    assert "no such place" in found and "no such file" in found and "from outside" in found
+    assert faults(tmp_path / "empty")
+
+
+def test_pictures_are_small_and_whole():
+    from xml.dom import minidom
+
+    from tools.figures.drawings import movements_drawing, setup_drawing
+
+    pictures = [path for path in (ROOT / "docs" / "pictures").iterdir() if path.suffix in (".svg", ".webp")]
+    assert len(pictures) >= 5
+    for path in pictures:
+        assert path.stat().st_size < 150_000, path
+        if path.suffix == ".svg":
+            minidom.parse(str(path))
+    for drawing in (setup_drawing(), movements_drawing()):
+        minidom.parseString(drawing)

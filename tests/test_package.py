@@ -1,0 +1,145 @@
+"""`import unocclude`: what a wheel holds, which names there are, and files given to `smooth`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import ALONE
+
+import smoother
+import unocclude
+from smoother.calibration import ArmCalibration, Length
+from smoother.errors import UnoccludeError
+from smoother.simulation import ArmSimulation, simulate_arm
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this tree, unpacked."""
+    source, built = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("built")
+    for folder in ("smoother", "calib"):
+        shutil.copytree(ROOT / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    code = f"from setuptools.build_meta import build_wheel; build_wheel({str(built)!r})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    (file,) = built.glob("unocclude-*.whl")
+    zipfile.ZipFile(file).extractall(built / "site")
+    return built / "site"
+
+
+def test_a_wheel_holds_every_module_once(wheel: Path) -> None:
+    inside = {path.relative_to(wheel).as_posix() for path in wheel.rglob("*.py")}
+    tree = {
+        path.relative_to(ROOT).as_posix()
+        for part in ("smoother", "calib")
+        for path in (ROOT / part).rglob("*.py")
+    }
+    assert inside == {
+        name.removeprefix("smoother/") if name.startswith("smoother/unocclude/") else name for name in tree
+    }
+    assert {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"} == {
+        "smoother",
+        "calib",
+        "unocclude",
+    }
+    assert (wheel / "unocclude" / "py.typed").exists() and (
+        wheel / "smoother" / "report" / "page.html"
+    ).exists()
+
+
+def test_the_wheel_is_imported_by_its_own_name(wheel: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys, unocclude\n"
+        f"assert unocclude.__file__.startswith({str(wheel)!r}), unocclude.__file__\n"
+        "assert not {'numpy', 'gtsam', 'mcap'} & set(sys.modules)\n"
+        "print(unocclude.__version__, unocclude.Recovery.__name__)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(wheel)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [smoother.__version__, "Recovery"]
+
+
+def test_dir_shows_the_public_names_and_no_others() -> None:
+    assert dir(unocclude) == sorted([*smoother.__all__, "__version__"])
+    for name in smoother.__all__:
+        same = getattr(unocclude, name) is getattr(smoother, name)
+        assert same or name == "smooth"
+    with pytest.raises(AttributeError, match="module 'unocclude' has no attribute 'smoth'"):
+        unocclude.smoth  # noqa: B018
+
+
+def test_what_reading_returns_is_the_first_thing_said() -> None:
+    first = (unocclude.read_recovery.__doc__ or "").splitlines()[0]
+    assert "list" in first and "each arm" in first
+
+
+ARM = """format = "unocclude calibration"
+version = 1
+[arm.right]
+upper_arm_m = 0.31
+upper_arm_sigma_m = 0.003
+"""
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of six seconds as a file, a calibration file beside it."""
+    path = tmp_path_factory.mktemp("session") / "session.mcap"
+    arm = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=6.0), 3)
+    unocclude.write_recording(arm.recording, path)
+    path.with_name("arm.toml").write_text(ARM, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def handed_on(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
+    """What reaches the method itself."""
+    calls: list[tuple] = []
+    monkeypatch.setattr(smoother, "smooth", lambda *given: calls.append(given))
+    return calls
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_file_is_read_and_handed_on(session: Path, handed_on: list[tuple], kind: type) -> None:
+    unocclude.smooth(kind(session), config=ALONE, processes=1)
+    (recording, calibration, config, progress, store, processes, clock) = handed_on[0]
+    np.testing.assert_array_equal(recording.imu.acc, unocclude.read_recording(session).imu.acc)
+    assert (calibration, config, processes) == (None, ALONE, 1) and progress is store is clock is None
+
+
+def test_a_calibration_file_goes_with_the_file(session: Path, handed_on: list[tuple]) -> None:
+    unocclude.smooth(session, session.with_name("arm.toml"))
+    unocclude.smooth(session, ArmCalibration(side="right", upper_arm=Length(0.29, 0.01)))
+    assert [calibration.upper_arm.value_m for _, calibration, *_ in handed_on] == [0.31, 0.29]
+
+
+def test_a_recording_goes_as_it_is(session: Path, handed_on: list[tuple]) -> None:
+    recording = unocclude.read_recording(session)
+    unocclude.smooth(recording)
+    assert handed_on[0][0] is recording
+
+
+def test_what_a_person_gets_wrong_is_one_sentence(session: Path) -> None:
+    recording = unocclude.read_recording(session)
+    with pytest.raises(UnoccludeError, match=r"none\.mcap"):
+        unocclude.smooth(session.with_name("none.mcap"))
+    with pytest.raises(UnoccludeError, match=r"side: smooth\(\) chooses among a file's streams"):
+        unocclude.smooth(recording, side="left")
+    with pytest.raises(UnoccludeError, match=r"arm\.toml: a calibration file goes with the recording's file"):
+        unocclude.smooth(recording, session.with_name("arm.toml"))
+    with pytest.raises(UnoccludeError, match="left"):
+        unocclude.smooth(session, side="left")
