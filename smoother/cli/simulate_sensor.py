@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, say, say_command, say_written, write_json, write_truth
+from .output import check_mcap, check_outputs, say, say_command, say_written, write_json, write_truth
 
 if TYPE_CHECKING:
     from ..recording import FloatArray, ImuStream
@@ -48,7 +48,7 @@ def imu(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Simulate an IMU laid down in rest poses, for `calibrate imu`.
+    """Simulate an IMU in rest poses, for `calibrate imu`.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -75,7 +75,7 @@ def magnetometer(
         float, typer.Option("--hard-iron", min=0.0, max=5.0, help="Offset, in parts of the field.")
     ] = 0.5,
     soft_iron: Annotated[
-        float, typer.Option("--soft-iron", min=0.0, max=0.4, help="Largest error of scale, and cross term.")
+        float, typer.Option("--soft-iron", min=0.0, max=0.25, help="Largest error of scale, and cross term.")
     ] = 0.2,
     field: Annotated[
         float, typer.Option("--field", min=0.01, help="The field's strength, in the sensor's unit.")
@@ -87,7 +87,7 @@ def magnetometer(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Simulate a sensor turned about all its axes for a minute, for `calibrate magnetometer`.
+    """Simulate a magnetometer turned all round for a minute.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -107,6 +107,7 @@ def magnetometer(
 def _checked(output: Path, json_file: Path | None, force: bool) -> Path:
     """Name of the truth's file, once it is certain that all can be written."""
     truth_file = output.with_name(f"{output.stem}_truth.toml")
+    check_mcap(output)
     check_outputs(force, [output, truth_file, json_file])
     return truth_file
 
