@@ -99,7 +99,7 @@ def motion(
     output: CalibrationOutput,
     known_file: Annotated[
         Path | None,
-        typer.Option("--known", metavar="CAL.toml", help="What is measured already; it is believed."),
+        typer.Option("--known", metavar="CAL.toml", help="What is measured already; it counts as given."),
     ] = None,
     config_file: ConfigFile = None,
     imu: Imu = None,

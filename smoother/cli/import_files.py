@@ -10,7 +10,7 @@ import typer
 from ..errors import UnoccludeError
 from .info import print_topics
 from .options import Force, Json, Output
-from .output import check_outputs, print_notes, print_table, say, write_json
+from .output import check_mcap, check_outputs, print_notes, print_table, say, write_json
 
 if TYPE_CHECKING:
     from ..io.devices.files import ImuFiles
@@ -72,6 +72,7 @@ def files(
 
     reader = FileReader(imu_format, skeleton_format)
     skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]
+    check_mcap(output)
     check_outputs(
         force, [output, json_file], [*skeletons, *(p for files in imus for p in files.paths), truth]
     )

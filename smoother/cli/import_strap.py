@@ -22,7 +22,7 @@ from .options import (
     Skeleton,
     one_side,
 )
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
@@ -75,6 +75,7 @@ def strap(
     from ..strap_search.search import import_strap
     from .config_file import read_config, with_processes
 
+    check_mcap(output)
     check_outputs(force, [output, json_file, report], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     recording, known = load_arm(

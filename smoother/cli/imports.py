@@ -10,7 +10,7 @@ import typer
 from ..errors import UnoccludeError
 from .info import print_topics
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, print_notes, write_json
+from .output import check_mcap, check_outputs, print_notes, write_json
 
 if TYPE_CHECKING:
     from ..io import RecordingFile
@@ -29,6 +29,7 @@ def csv(
     """Import a folder of plain files: recording.toml, skeleton and IMU tables."""
     from ..io import open_csv
 
+    check_mcap(output)
     check_outputs(force, [output, json_file])
     _finish(open_csv(folder), output, json_file, force)
 
@@ -51,6 +52,7 @@ def broad(
         raise typer.BadParameter("--rate-hz is between 1 and 1000")
     if not 0 <= noise_m <= 1:
         raise typer.BadParameter("--noise-m is between 0 and 1")
+    check_mcap(output)
     check_outputs(force, [output, json_file], [mat])
     _finish(import_broad(mat, rate_hz=rate_hz, noise_m=noise_m, seed=seed), output, json_file, force)
 
@@ -73,6 +75,7 @@ def utd_mhad(
     from ..io import import_utd_mhad
 
     skeleton = skeleton or _skeleton_beside(inertial)
+    check_mcap(output)
     check_outputs(force, [output, json_file], [inertial, skeleton])
     _finish(import_utd_mhad(inertial, skeleton), output, json_file, force)
 

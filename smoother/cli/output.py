@@ -44,8 +44,10 @@ _OTHER_ENDINGS = ("csv", "trc", "mot", "c3d", "parquet")
 _NO_RESULT = ("html", "json", "toml", "txt", "xlsx", "mat", "bag", "rrd", "sto", "osim", "npz")
 
 
-def check_mcap(path: Path) -> None:
+def check_mcap(path: Path, exports: bool = False) -> None:
     """Refuse to write MCAP to a file whose ending says something else.
+
+    `exports`: what is written is a result, which `unocclude export` writes in other formats.
 
     Raises
     ------
@@ -53,11 +55,11 @@ def check_mcap(path: Path) -> None:
         In one sentence, with the command that writes what the ending says.
     """
     ending = path.suffix.lower().removeprefix(".")
-    if ending in _OTHER_ENDINGS:
+    if exports and ending in _OTHER_ENDINGS:
         mcap = path.with_suffix(".mcap")
         command = shlex.join(["unocclude", "export", str(mcap), "--format", ending, "-o", str(path)])
         raise UnoccludeError(f"{path}: the result is MCAP; write it to {mcap}, then `{command}`")
-    if ending in _NO_RESULT:
+    if ending in (*_OTHER_ENDINGS, *_NO_RESULT):
         raise UnoccludeError(f"{path}: what is written is MCAP; name it {path.with_suffix('.mcap')}")
 
 

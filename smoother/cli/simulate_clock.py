@@ -30,7 +30,7 @@ def clock(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Simulate a session for `calibrate clock`: a beep, broadcasts, and an arm in motion.
+    """Simulate a beep, broadcasts and motion on known clocks.
 
     Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
     """

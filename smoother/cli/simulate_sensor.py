@@ -2,20 +2,70 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .option_groups import with_groups
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, say, say_command, say_written, write_json, write_truth
+from .output import check_mcap, check_outputs, say, say_command, say_written, write_json, write_truth
 
 if TYPE_CHECKING:
     from ..recording import FloatArray, ImuStream
 
 
+@dataclass(frozen=True)
+class SensorFiles:
+    """Where a simulated sensor goes, as a group of a command's options.
+
+    Attributes
+    ----------
+    output : Path
+        The recording.
+    seed : int
+        Of the simulation.
+    json_file : Path, optional
+        For the figures.
+    force : bool
+        Overwrite what exists.
+    """
+
+    output: Output
+    seed: Seed = 0
+    json_file: Json = None
+    force: Force = False
+
+    @property
+    def truth(self) -> Path:
+        """What the calibration should find, beside the recording."""
+        return self.output.with_name(f"{self.output.stem}_truth.toml")
+
+    def check(self) -> None:
+        """Refuse what could not be written in the end."""
+        check_mcap(self.output)
+        check_outputs(self.force, [self.output, self.truth, self.json_file])
+
+    def write(self, stream: ImuStream, truth: dict[str, Any]) -> None:
+        """Write the recording of a sensor alone, and its truth; say what was written."""
+        from calib.imu.sensor import sensor_name
+
+        from ..io import write_recording
+        from ..io.recording.write import as_session
+
+        write_recording(as_session(self.output.name, [stream], []), self.output, force=self.force)
+        table = {"imu": {sensor_name(stream.name): truth}}
+        write_truth(self.truth, table, self.force)
+        write_json(self.json_file, {"seed": self.seed, "truth": table}, self.force)
+        length_s = stream.t_s[-1] - stream.t_s[0]
+        say(f"{self.output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
+        say_written(self.output, self.truth, self.json_file)
+
+
+@with_groups
 def imu(
-    output: Output,
+    to: SensorFiles,
     poses: Annotated[
         int, typer.Option("--poses", min=1, max=26, help="Rest poses: sides, then edges, then corners.")
     ] = 12,
@@ -44,11 +94,8 @@ def imu(
     noise: Annotated[
         float, typer.Option("--noise", min=0.0, help="Of an accelerometer sample in a pose, m/s^2.")
     ] = 0.02,
-    seed: Seed = 0,
-    json_file: Json = None,
-    force: Force = False,
 ) -> None:
-    """Simulate an IMU laid down in rest poses, for `calibrate imu`.
+    """Simulate an IMU in rest poses, for `calibrate imu`.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -56,26 +103,27 @@ def imu(
 
     from ..simulation.poses import SensorModel, long_rest, rest_poses
 
-    truth_file = _checked(output, json_file, force)
-    model = SensorModel.draw(np.random.default_rng([seed, 2]), offset=offset, scale=scale, cross=cross)
+    to.check()
+    model = SensorModel.draw(np.random.default_rng([to.seed, 2]), offset=offset, scale=scale, cross=cross)
     if long_rest_s is None:
         stream, bias = rest_poses(
-            model, poses, seed=seed, rest_s=rest_s, acc_noise=noise, gyro_noise=noise / 10.0
+            model, poses, seed=to.seed, rest_s=rest_s, acc_noise=noise, gyro_noise=noise / 10.0
         )
     else:
-        stream, bias = long_rest(model, long_rest_s, seed=seed)
+        stream, bias = long_rest(model, long_rest_s, seed=to.seed)
     truth = {"accelerometer": _correction(*model.correction()), "gyroscope": {"offset": bias.tolist()}}
-    _write(stream, truth, (output, truth_file, json_file), seed, force)
-    say_command("calibrate", "imu", output, "-o", "arm.toml", "--report", "imu.html")
+    to.write(stream, truth)
+    say_command("calibrate", "imu", to.output, "-o", "arm.toml", "--report", "imu.html")
 
 
+@with_groups
 def magnetometer(
-    output: Output,
+    to: SensorFiles,
     hard_iron: Annotated[
         float, typer.Option("--hard-iron", min=0.0, max=5.0, help="Offset, in parts of the field.")
     ] = 0.5,
     soft_iron: Annotated[
-        float, typer.Option("--soft-iron", min=0.0, max=0.4, help="Largest error of scale, and cross term.")
+        float, typer.Option("--soft-iron", min=0.0, max=0.25, help="Largest error of scale, and cross term.")
     ] = 0.2,
     field: Annotated[
         float, typer.Option("--field", min=0.01, help="The field's strength, in the sensor's unit.")
@@ -83,11 +131,8 @@ def magnetometer(
     noise: Annotated[
         float, typer.Option("--noise", min=0.0, max=0.2, help="Of a sample, in parts of the field.")
     ] = 0.01,
-    seed: Seed = 0,
-    json_file: Json = None,
-    force: Force = False,
 ) -> None:
-    """Simulate a sensor turned about all its axes for a minute, for `calibrate magnetometer`.
+    """Simulate a magnetometer turned all round for a minute.
 
     Beside FILE lies FILE_truth.toml, in the form of a calibration file: what should be found.
     """
@@ -95,43 +140,14 @@ def magnetometer(
 
     from ..simulation.poses import SensorModel, turning_sensor
 
-    truth_file = _checked(output, json_file, force)
-    rng = np.random.default_rng([seed, 2])
+    to.check()
+    rng = np.random.default_rng([to.seed, 2])
     model = SensorModel.draw(rng, offset=hard_iron, scale=soft_iron, cross=soft_iron)
-    stream = turning_sensor(model, seed=seed, field=field, noise=noise)
+    stream = turning_sensor(model, seed=to.seed, field=field, noise=noise)
     truth = {"magnetometer": _correction(*model.correction(field))}
-    _write(stream, truth, (output, truth_file, json_file), seed, force)
-    say_command("calibrate", "magnetometer", output, "-o", "arm.toml", "--report", "magnetometer.html")
-
-
-def _checked(output: Path, json_file: Path | None, force: bool) -> Path:
-    """Name of the truth's file, once it is certain that all can be written."""
-    truth_file = output.with_name(f"{output.stem}_truth.toml")
-    check_outputs(force, [output, truth_file, json_file])
-    return truth_file
+    to.write(stream, truth)
+    say_command("calibrate", "magnetometer", to.output, "-o", "arm.toml", "--report", "magnetometer.html")
 
 
 def _correction(offset: FloatArray, matrix: FloatArray) -> dict[str, Any]:
     return {"offset": offset.tolist(), "matrix": matrix.tolist()}
-
-
-def _write(
-    stream: ImuStream,
-    truth: dict[str, Any],
-    outputs: tuple[Path, Path, Path | None],
-    seed: int,
-    force: bool,
-) -> None:
-    """Write the recording of a sensor alone, and its truth; say what was written."""
-    from calib.imu.sensor import sensor_name
-
-    from ..io import write_recording
-    from ..io.recording.write import as_session
-
-    output, truth_file, json_file = outputs
-    write_recording(as_session(output.name, [stream], []), output, force=force)
-    table = {"imu": {sensor_name(stream.name): truth}}
-    write_truth(truth_file, table, force)
-    write_json(json_file, {"seed": seed, "truth": table}, force)
-    say(f"{output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
-    say_written(*outputs)

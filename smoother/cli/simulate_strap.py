@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, print_table, say_command, say_written, write_json, write_truth
+from .output import check_mcap, check_outputs, print_table, say_command, say_written, write_json, write_truth
 
 
 def strap(
@@ -22,7 +22,7 @@ def strap(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Simulate an arm with colour and depth images of its strap, for `import strap`.
+    """Simulate an arm with images of its strap, for `import strap`.
 
     Beside FILE lies FILE_truth.toml: where the strap sits. FILE holds the true motion of the IMU.
     """
@@ -32,6 +32,7 @@ def strap(
     from .progress import progress_bar
 
     truth_file = output.with_name(f"{output.stem}_truth.toml")
+    check_mcap(output)
     check_outputs(force, [output, truth_file, json_file])
     simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=duration_s), seed)
     recording, measures = simulated.recording, simulated.parameters

@@ -86,7 +86,7 @@ def smooth(
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
     remedy, swap_sides = set_up.remedy()
-    check_mcap(output)
+    check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
     config = with_processes(read_config(config_file), processes)
     if anatomy is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -41,19 +41,14 @@ def laid_out(title: str, columns: Sequence[str], cells: Cells, width: int) -> Re
     from rich.text import Text
 
     heading = Text(title, style="bold")
-    for whole in (True, False):  # cells on one line each, then broken between words
+    for needed in (_whole_widths, _whole_cells, _word_widths):
         for lined in (True, False):
-            if _fits(columns, cells, width, whole, lined):
+            if sum(needed(columns, cells)) <= _room(len(columns), width, lined):
                 return Group(heading, _table(columns, cells, width, lined))
     turned = list(zip(columns, *cells, strict=True))
-    if cells and _fits(turned[0], turned[1:], width, True, False):
+    if cells and sum(_whole_widths(turned[0], turned[1:])) <= _room(len(turned[0]), width, lined=False):
         return Group(heading, _table(turned[0], turned[1:], width, lined=False))
     return Group(heading, *_paragraphs(columns, cells))
-
-
-def _fits(columns: Sequence[str], cells: Cells, width: int, whole: bool, lined: bool) -> bool:
-    needed = _widths(columns, cells, _whole if whole else _longest_word)
-    return sum(needed) <= _room(len(columns), width, lined)
 
 
 def _room(count: int, width: int, lined: bool) -> int:
@@ -62,8 +57,23 @@ def _room(count: int, width: int, lined: bool) -> int:
     return width - column * count - ends
 
 
-def _widths(columns: Sequence[str], cells: Cells, needs: Callable[[str], int]) -> list[int]:
-    return [max(map(needs, texts)) for texts in zip(columns, *cells, strict=True)]
+def _whole_widths(columns: Sequence[str], cells: Cells) -> list[int]:
+    """Widths at which heads and cells stand on one line each."""
+    return [max(map(_whole, texts)) for texts in zip(columns, *cells, strict=True)]
+
+
+def _whole_cells(columns: Sequence[str], cells: Cells) -> list[int]:
+    """Widths at which cells do, and heads are broken between words."""
+    texts = list(zip(*cells, strict=True)) or [()] * len(columns)
+    return [
+        max(_longest_word(column), *map(_whole, below), 0)
+        for column, below in zip(columns, texts, strict=True)
+    ]
+
+
+def _word_widths(columns: Sequence[str], cells: Cells) -> list[int]:
+    """Widths at which cells are broken between words, too."""
+    return [max(map(_longest_word, texts)) for texts in zip(columns, *cells, strict=True)]
 
 
 def _whole(text: str) -> int:
@@ -79,10 +89,11 @@ def _table(columns: Sequence[str], cells: Cells, width: int, lined: bool) -> Ren
     from rich.table import Table
     from rich.text import Text
 
-    widths, wanted = _widths(columns, cells, _longest_word), _widths(columns, cells, _whole)
-    for _ in range(_room(len(columns), width, lined) - sum(widths)):  # what is left goes where most is cut
-        place = max(range(len(widths)), key=lambda k: wanted[k] - widths[k])
-        widths[place] += widths[place] < wanted[place]
+    widths = _word_widths(columns, cells)
+    for wanted in (_whole_cells(columns, cells), _whole_widths(columns, cells)):
+        for place in sorted(range(len(widths)), key=lambda k: wanted[k] - widths[k]):  # numbers before prose
+            left = _room(len(columns), width, lined) - sum(widths)
+            widths[place] += max(min(wanted[place] - widths[place], left), 0)
     table = Table(
         box=box.HEAVY_HEAD if lined else box.SIMPLE_HEAD,
         padding=(0, 1) if lined else (0, 1, 0, 0),

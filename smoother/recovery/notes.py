@@ -99,7 +99,8 @@ def _rejected(residuals: FrameResiduals) -> list[str]:
     if not count:
         return []
     tracked = count + int(np.count_nonzero(residuals.used))
-    note = f"{count} of {tracked} tracked samples of the camera were rejected"
+    was = "was" if count == 1 else "were"
+    note = f"{count} of {tracked} tracked samples of the camera {was} rejected"
     if np.count_nonzero(_contradicted(residuals)) > HARDLY_AGREE * tracked:
         note += (
             "; camera and IMU hardly agree, and the answer is not to be trusted: check that their clocks"

@@ -114,6 +114,12 @@ def test_mcap_is_not_written_under_another_ending(
     assert not (tmp_path / name).exists()
 
 
+def test_a_recording_is_not_written_under_another_ending(tmp_path: Path, capsys) -> None:
+    assert run(["simulate", "imu", "-o", str(tmp_path / "poses.csv")]) == 1
+    assert f"name it {tmp_path / 'poses.mcap'}" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("degrees", "words"),
     [(4.2, "known to 4 degrees only"), (1137.0, "not known"), (np.inf, "not known"), (np.nan, "not known")],
