@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import UnoccludeError
+from ..errors import RecordingError, UnoccludeError
 from .load import camera_frame_of, damage
 from .options import Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
     from ..io.export.prepare import Export
+    from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "rrd")
 FRAMES = ("camera", "opensim")
 
 
@@ -49,13 +51,14 @@ def export(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result in a format that other programs open; one file an arm.
+    """Write a result in a format that other programs open; one file an arm (rrd: one for all).
 
     csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer.
+    straight line bridges a stretch without an answer. rrd: a recording of Rerun with its views, all
+    arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
     from ..io import read_recovery
 
@@ -66,19 +69,24 @@ def export(
         raise UnoccludeError(
             f"{result}: there is no recovered arm{f' {side!r}' if side else ''} in this file"
         )
-    files = output_names(output, recoveries)
+    together = format_name == "rrd"
+    files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    exports = _prepared(result, recoveries, format_name, frame, rate)
+    exports = (
+        [prepared_rrd(result, recoveries)]
+        if together
+        else _prepared(result, recoveries, format_name, frame, rate)
+    )
     figures = []
-    for recovery, path, ready in zip(recoveries, files, exports, strict=True):
+    for recovery, path, ready in zip(recoveries, files, exports, strict=False):
         ready.write(path, force)
         say(f"written: {path} ({ready.rows} rows)")
         figures.append(
             {
                 "file": str(path),
                 "rows": ready.rows,
-                "side": recovery.side,
+                "side": "" if together and len(recoveries) > 1 else recovery.side,
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
@@ -137,3 +145,18 @@ def _prepared(
     return [
         prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in recoveries
     ]
+
+
+def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
+    """All arms for Rerun, with the truth that lies in the result's file where it is that of the one arm."""
+    from ..evaluation.truth_file import read_truth_mcap
+    from ..io.export.prepare import prepare_rrd
+    from ..io.export.rrd import rerun_module
+
+    rerun_module()  # said before the file is read again
+    axes = camera_frame_of(result)
+    truths: list[Truth | None] = [None] * len(recoveries)
+    if len(recoveries) == 1:
+        with suppress(RecordingError):  # it holds none
+            truths = [read_truth_mcap(result, recoveries[0])]
+    return prepare_rrd(recoveries, truths, None if axes is None else axes.down)

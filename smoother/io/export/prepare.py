@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import UnoccludeError
-from ...recording import FloatArray
+from ...recording import FloatArray, Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
@@ -85,6 +85,8 @@ def prepare_export(
     if format_name in WITH_FRAME:
         chosen = frame or DEFAULT_FRAME[format_name]
         return _markers(recovery, format_name, chosen, rate_hz, level_down, version)
+    if format_name == "rrd":
+        return prepare_rrd([recovery], level_down=level_down)
     if format_name == "parquet":
         from .parquet import export_parquet
 
@@ -94,6 +96,42 @@ def prepare_export(
     from .csv import export_csv
 
     return Export(len(recovery), lambda path, force: export_csv(recovery, path, force), frame="camera")
+
+
+def prepare_rrd(
+    recoveries: Sequence[Recovery],
+    truths: Sequence[Truth | None] | None = None,
+    level_down: FloatArray | None = None,
+) -> Export:
+    """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`.
+
+    Parameters
+    ----------
+    recoveries : sequence of Recovery
+        One for each arm.
+    truths : sequence of Truth or None, optional
+        For each arm.
+    level_down : ndarray, shape (3,), optional
+        See `rrd.write_rrd`.
+
+    Returns
+    -------
+    Export
+        Ready to be written.
+
+    Raises
+    ------
+    UnoccludeError
+        rerun-sdk is not installed, or no arm has an answer.
+    """
+    from .rrd import check_rrd, write_rrd
+
+    check_rrd(recoveries)
+    return Export(
+        sum(len(recovery) for recovery in recoveries),
+        lambda path, force: write_rrd(recoveries, path, truths=truths, level_down=level_down, force=force),
+        frame="camera",
+    )
 
 
 def _mot(recovery: Recovery, rate_hz: float | None) -> Export:

@@ -1,0 +1,93 @@
+"""The views in which Rerun shows a result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...recording import FloatArray
+from .rerun_arm import TIMELINE, RerunArm, sight
+
+#: How far back the trail reaches, s.
+TRAIL_S = 2.0
+#: Direction from the arm to the eye, in the level frame: before the person, to one side, above.
+_EYE = np.array([0.80, -0.52, 0.30])
+#: Distance of the eye, in radii of what is drawn, and at the least, m.
+_FAR, _NEAR_M = 1.9, 0.8
+
+
+def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
+    """The blueprint: the arm in space and its gaps on the left, curves on the right.
+
+    Parameters
+    ----------
+    rr : module
+        The package `rerun`.
+    arms : list of RerunArm
+        What is shown.
+    R_W_K : ndarray, shape (3, 3)
+        From the camera's axes to the level frame's.
+    upright : bool
+        `R_W_K` is by gravity: z is up.
+
+    Returns
+    -------
+    Blueprint
+    """
+    rrb = rr.blueprint
+    curves = [(f"{point}_{axis}", f"{point} {axis}, m") for point in _points(arms) for axis in "xyz"]
+    if any(arm.has_flexion for arm in arms):
+        curves.append(("elbow_flexion", "elbow flexion, degrees"))
+    curves.append(("sigma", "sigma, cm"))
+    plots = [
+        rrb.TimeSeriesView(
+            origin=f"curves/{path}",
+            name=name,
+            axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
+            plot_legend=rrb.PlotLegend(visible=path == "sigma"),
+        )
+        for path, name in curves
+    ]
+    gaps = rrb.StateTimelineView(origin="gaps", name="gaps")
+    notes = rrb.TextDocumentView(origin="notes", name="notes")
+    left = rrb.Vertical(_space(rr, arms, R_W_K, upright), rrb.Tabs(gaps, notes), row_shares=[4, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[1, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        auto_views=False,
+    )
+
+
+def whole_recording(rr: Any) -> Any:
+    """A range of times from the first to the last, wherever the cursor is."""
+    return rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+
+
+def _points(arms: list[RerunArm]) -> list[str]:
+    return list(dict.fromkeys(arm.point for arm in arms))
+
+
+def _space(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
+    rrb = rr.blueprint
+    place, radius = sight(arms)
+    middle = R_W_K @ place
+    trail = rr.VisibleTimeRange(
+        TIMELINE,
+        start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+    eye = None
+    if upright:
+        there = middle + max(_FAR * radius, _NEAR_M) * _EYE
+        eye = rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=there, look_target=middle, eye_up=[0, 0, 1]
+        )
+    return rrb.Spatial3DView(
+        origin="scene",
+        name="blue: seen, orange: recovered, grey: the camera's",
+        overrides={f"{arm.space}/trail": rrb.VisibleTimeRanges(trail) for arm in arms},
+        eye_controls=eye,
+    )
