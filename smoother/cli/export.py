@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
+ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 
 
@@ -48,6 +49,15 @@ def export(
             show_default=False,
         ),
     ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            "--origin",
+            metavar="|".join(ORIGINS),
+            help="Zero of trc and c3d: the camera, or the shoulder's median place.  [default: camera]",
+            show_default=False,
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -57,12 +67,13 @@ def export(
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer. rrd: a recording of Rerun with its views, all
+    straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
+    and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
     arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
     from ..io import read_recovery
 
-    _check(format_name, frame, rate)
+    _check(format_name, frame, rate, origin)
     side = one_side(side)
     recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
     if not recoveries:
@@ -76,7 +87,7 @@ def export(
     exports = (
         [prepared_rrd(result, recoveries)]
         if together
-        else _prepared(result, recoveries, format_name, frame, rate)
+        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera")
     )
     figures = []
     for recovery, path, ready in zip(recoveries, files, exports, strict=False):
@@ -111,7 +122,7 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     return names
 
 
-def _check(format_name: str, frame: str | None, rate: float | None) -> None:
+def _check(format_name: str, frame: str | None, rate: float | None, origin: str | None) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
@@ -123,6 +134,10 @@ def _check(format_name: str, frame: str | None, rate: float | None) -> None:
         raise typer.BadParameter(f"--frame is {' or '.join(FRAMES)}, not '{frame}'")
     if frame is not None and format_name not in WITH_FRAME:
         raise typer.BadParameter(f"--frame is for {' and '.join(WITH_FRAME)}, not for {format_name}")
+    if origin not in (None, *ORIGINS):
+        raise typer.BadParameter(f"--origin is {' or '.join(ORIGINS)}, not '{origin}'")
+    if origin is not None and format_name not in WITH_FRAME:
+        raise typer.BadParameter(f"--origin is for {' and '.join(WITH_FRAME)}, not for {format_name}")
     if rate is not None and format_name not in WITH_RATE:
         raise typer.BadParameter(f"--rate is for {', '.join(WITH_RATE)}, not for {format_name}")
     if rate is not None and not 1 <= rate <= 10_000:
@@ -130,7 +145,12 @@ def _check(format_name: str, frame: str | None, rate: float | None) -> None:
 
 
 def _prepared(
-    result: Path, recoveries: list[Recovery], format_name: str, frame: str | None, rate: float | None
+    result: Path,
+    recoveries: list[Recovery],
+    format_name: str,
+    frame: str | None,
+    rate: float | None,
+    origin: str,
 ) -> list[Export]:
     import numpy as np
 
@@ -143,7 +163,8 @@ def _prepared(
         axes = camera_frame_of(result)
     level_down = None if axes is None else axes.down  # of a camera that stands level
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in recoveries
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin)
+        for recovery in recoveries
     ]
 
 

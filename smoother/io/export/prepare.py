@@ -11,7 +11,7 @@ from ...recording import FloatArray, Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "rrd")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
@@ -50,6 +50,7 @@ def prepare_export(
     rate_hz: float | None = None,
     level_down: FloatArray | None = None,
     version: str = "unknown",
+    origin: str = "camera",
 ) -> Export:
     """Bring one arm into a format, without writing yet.
 
@@ -67,6 +68,8 @@ def prepare_export(
         See `marker_table`.
     version : str
         Of the program that made the recovery.
+    origin : str
+        "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
 
     Returns
     -------
@@ -84,7 +87,9 @@ def prepare_export(
         return _mot(recovery, rate_hz)
     if format_name in WITH_FRAME:
         chosen = frame or DEFAULT_FRAME[format_name]
-        return _markers(recovery, format_name, chosen, rate_hz, level_down, version)
+        return _markers(recovery, format_name, chosen, rate_hz, level_down, version, origin)
+    if format_name == "osim":
+        return _osim(recovery)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
     if format_name == "parquet":
@@ -146,6 +151,23 @@ def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
     )
 
 
+def _osim(recovery: Recovery) -> Export:
+    from .arm_measures import arm_measures
+    from .osim import write_osim
+
+    measures = arm_measures(recovery)
+    notes: tuple[str, ...] = ()
+    if not measures.turns:
+        notes = (
+            "the calibration has no forearm axes (R_F_A): pro_sup is locked at 0, and the marker imu is left"
+            " out of the model.",
+        )
+    name = f"{measures.side or 'right'}_arm"
+    return Export(
+        1, lambda path, force: write_osim(measures, path, name, force), frame="opensim", notes=notes
+    )
+
+
 def _markers(
     recovery: Recovery,
     format_name: str,
@@ -153,6 +175,7 @@ def _markers(
     rate_hz: float | None,
     level_down: FloatArray | None,
     version: str,
+    origin: str,
 ) -> Export:
     import numpy as np
 
@@ -160,7 +183,7 @@ def _markers(
     from .markers import c3d_content, marker_table
     from .trc import write_trc
 
-    table = marker_table(recovery, frame, rate_hz, level_down)
+    table = marker_table(recovery, frame, rate_hz, level_down, origin)
     rate, rows = table.grid.rate_hz, len(table.grid.t_s)
     notes: tuple[str, ...] = ()
     if frame == "opensim" and not np.isfinite(recovery.gravity_direction).all():

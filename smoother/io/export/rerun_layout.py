@@ -45,6 +45,7 @@ def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> An
             origin=f"curves/{path}",
             name=name,
             axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
+            axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms)) if path == "sigma" else None),
             plot_legend=rrb.PlotLegend(visible=path == "sigma"),
         )
         for path, name in curves
@@ -64,6 +65,16 @@ def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> An
 def whole_recording(rr: Any) -> Any:
     """A range of times from the first to the last, wherever the cursor is."""
     return rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+
+
+def top_sigma_cm(arms: list[RerunArm]) -> float:
+    """The largest sigma of an axis that is shown; its curve begins at zero."""
+    tops = []
+    for arm in arms:
+        for batch in arm.recovery.batches():
+            variance = np.einsum("nii->ni", arm.point_of(batch)[1])
+            tops.append(np.max(variance[np.isfinite(variance)], initial=0.0))
+    return max(100.0 * float(np.sqrt(max(tops, default=0.0))), 0.1)
 
 
 def _points(arms: list[RerunArm]) -> list[str]:

@@ -129,5 +129,5 @@ def _notes(recoveries: Sequence[Recovery]) -> str:
         lines += [f"### {recovery.name}: {side}{recovery.method}", recovery.estimates.verdict]
         lines += [f"- {note}" for note in recovery.notes]
     lines.append("Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.")
-    lines.append("Black or white, thin: the truth, where there is one. Ellipsoid: 2 sigma. Trail: 2 s.")
+    lines.append("Green: the truth, where there is one. Ellipsoid: 2 sigma. Trail: 2 s.")
     return "\n\n".join(line for line in lines if line)
