@@ -45,7 +45,7 @@ def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> An
             origin=f"curves/{path}",
             name=name,
             axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
-            axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms)) if path == "sigma" else None),
+            axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms))) if path == "sigma" else None,
             plot_legend=rrb.PlotLegend(visible=path == "sigma"),
         )
         for path, name in curves
