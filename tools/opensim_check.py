@@ -32,7 +32,7 @@ CHAIN = (
     ("elbow_flexion", (0, 0, 1)),
 )
 COMPARED = ("elv_angle", "shoulder_elv", "shoulder_rot", "elbow_flexion", "pro_sup")
-#: Of the fit of the markers; the tool's own 1e-5 stops a degree short in pro_sup, by a marker 3 cm off the bone.
+#: Of the markers' fit; the tool's own 1e-5 stops degrees short in pro_sup, by a marker 3 cm off the bone.
 ACCURACY = 1e-9
 #: What a file's decimals leave of an angle and a length, m at an arm's length.
 TOLERANCE_M = 1e-5

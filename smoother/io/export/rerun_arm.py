@@ -152,7 +152,7 @@ class RerunArm:
 
     def _gaps(self) -> None:
         """Seen, occluded or without an answer, where it changes."""
-        states = np.where(self.recovery.answered, self.recovery.occluded.astype(int), 2)
+        states = np.where(self.recovery.answered, self.recovery.occluded.astype(np.int8), np.int8(2))
         turns = np.flatnonzero(np.diff(states, prepend=-1))
         names = [_STATES[state] for state in states[turns]]
         columns = self.rr.StateChange.columns(state=names)
@@ -219,7 +219,7 @@ def packed(color: Color) -> int:
     return red << 24 | green << 16 | blue << 8 | alpha
 
 
-def sight(arms: list[RerunArm]) -> tuple[FloatArray, float]:
+def middle_and_radius(arms: list[RerunArm]) -> tuple[FloatArray, float]:
     """The middle (3,) of what is drawn, in the camera's axes, and the radius about it that holds it, m."""
     drawn = []
     for arm in arms:

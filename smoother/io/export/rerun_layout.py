@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from ...recording import FloatArray
-from .rerun_arm import TIMELINE, RerunArm, sight
+from .rerun_arm import TIMELINE, RerunArm, middle_and_radius
 
 #: How far back the trail reaches, s.
 TRAIL_S = 2.0
 #: Direction from the arm to the eye, in the level frame: before the person, to one side, above.
 _EYE = np.array([0.80, -0.52, 0.30])
 #: Distance of the eye, in radii of what is drawn, and at the least, m.
-_FAR, _NEAR_M = 1.9, 0.8
+_FAR, _NEAR_M = 1.45, 0.7
 
 
 def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
@@ -83,7 +83,7 @@ def _points(arms: list[RerunArm]) -> list[str]:
 
 def _space(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
     rrb = rr.blueprint
-    place, radius = sight(arms)
+    place, radius = middle_and_radius(arms)
     middle = R_W_K @ place
     trail = rr.VisibleTimeRange(
         TIMELINE,
