@@ -30,6 +30,13 @@ _TRUTH: Color = (0.0, 0.62, 0.45, 1.0)
 _BONE_M, _JOINT_M, _THIN_M, _TRAIL_M = 0.010, 0.016, 0.004, 0.004
 _AXES = "xyz"
 _AXIS_COLORS = np.array([0xE0483DFF, 0x4CAF50FF, 0x4F7FE8FF], np.uint32)
+#: Of the curves of several arms.
+ARM_COLORS: dict[str, Color] = {
+    "blue": VISIBLE,
+    "pink": (0.80, 0.47, 0.65, 1.0),
+    "yellow": (0.94, 0.75, 0.20, 1.0),
+    "white": (0.90, 0.90, 0.90, 1.0),
+}
 _STATES = ("seen", "occluded", "no answer")
 
 
@@ -46,12 +53,19 @@ class RerunArm:
         In entity paths.
     truth : Truth, optional
         Its times from the recovery's origin.
+    number : int, optional
+        Which of several arms it is: its curves get a colour and its name. None for the only one.
     """
 
-    def __init__(self, rr: Any, recovery: Recovery, name: str, truth: Truth | None = None):
+    def __init__(
+        self, rr: Any, recovery: Recovery, name: str, truth: Truth | None = None, number: int | None = None
+    ):
         self.rr = rr
         self.recovery = recovery
         self.name = name
+        self.label = "" if number is None else f"{name} "
+        self.color_name = list(ARM_COLORS)[(number or 0) % len(ARM_COLORS)]
+        self.color = ARM_COLORS[self.color_name]
         self.truth = truth
         self.space = f"scene/camera/{name}"
         joints = recovery.joints
@@ -164,19 +178,27 @@ class RerunArm:
         rr = self.rr
         log, curves = self.stream.log, [f"{self.point}_{axis}" for axis in _AXES]
         curves += ["elbow_flexion"] if self.has_flexion else []
-        after, faint = packed(VISIBLE), packed((*VISIBLE[:3], 0.45))
+        after, faint = packed(self.color), packed((*self.color[:3], 0.45))
         for curve in curves:
             of = f"curves/{curve}/{self.name}"
-            log(f"{of}/after", rr.SeriesLines(colors=[after], widths=[2.0], names=["after"]), static=True)
-            lines = rr.SeriesLines(colors=[faint] * 2, widths=[1.0] * 2, names=["- 2 sigma", "+ 2 sigma"])
+            log(
+                f"{of}/after",
+                rr.SeriesLines(colors=[after], widths=[2.0], names=[f"{self.label}after"]),
+                static=True,
+            )
+            lines = rr.SeriesLines(
+                colors=[faint] * 2, widths=[1.0] * 2, names=[f"{self.label}{sign} 2 sigma" for sign in "-+"]
+            )
             log(f"{of}/two_sigma", lines, static=True)
             if curve.startswith("wrist"):
-                dots = rr.SeriesPoints(colors=[packed(CAMERA)], marker_sizes=[1.5], names=["camera"])
+                dots = rr.SeriesPoints(
+                    colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
+                )
                 log(f"{of}/camera", dots, static=True)
             if self.truth is not None and curve != "elbow_flexion":
                 line = rr.SeriesLines(colors=[packed(_TRUTH)], widths=[1.0], names=["truth"])
                 log(f"{of}/truth", line, static=True)
-        names = [f"{self.point} {axis}" for axis in _AXES]
+        names = [f"{self.label}{self.point} {axis}" for axis in _AXES]
         lines = rr.SeriesLines(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
         log(f"curves/sigma/{self.name}", lines, static=True)
         colors = np.array([packed(VISIBLE), packed(RECOVERED), packed(GUESSED)], np.uint32)

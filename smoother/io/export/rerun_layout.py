@@ -40,13 +40,14 @@ def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> An
     if any(arm.has_flexion for arm in arms):
         curves.append(("elbow_flexion", "elbow flexion, degrees"))
     curves.append(("sigma", "sigma, cm"))
+    whose = ", ".join(f"{arm.color_name}: {arm.name}" for arm in arms) if len(arms) > 1 else ""
     plots = [
         rrb.TimeSeriesView(
             origin=f"curves/{path}",
-            name=name,
+            name=f"{name} ({whose})" if whose and path != "sigma" else name,
             axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
             axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms))) if path == "sigma" else None,
-            plot_legend=rrb.PlotLegend(visible=path == "sigma"),
+            plot_legend=rrb.PlotLegend("RightTop", visible=path == "sigma" and len(arms) == 1),
         )
         for path, name in curves
     ]

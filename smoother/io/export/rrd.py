@@ -90,9 +90,9 @@ def write_rrd(
     down = common_down(results, level_down)
     R_W_K = np.eye(3) if down is None else world_axes(down)
     arms = [
-        RerunArm(rr, recovery, name, truth)
-        for recovery, name, truth in zip(
-            results, _names(results), truths or [None] * len(results), strict=True
+        RerunArm(rr, recovery, name, truth, number if len(results) > 1 else None)
+        for number, (recovery, name, truth) in enumerate(
+            zip(results, _names(results), truths or [None] * len(results), strict=True)
         )
     ]
     with writing(path, force) as temporary:
