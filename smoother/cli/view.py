@@ -18,6 +18,8 @@ from .options import Result, Side, one_side
 from .output import say
 from .web_page import LOOPBACK, WebPage, free_port
 
+#: The port `discard`, where nobody answers.
+NOWHERE = f"http://{LOOPBACK}:9"
 #: Where the web viewer waits, and where the data comes from.
 WEB_PORT, DATA_PORT = 9090, 9876
 
@@ -40,9 +42,9 @@ def view(
 ) -> None:
     """Show a result in Rerun: the arm in space, upright; place and flexion with 2 sigma; the gaps.
 
-    Needs rerun-sdk (`pip install unocclude[view]`). It listens on 127.0.0.1 alone and sends no usage
-    statistics: Rerun's own are off, and in the browser its page may reach nothing but this machine. A
-    window closes as usual; --web is ended by Ctrl-C.
+    Needs rerun-sdk (`pip install unocclude[view]`). It listens on 127.0.0.1 alone and speaks to nobody
+    else: no usage statistics, no questions for newer versions. A window closes as usual; --web is ended
+    by Ctrl-C.
     """
     from ..io import read_recovery
     from ..io.export.rrd import rerun_module
@@ -126,8 +128,17 @@ def check_ports(*ports: int) -> None:
 
 
 def environment() -> dict[str, str]:
-    """The viewer's environment: Rerun sends no usage statistics where `CI` is set."""
-    variables = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    """The viewer's environment, in which it speaks to nobody but this machine.
+
+    Rerun reports its use to tel.rerun.io unless `CI` is set, and asks GitHub for newer versions whatever is
+    set: its way out leads to a proxy that is not there.
+    """
+    proxies = ("http_proxy", "https_proxy", "all_proxy", "no_proxy")
+    dropped = {"force_rerun_analytics", *proxies}
+    variables = {name: value for name, value in os.environ.items() if name.lower() not in dropped}
+    for name in proxies:
+        value = f"{LOOPBACK},localhost" if name == "no_proxy" else NOWHERE
+        variables |= {name: value, name.upper(): value}
     return variables | {"CI": "true"}
 
 

@@ -46,11 +46,17 @@ def test_the_commands_bind_to_the_loopback_address(needs_rerun):
         assert arguments[-1] == "a.rrd"
 
 
-def test_no_usage_statistics(monkeypatch):
+def test_the_viewer_speaks_to_nobody_else(monkeypatch):
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    monkeypatch.setenv("https_proxy", "http://proxy.example:3128")
     monkeypatch.delenv("CI", raising=False)
-    assert view.environment()["CI"] == "true"
-    assert "FORCE_RERUN_ANALYTICS" not in view.environment()
+    variables = view.environment()
+    assert variables["CI"] == "true"
+    assert "FORCE_RERUN_ANALYTICS" not in variables
+    ways_out = {value for name, value in variables.items() if name.lower() in ("https_proxy", "all_proxy")}
+    assert ways_out == {"http://127.0.0.1:9"}
+    assert variables["NO_PROXY"] == "127.0.0.1,localhost"
+    assert variables["PATH"] == os.environ["PATH"]
 
 
 def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch, capsys):
