@@ -32,6 +32,7 @@ from . import (
     simulate,
     smooth,
     validate,
+    view,
 )
 
 _CSV_EXAMPLE = """Example: unocclude import csv session -o session.mcap
@@ -99,6 +100,7 @@ _add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.
 _add(app, compare.compare, "compare session.mcap --truth trial.c3d --markers map.toml --report c.html")
 _add(app, gaps.gaps, "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json")
 _add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
+_add(app, view.view, "view recovered.mcap")
 _add(app, batch.batch, "batch sessions -o recovered --calibration arm.toml --report", batch.BatchCommand)
 _add(app, config.config, "config > settings.toml")
 _add(app, doctor.doctor, "doctor")

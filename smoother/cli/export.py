@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import UnoccludeError
+from ..errors import RecordingError, UnoccludeError
 from .load import camera_frame_of, damage
 from .options import Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
     from ..io.export.prepare import Export
+    from ..recording import Truth
     from ..result import Recovery
 
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
+ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
 
 
@@ -46,39 +49,55 @@ def export(
             show_default=False,
         ),
     ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            "--origin",
+            metavar="|".join(ORIGINS),
+            help="Zero of trc and c3d: the camera, or the shoulder's median place.  [default: camera]",
+            show_default=False,
+        ),
+    ] = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Write a result in a format that other programs open; one file an arm.
+    """Write a result in a format that other programs open; one file an arm (rrd: one for all).
 
     csv and parquet: one row a sample of the forearm IMU with poses, joints and sigmas, in metres and the
     camera's axes; parquet with units, configuration and figures as metadata. trc and c3d: markers after and
     before (camera_*), in mm, blank or residual -1 where missing; c3d with the gaps as events. mot: joint
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
-    straight line bridges a stretch without an answer.
+    straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
+    and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
+    arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
     from ..io import read_recovery
 
-    _check(format_name, frame, rate)
+    _check(format_name, frame, rate, origin)
     side = one_side(side)
     recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
     if not recoveries:
         raise UnoccludeError(
             f"{result}: there is no recovered arm{f' {side!r}' if side else ''} in this file"
         )
-    files = output_names(output, recoveries)
+    together = format_name == "rrd"
+    files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
-    exports = _prepared(result, recoveries, format_name, frame, rate)
+    exports = (
+        [prepared_rrd(result, recoveries)]
+        if together
+        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera")
+    )
     figures = []
-    for recovery, path, ready in zip(recoveries, files, exports, strict=True):
+    for recovery, path, ready in zip(recoveries, files, exports, strict=False):
         ready.write(path, force)
         say(f"written: {path} ({ready.rows} rows)")
         figures.append(
             {
                 "file": str(path),
                 "rows": ready.rows,
-                "side": recovery.side,
+                "side": "" if together and len(recoveries) > 1 else recovery.side,
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
@@ -103,7 +122,7 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
     return names
 
 
-def _check(format_name: str, frame: str | None, rate: float | None) -> None:
+def _check(format_name: str, frame: str | None, rate: float | None, origin: str | None) -> None:
     """Refuse what cannot be meant, before any work is done for it."""
     from ..io.export.prepare import WITH_FRAME, WITH_RATE
 
@@ -115,6 +134,10 @@ def _check(format_name: str, frame: str | None, rate: float | None) -> None:
         raise typer.BadParameter(f"--frame is {' or '.join(FRAMES)}, not '{frame}'")
     if frame is not None and format_name not in WITH_FRAME:
         raise typer.BadParameter(f"--frame is for {' and '.join(WITH_FRAME)}, not for {format_name}")
+    if origin not in (None, *ORIGINS):
+        raise typer.BadParameter(f"--origin is {' or '.join(ORIGINS)}, not '{origin}'")
+    if origin is not None and format_name not in WITH_FRAME:
+        raise typer.BadParameter(f"--origin is for {' and '.join(WITH_FRAME)}, not for {format_name}")
     if rate is not None and format_name not in WITH_RATE:
         raise typer.BadParameter(f"--rate is for {', '.join(WITH_RATE)}, not for {format_name}")
     if rate is not None and not 1 <= rate <= 10_000:
@@ -122,7 +145,12 @@ def _check(format_name: str, frame: str | None, rate: float | None) -> None:
 
 
 def _prepared(
-    result: Path, recoveries: list[Recovery], format_name: str, frame: str | None, rate: float | None
+    result: Path,
+    recoveries: list[Recovery],
+    format_name: str,
+    frame: str | None,
+    rate: float | None,
+    origin: str,
 ) -> list[Export]:
     import numpy as np
 
@@ -135,5 +163,21 @@ def _prepared(
         axes = camera_frame_of(result)
     level_down = None if axes is None else axes.down  # of a camera that stands level
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__) for recovery in recoveries
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin)
+        for recovery in recoveries
     ]
+
+
+def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
+    """All arms for Rerun, with the truth that lies in the result's file where it is that of the one arm."""
+    from ..evaluation.truth_file import read_truth_mcap
+    from ..io.export.prepare import prepare_rrd
+    from ..io.export.rrd import rerun_module
+
+    rerun_module()  # said before the file is read again
+    axes = camera_frame_of(result)
+    truths: list[Truth | None] = [None] * len(recoveries)
+    if len(recoveries) == 1:
+        with suppress(RecordingError):  # it holds none
+            truths = [read_truth_mcap(result, recoveries[0])]
+    return prepare_rrd(recoveries, truths, None if axes is None else axes.down)

@@ -59,6 +59,7 @@ def marker_table(
     frame: str = "camera",
     rate_hz: float | None = None,
     level_down: FloatArray | None = None,
+    origin: str = "camera",
 ) -> MarkerTable:
     """Markers before and after.
 
@@ -74,6 +75,9 @@ def marker_table(
     level_down : ndarray, shape (3,), optional
         Down in the camera's axes if the camera stands level, for a method that did not find gravity; None
         where the axes are not known.
+    origin : str
+        "camera", or "shoulder": the shoulder's median place, one point for all of the recording, so that
+        the shoulder's own motion stays.
 
     Returns
     -------
@@ -83,7 +87,7 @@ def marker_table(
     Raises
     ------
     UnoccludeError
-        Gravity is needed and not known, or there are too few samples.
+        Gravity or the shoulder is needed and not known, or there are too few samples.
     """
     grid = constant_step(recovery, rate_hz)
     after = {joint: recovery.joints[joint] for joint in JOINTS[:-1] if joint in recovery.joints}
@@ -103,10 +107,29 @@ def marker_table(
     marks = np.stack([*residual, *flags], axis=1)
     marks[~np.isfinite(whole).all(axis=2)] = NONE
     whole[marks == NONE] = np.nan
+    if origin == "shoulder":
+        whole -= shoulder_place(recovery)
     if frame == "opensim":
         whole = whole @ opensim_axes(recovery, level_down)
     names = (*after, *(BEFORE + joint for joint in before))
     return MarkerTable(grid, names, whole, marks, occluded, np.stack(sigma, axis=1))
+
+
+def shoulder_place(recovery: Recovery) -> FloatArray:
+    """The shoulder's median place (3,) in the camera's axes, m.
+
+    Raises
+    ------
+    UnoccludeError
+        The recovery has no shoulder.
+    """
+    places = recovery.joints.get("shoulder", np.empty((0, 3)))
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise UnoccludeError(
+            f"{recovery.name}: it has no shoulder to put the origin into; leave --origin out"
+        )
+    return np.asarray(np.median(places, axis=0))
 
 
 def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> FloatArray:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import UnoccludeError
-from ...recording import FloatArray
+from ...recording import FloatArray, Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.
-FORMATS = ("csv", "trc", "mot", "c3d", "parquet")
+FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
 WITH_FRAME = ("trc", "c3d")
 WITH_RATE = ("trc", "mot", "c3d")
 #: Axes if none are asked for: OpenSim is what reads TRC; a C3D goes with its recording.
@@ -50,6 +50,7 @@ def prepare_export(
     rate_hz: float | None = None,
     level_down: FloatArray | None = None,
     version: str = "unknown",
+    origin: str = "camera",
 ) -> Export:
     """Bring one arm into a format, without writing yet.
 
@@ -67,6 +68,8 @@ def prepare_export(
         See `marker_table`.
     version : str
         Of the program that made the recovery.
+    origin : str
+        "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
 
     Returns
     -------
@@ -84,7 +87,11 @@ def prepare_export(
         return _mot(recovery, rate_hz)
     if format_name in WITH_FRAME:
         chosen = frame or DEFAULT_FRAME[format_name]
-        return _markers(recovery, format_name, chosen, rate_hz, level_down, version)
+        return _markers(recovery, format_name, chosen, rate_hz, level_down, version, origin)
+    if format_name == "osim":
+        return _osim(recovery)
+    if format_name == "rrd":
+        return prepare_rrd([recovery], level_down=level_down)
     if format_name == "parquet":
         from .parquet import export_parquet
 
@@ -94,6 +101,42 @@ def prepare_export(
     from .csv import export_csv
 
     return Export(len(recovery), lambda path, force: export_csv(recovery, path, force), frame="camera")
+
+
+def prepare_rrd(
+    recoveries: Sequence[Recovery],
+    truths: Sequence[Truth | None] | None = None,
+    level_down: FloatArray | None = None,
+) -> Export:
+    """All arms of a result as one recording of Rerun, without writing yet; see `rrd.write_rrd`.
+
+    Parameters
+    ----------
+    recoveries : sequence of Recovery
+        One for each arm.
+    truths : sequence of Truth or None, optional
+        For each arm.
+    level_down : ndarray, shape (3,), optional
+        See `rrd.write_rrd`.
+
+    Returns
+    -------
+    Export
+        Ready to be written.
+
+    Raises
+    ------
+    UnoccludeError
+        rerun-sdk is not installed, or no arm has an answer.
+    """
+    from .rrd import check_rrd, write_rrd
+
+    check_rrd(recoveries)
+    return Export(
+        sum(len(recovery) for recovery in recoveries),
+        lambda path, force: write_rrd(recoveries, path, truths=truths, level_down=level_down, force=force),
+        frame="camera",
+    )
 
 
 def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
@@ -108,6 +151,23 @@ def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
     )
 
 
+def _osim(recovery: Recovery) -> Export:
+    from .arm_measures import arm_measures
+    from .osim import write_osim
+
+    measures = arm_measures(recovery)
+    notes: tuple[str, ...] = ()
+    if not measures.turns:
+        notes = (
+            "the calibration has no forearm axes (R_F_A): pro_sup is locked at 0, and the marker imu is left"
+            " out of the model.",
+        )
+    name = f"{measures.side or 'right'}_arm"
+    return Export(
+        1, lambda path, force: write_osim(measures, path, name, force), frame="opensim", notes=notes
+    )
+
+
 def _markers(
     recovery: Recovery,
     format_name: str,
@@ -115,6 +175,7 @@ def _markers(
     rate_hz: float | None,
     level_down: FloatArray | None,
     version: str,
+    origin: str,
 ) -> Export:
     import numpy as np
 
@@ -122,7 +183,7 @@ def _markers(
     from .markers import c3d_content, marker_table
     from .trc import write_trc
 
-    table = marker_table(recovery, frame, rate_hz, level_down)
+    table = marker_table(recovery, frame, rate_hz, level_down, origin)
     rate, rows = table.grid.rate_hz, len(table.grid.t_s)
     notes: tuple[str, ...] = ()
     if frame == "opensim" and not np.isfinite(recovery.gravity_direction).all():

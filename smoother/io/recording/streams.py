@@ -187,3 +187,11 @@ class RecordingFile:
     def name(self) -> str:
         """The file's name."""
         return self.path.name
+
+    @property
+    def level_down(self) -> FloatArray | None:
+        """(3,) down in {K} as the file says, else of a camera that stands level; None if neither is known."""
+        if self.gravity_hint is not None:
+            return self.gravity_hint
+        frames = (self.camera_frame, *(arm.camera_frame for arm in self.arms))
+        return next((frame.down for frame in frames if frame is not None), None)

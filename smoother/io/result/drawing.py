@@ -17,7 +17,8 @@ RECOVERED: Color = (0.90, 0.45, 0.05, 1.0)
 CAMERA: Color = (0.45, 0.45, 0.45, 1.0)
 GUESSED: Color = (0.75, 0.75, 0.75, 0.6)
 
-_CHAIN = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand")]
+#: Joints that bones link, by number.
+CHAIN = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand")]
 _RADIUS_M = {"shoulder": 0.05, "elbow": 0.04, "wrist": 0.035, "hand": 0.035, "strap": 0.025}
 _THICKNESS_M = 0.012
 _IDENTITY = wire.join(wire.message(1, wire.constants(0, 0, 0)), wire.message(2, wire.constants(0, 0, 0, 1)))
@@ -60,7 +61,7 @@ def _template(
         place = wire.message(1, _at(1, i), wire.message(2, wire.constants(0, 0, 0, 1)))
         size = wire.message(2, wire.constants(*[_RADIUS_M[JOINTS[i]]] * 3))
         parts.append(wire.message(9, place, size, wire.message(3, wire.constants(*colors[pattern[i]]))))
-    chain = [i for i in _CHAIN if i in present]
+    chain = [i for i in CHAIN if i in present]
     if len(chain) > 1:
         points = [_at(5, i) for i in chain]
         shades = [wire.message(7, wire.constants(*colors[pattern[i]])) for i in chain]

@@ -19,6 +19,8 @@ from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from ..wire.schemas import message_class
 from . import drawing as scene
+from .beads import bead_clouds
+from .world import world_transform
 
 Columns = Callable[[IntArray], dict[str, NDArray]]
 
@@ -38,14 +40,25 @@ class RecoveryStreams:
         Of the camera.
     shift : int, ns
         Log time less stamp.
+    down : ndarray, shape (3,), optional
+        Direction of gravity in {K}, for the transform from `world`; None writes none.
     """
 
-    def __init__(self, output: Output, recovery: Recovery, suffix: str, frame_id: str, shift: int):
+    def __init__(
+        self,
+        output: Output,
+        recovery: Recovery,
+        suffix: str,
+        frame_id: str,
+        shift: int,
+        down: FloatArray | None = None,
+    ):
         self.output = output
         self.recovery = recovery
         self.suffix = suffix
         self.frame_id = frame_id
         self.shift = shift
+        self.world = world_transform(down, frame_id)
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.camera_joints = joints_there(recovery.arm.state)
         self.residual_joints = [] if recovery.residuals is None else _present(recovery.residuals)
@@ -230,6 +243,8 @@ class RecoveryStreams:
         name = f"arm{self.suffix.replace('/', '_')}"
         for rows, template, columns in scene.drawings(after, shade, colors, self.frame_id, name):
             yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
+        for rows, template, columns in bead_clouds(after, whole.occluded[nearest], self.frame_id):
+            yield self._stream("beads", "foxglove.PointCloud", template, stamp[inside], rows, columns)
         guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
         colors = (scene.CAMERA, scene.GUESSED)
         name += "_camera"
@@ -238,10 +253,8 @@ class RecoveryStreams:
 
     def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
         position, quaternion = self.recovery.position[nearest], self.recovery.quaternion[nearest]
-        rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
-        if not len(rows):
-            return
-        template = wire.message(
+        has_pose = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
+        forearm = wire.message(
             1,
             wire.timestamp(1, "stamp"),
             wire.text(2, self.frame_id),
@@ -254,7 +267,11 @@ class RecoveryStreams:
             return {"position": position[rows], "quaternion": quaternion[rows]}
 
         stamp = self._stamps(r.arm.t_s)[inside]
-        yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
+        # The level frame stands in every message, so that a viewer has it wherever it begins.
+        for mine, template in ((has_pose, wire.join(forearm, self.world)), (~has_pose, self.world)):
+            rows = np.flatnonzero(mine)
+            if template.data and len(rows):
+                yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
 
     def _joint_states(self, r: Recovery) -> Iterator[Outgoing]:
         flexion = elbow_flexion(r.joints)
@@ -275,10 +292,11 @@ class RecoveryStreams:
         )
 
     def _gaps(self, r: Recovery) -> Iterator[Outgoing]:
+        """Each gap as an event, and as a line of a log, which more programs show."""
         gaps = r.gaps
         if not gaps:
             return
-        data = []
+        events, lines = [], []
         start = self._stamps(np.array([gap.start_s for gap in gaps]))
         end = self._stamps(np.array([gap.end_s for gap in gaps]))
         for gap, start_ns, end_ns in zip(gaps, start.tolist(), end.tolist(), strict=True):
@@ -291,9 +309,16 @@ class RecoveryStreams:
             values |= {"open": "end"} if gap.open_end else {}
             for key, value in values.items():
                 event.metadata.add(key=key, value=value)
-            data.append(event.SerializeToString(deterministic=True))
-        channel = self.output.channel(f"{RESULT_PREFIX}gaps{self.suffix}", "foxglove.Event")
-        yield Outgoing(channel, start + self.shift, lambda part: data[part])
+            events.append(event.SerializeToString(deterministic=True))
+            line = message_class("foxglove.Log")()
+            line.timestamp.FromNanoseconds(start_ns)
+            line.level = line.WARNING
+            line.message = f"{r.side} forearm occluded for {gap.length_s:.2f} s".lstrip()
+            line.name = "unocclude"
+            lines.append(line.SerializeToString(deterministic=True))
+        for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
+            channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
+            yield Outgoing(channel, start + self.shift, data.__getitem__)
 
     def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
         """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.

@@ -18,6 +18,7 @@ from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
 from .streams import RecoveryStreams
+from .world import common_down
 
 RESULT = "unocclude.result"
 #: Schemas that show a patient.
@@ -35,14 +36,15 @@ def write_recovery(
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
-    axes; an answer without orientation has body_frame_id = frame_id, one without position is left
-    out), `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
+    axes; an answer without orientation has body_frame_id = frame_id, one without position is left out),
+    `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
     `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded),
-    `/unocclude/gaps` (Event), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight),
-    `/unocclude/tf` (FrameTransforms), `/unocclude/camera` (the camera's joints on the IMU's clock),
-    `/unocclude/residuals`. With several arms each topic ends in the arm's side. The metadata record
-    `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
-    gives the same bytes.
+    `/unocclude/beads` (PointCloud along the bones), `/unocclude/gaps` (Event), `/unocclude/log` (Log:
+    the gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
+    (FrameTransforms: camera to forearm IMU, and the level `world` to the camera), `/unocclude/camera`
+    (the camera's joints on the IMU's clock), `/unocclude/residuals`. With several arms each topic ends
+    in the arm's side. The metadata record `unocclude.result` holds all else as JSON. `read_recovery`
+    gives everything back. The same input gives the same bytes.
 
     Parameters
     ----------
@@ -66,19 +68,22 @@ def write_recovery(
     check_output(path, force)
     frames: dict[str, str] = {}
     shift = 0
+    level_down = None
     if source is not None:
         file = open_recording(source, only={recovery.arm.name for recovery in results})
         frames = {arm.topic: arm.frame_id for arm in file.arms if arm.frame_id}
+        level_down = file.level_down
         shift = file.imus[0].log_shift_ns if file.imus else 0
         # A recorder's delay is no reason to move; a sensor that counts from its own start is.
         shift = shift if abs(shift) > 1_000_000_000 else 0
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = []
+        down = common_down(results, level_down)
         for number, recovery in enumerate(results):
             suffix = "" if len(results) == 1 else f"/{_label(results, number)}"
             output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
             frame_id = frames.get(recovery.arm.name, CAMERA)
-            streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift))
+            streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift, down))
         if source is not None:
             container = Container(source)
             output.interleave(

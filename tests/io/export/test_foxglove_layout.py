@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from results import made
+from scipy.spatial.transform import Rotation
 
 from smoother.io import write_recovery
 from smoother.io.wire.schemas import message_class
@@ -38,11 +39,16 @@ def messages(tmp_path_factory) -> dict[str, list[Any]]:
     return found
 
 
+def is_number(path: str) -> bool:
+    """Whether a path is a reference line's value."""
+    return re.fullmatch(r"[\d.]+", path) is not None
+
+
 def paths(layout: dict[str, Any]) -> list[str]:
     """Every message path and topic that a panel shows."""
     found = []
     for config in layout["configById"].values():
-        found += [path["value"] for path in config.get("paths", [])]
+        found += [path["value"] for path in config.get("paths", []) if not is_number(path["value"])]
         found += list(config.get("topics", {}))
         found += [config["topicPath"]] if "topicPath" in config else []
     return found
@@ -64,12 +70,52 @@ def test_every_path_leads_to_a_value(layout, messages):
     assert len(named) >= 14
     for path in named:
         topic, *fields = path.split(".")
+        root = bool(fields) and fields[-1] == "@sqrt"  # what both programs call the square root
+        fields = fields[:-1] if root else fields
+        assert not any("@" in field for field in fields), path
         assert topic in messages, f"{topic} is not in a result"
         found = [value(message, fields) for message in messages[topic]]
         if fields:
             numbers = np.array(found, float)
             assert np.isfinite(numbers).any()
+            assert not root or (numbers >= 0).all()
             assert len(np.unique(numbers[np.isfinite(numbers)])) > 1 or "covariance" in path
+
+
+def test_sigma_is_shown_and_not_variance(layout):
+    shown = [path["value"] for path in layout["configById"]["Plot!sigma"]["paths"]]
+    assert shown == [f"/unocclude/forearm.pose_covariance[{7 * axis}].@sqrt" for axis in range(3)]
+
+
+def test_lines_in_degrees(layout):
+    lines = [path for path in layout["configById"]["Plot!flexion"]["paths"] if is_number(path["value"])]
+    assert len(lines) == 3
+    for line in lines:
+        assert line["label"] == f"{np.degrees(float(line['value'])):.0f} degrees"
+
+
+def test_titles_stand_in_the_keys_of_both_programs(layout):
+    for config in layout["configById"].values():
+        assert config["foxglovePanelTitle"] == config["lichtblickPanelTitle"] != ""
+
+
+def test_the_view_follows_a_level_frame(layout, messages):
+    """`world` has z up: the hand-made gravity, turned into it, points down; the frames named are there."""
+    view = layout["configById"]["3D!arm"]
+    transforms = {
+        one.child_frame_id: one for message in messages["/unocclude/tf"] for one in message.transforms
+    }
+    frames = {"world", *transforms}
+    assert view["followTf"] == view["layers"]["grid"]["frameId"] == "world"
+    assert {name.removeprefix("frame:") for name in view["transforms"]} <= frames
+    camera = transforms["camera"]
+    assert camera.parent_frame_id == "world"
+    turn = camera.rotation
+    down = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply(made("right").gravity_direction)
+    np.testing.assert_allclose(down, [0, 0, -1], atol=1e-9)  # rounding
+    assert transforms["forearm_imu"].parent_frame_id == "camera"
+    # The forearm stays the first, as readers of older files expect it.
+    assert messages["/unocclude/tf"][0].transforms[0].child_frame_id == "forearm_imu"
 
 
 def test_the_topics_that_users_are_to_see_are_there(layout):

@@ -1,0 +1,167 @@
+"""Results as recordings of Rerun, read back with Rerun's own reader."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import make_truth
+from results import made, without_answer
+
+from smoother.cli.run import run
+from smoother.errors import UnoccludeError
+from smoother.io import prepare_export, read_recovery, write_recording, write_recovery
+from smoother.io.export.rrd import rerun_module, write_rrd
+
+DEMO = Path(__file__).parents[3] / "data" / "demo.mcap"
+
+
+@pytest.fixture
+def rerun():
+    return pytest.importorskip("rerun", reason="rerun-sdk, the extra `view`, is not installed")
+
+
+def columns(path: Path) -> dict[str, dict[str, list]]:
+    """Rows of every entity with times, by path and column."""
+    from rerun.chunk import RrdReader
+
+    tables: dict[str, dict[str, list]] = {}
+    for chunk in RrdReader(str(path)).stream():
+        if chunk.timeline_names:
+            batch = chunk.to_record_batch()
+            table = tables.setdefault(chunk.entity_path, {})
+            for name, values in zip(batch.schema.names, batch.columns, strict=True):
+                values = values.cast("int64") if name == "time" else values
+                table.setdefault(name.rpartition(":")[2], []).extend(values.to_pylist())
+    return tables
+
+
+def seconds(table: dict[str, list]) -> np.ndarray:
+    return 1e-9 * np.array(table["time"])
+
+
+def test_everything_is_there_and_right(rerun, tmp_path):
+    recovery = made("right")
+    write_rrd([recovery], tmp_path / "a.rrd", truths=[make_truth(recovery.t_s)])
+    tables = columns(tmp_path / "a.rrd")
+    space, curves = "/scene/camera/right", "/curves/wrist_{}/right"
+    wanted = {f"{space}/{name}" for name in ("after", "after/joints", "before", "trail", "two_sigma")}
+    wanted |= {f"{space}/truth/joints", "/curves/elbow_flexion/right/two_sigma", "/curves/sigma/right"}
+    wanted |= {f"{curves.format(axis)}/{line}" for axis in "xyz" for line in ("after", "two_sigma", "camera")}
+    assert wanted | {"/gaps/right"} <= set(tables)
+    wrist = recovery.joints["wrist"]
+    sigma = np.sqrt(np.einsum("nii->ni", recovery.joint_covariance["wrist"]))
+    for axis, name in enumerate("xyz"):
+        after = np.array(tables[f"{curves.format(name)}/after"]["scalars"])[:, 0]
+        band = np.array(tables[f"{curves.format(name)}/two_sigma"]["scalars"])
+        np.testing.assert_array_equal(after, wrist[:, axis])
+        np.testing.assert_allclose(band[:, 1] - band[:, 0], 4 * sigma[:, axis], atol=1e-12)
+        np.testing.assert_allclose(band.mean(axis=1), after, atol=1e-12)
+    # In space: pictures at about the camera's rate, in single precision, orange where occluded.
+    arm = tables[f"{space}/after"]
+    t_s = seconds(arm)
+    assert 20 <= 1 / np.median(np.diff(t_s)) <= 45
+    near = np.abs(recovery.t_s[:, None] - t_s).argmin(axis=0)
+    strips = np.array([strip[0] for strip in arm["strips"]])
+    for place, joint in enumerate(("shoulder", "elbow", "wrist", "hand")):
+        np.testing.assert_allclose(strips[:, place], recovery.joints[joint][near], atol=1e-6)
+    red = np.array([color[0] for color in arm["colors"]]) >> 24
+    np.testing.assert_array_equal(red > 128, recovery.occluded[near])
+    # The ellipsoid: half axes are 2 sigma along the axes of the covariance.
+    half = np.array(tables[f"{space}/two_sigma"]["half_sizes"])[:, 0]
+    variance = np.linalg.eigvalsh(recovery.joint_covariance["wrist"][near])
+    np.testing.assert_allclose(np.sort(half, axis=1), 2 * np.sqrt(variance), rtol=1e-5, atol=1e-7)
+    states = [state[0] for state in tables["/gaps/right"]["state"]]
+    assert states == ["seen", "occluded"] * len(recovery.gaps) + ["seen"]
+
+
+def test_without_an_answer(rerun, tmp_path):
+    """Nothing is drawn there, and the states say it."""
+    recovery = without_answer(made("left"), 9.5, 10.5)
+    write_rrd([recovery], tmp_path / "a.rrd")
+    tables = columns(tmp_path / "a.rrd")
+    arm = tables["/scene/camera/left/after"]
+    t_s = seconds(arm)
+    empty = np.array([not strip for strip in arm["strips"]])
+    np.testing.assert_array_equal(empty, (t_s > 9.5) & (t_s < 10.5))
+    states = [state[0] for state in tables["/gaps/left"]["state"]]
+    assert states == ["seen", "occluded", "seen", "occluded", "no answer", "occluded", "seen"]
+
+
+def test_several_arms_in_one_file(rerun, tmp_path, capsys):
+    write_recovery([made("left"), made("right")], tmp_path / "both.mcap")
+    assert run(["export", str(tmp_path / "both.mcap"), "--format", "rrd", "-o", str(tmp_path / "a.rrd")]) == 0
+    assert "a.rrd" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.rrd", "both.mcap"]
+    tables = columns(tmp_path / "a.rrd")
+    assert {"/scene/camera/left/after", "/scene/camera/right/after"} <= set(tables)
+    command = ["export", str(tmp_path / "both.mcap"), "--format", "rrd", "--side", "left"]
+    assert run([*command, "-o", str(tmp_path / "left.rrd")]) == 0
+    assert not any("right" in path for path in columns(tmp_path / "left.rrd"))
+    write_rrd([made("right"), made("right")], tmp_path / "same.rrd")  # two people's right arms
+    assert {"/gaps/right_1", "/gaps/right_2"} <= set(columns(tmp_path / "same.rrd"))
+
+
+def test_a_strap_alone_and_no_gravity(rerun, tmp_path):
+    strap = replace(made(strap=True), gravity_direction=np.full(3, np.nan))
+    write_rrd([strap], tmp_path / "a.rrd")
+    tables = columns(tmp_path / "a.rrd")
+    assert "/curves/imu_x/arm/after" in tables
+    assert "/curves/elbow_flexion/arm/after" not in tables
+
+
+def test_the_truth_in_a_result_is_shown(rerun, tmp_path):
+    from arms import make_recording
+
+    write_recording(make_recording(), tmp_path / "rec.mcap")
+    write_recovery(made("right"), tmp_path / "out.mcap", source=tmp_path / "rec.mcap")
+    assert run(["export", str(tmp_path / "out.mcap"), "--format", "rrd", "-o", str(tmp_path / "a.rrd")]) == 0
+    assert "/scene/camera/right/truth/joints" in columns(tmp_path / "a.rrd")
+    write_recovery(made("right"), tmp_path / "bare.mcap")
+    assert run(["export", str(tmp_path / "bare.mcap"), "--format", "rrd", "-o", str(tmp_path / "b.rrd")]) == 0
+    assert "/scene/camera/right/truth/joints" not in columns(tmp_path / "b.rrd")
+
+
+def test_size_against_the_result(rerun, tmp_path):
+    """Not larger than the result itself."""
+    write_recovery(made("right"), tmp_path / "out.mcap")
+    write_rrd(read_recovery(tmp_path / "out.mcap"), tmp_path / "a.rrd")
+    assert (tmp_path / "a.rrd").stat().st_size < (tmp_path / "out.mcap").stat().st_size
+
+
+def test_nothing_to_show(rerun, tmp_path):
+    nothing = without_answer(made(), -1, 100)
+    with pytest.raises(UnoccludeError, match="no answer at any time"):
+        write_rrd([nothing], tmp_path / "a.rrd")
+    with pytest.raises(UnoccludeError, match="exists already"):
+        (tmp_path / "b.rrd").write_text("mine")
+        write_rrd([made()], tmp_path / "b.rrd")
+    assert [path.name for path in tmp_path.iterdir()] == ["b.rrd"]
+
+
+def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
+    original = builtins.__import__
+
+    def without(name, *arguments, **options):
+        if name.partition(".")[0] == "rerun":
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return original(name, *arguments, **options)
+
+    write_recovery(made(), tmp_path / "out.mcap")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "rerun"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(UnoccludeError, match=r"pip install unocclude\[view\]"):
+        rerun_module()
+    with pytest.raises(UnoccludeError, match="rerun-sdk"):
+        prepare_export(made(), "rrd")
+    for command in (["view"], ["export", "--format", "rrd", "-o", str(tmp_path / "a.rrd")]):
+        assert run([command[0], str(tmp_path / "out.mcap"), *command[1:]]) == 1
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "pip install unocclude[view]" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
