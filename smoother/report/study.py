@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..recording import FloatArray
-from .sheet import Html, figure, listing, tabulated, write_sheet
+from .sheet import Html, figure, label, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -154,10 +154,10 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
 def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
     kept = order[:MOST_POINTS]
     plot = go.Figure(
-        go.Scattergl(
+        go.Scatter(
             x=np.round(columns["gap_longest_s"][kept], _DIGITS),
             y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
-            text=recovered["recording"].take(kept).to_pylist(),
+            text=[label(name) for name in recovered["recording"].take(kept).to_pylist()],
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
         )

@@ -13,6 +13,7 @@ from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Tr
 from ..result import FrameResiduals, Recovery
 from .decimate import band, decimate
 from .points import Point
+from .sheet import label
 from .style import (
     BAND,
     CAMERA,
@@ -173,7 +174,7 @@ def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[
     index = index[decimate(np.zeros(len(index), bool), 1000)]
     if len(index):
         crosses = _crosses(samples.t_s[index], distance_cm(index))
-        sentences = np.array([reason.sentence for reason in samples.reasons])
+        sentences = np.array([label(reason.sentence) for reason in samples.reasons])
         crosses.update(text=sentences[samples.reason[index, joint]], showlegend=False)
         traces.append(crosses)
     return traces

@@ -13,6 +13,7 @@ from ..measurements.rejection import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .decimate import decimate
+from .sheet import label
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, curve, dots, dress, shade
 
 #: Colours of the reasons for which samples are rejected, in the order of their frequency.
@@ -54,12 +55,12 @@ def calibration_curves(
         figure.add_trace(ideal, row=row, col=1)
         largest = 0.0
         for name, errors in parts.items():
-            label = f"errors {name}" if name not in JOINT_COLOURS else name
+            words = f"errors {name}" if name not in JOINT_COLOURS else name
             stated, actual = errors.binned()
-            inside = curve(100 * LEVELS, 100 * errors.coverage(), label, colours[name], 2)
-            sizes = curve(100 * stated, 100 * actual, label, colours[name], 2, showlegend=False)
-            figure.add_trace(inside.update(legendgroup=label), row=row, col=1)
-            figure.add_trace(sizes.update(legendgroup=label, mode="lines+markers"), row=row, col=2)
+            inside = curve(100 * LEVELS, 100 * errors.coverage(), words, colours[name], 2)
+            sizes = curve(100 * stated, 100 * actual, words, colours[name], 2, showlegend=False)
+            figure.add_trace(inside.update(legendgroup=words), row=row, col=1)
+            figure.add_trace(sizes.update(legendgroup=words, mode="lines+markers"), row=row, col=2)
             largest = max(largest, *(100 * stated), *(100 * actual)) if len(stated) else largest
         ends = [0, 1.08 * max(largest, 0.1)]
         figure.add_trace(curve(ends, ends, None, CAMERA, 1.2, "dash", showlegend=False), row=row, col=2)
@@ -105,11 +106,11 @@ def timeline(recovery: Recovery) -> go.Figure | None:
         ticks = dots(
             samples.t_s[at[chosen]],
             names,
-            reason,
+            label(reason),
             colour,
             20,
             symbol="line-ns-open",
-            text=Reason(reason, why).sentence,
+            text=label(Reason(reason, why).sentence),
         )
         figure.add_trace(ticks.update(marker_line_width=1.6))
     shade(figure, recovery.gaps)
