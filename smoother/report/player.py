@@ -59,9 +59,9 @@ def player(
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
     values = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
     return (
-        f'<div class="together">{headed(heading, caption)}<div class="space player"><canvas tabindex="0" role="img"'
-        f' aria-label="The arm in space, at the time of the slider"></canvas>{_controls(played)}'
-        f"{data_block(values)}</div></div>"
+        f'<div class="together">{headed(heading, caption)}<div class="space player">'
+        f'<canvas tabindex="0" role="img" aria-label="The arm in space, at the time of the slider"></canvas>'
+        f"{_controls(played)}{data_block(values)}</div></div>"
     )
 
 

@@ -154,8 +154,9 @@ def space(
     ramps = "".join(_scale(item, unit_of_values) for item in items if "ramp" in item)
     values = {"view": view, "items": list(items), "axes": axes and list(axes), "ball": ball}
     return (
-        f'<div class="together">{headed(heading, caption)}<div class="space still"><canvas tabindex="0" role="img"'
-        f' aria-label="{escape(heading)}"></canvas><div class="legend">{legend}{ramps}</div>'
+        f'<div class="together">{headed(heading, caption)}<div class="space still">'
+        f'<canvas tabindex="0" role="img" aria-label="{escape(heading)}"></canvas>'
+        f'<div class="legend">{legend}{ramps}</div>'
         f'<div class="tip"></div>{data_block(values)}</div></div>'
     )
 
