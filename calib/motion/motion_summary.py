@@ -18,6 +18,8 @@ LEVER_SIGMA_M = 0.010
 UPPER_ARM_SIGMA_M = 0.020
 DIRECTION_SIGMA_RAD = np.radians(3.0)
 ROLL_SIGMA_RAD = np.radians(10.0)
+#: A direction that is less certain than this is not known at all, degrees.
+UNKNOWN_DEG = 90.0
 CLOCK_SIGMA_S = 0.005
 JOINT_BIAS_M = 0.005
 #: Less than this is hardly any motion.
@@ -165,7 +167,8 @@ def _roll(
     sentences = []
     if frame.direction_sigma_rad > DIRECTION_SIGMA_RAD:
         degrees = np.degrees(frame.direction_sigma_rad)
-        sentences.append(f"the forearm's direction in the IMU is known to {degrees:.0f} degrees only")
+        how = f"is known to {degrees:.0f} degrees only" if degrees < UNKNOWN_DEG else "is not known"
+        sentences.append(f"the forearm's direction in the IMU {how}")
     if not np.isfinite(frame.roll_sigma_rad):
         millimetres = 1e3 * frame.distance_m
         sentences.append(

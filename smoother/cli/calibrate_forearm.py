@@ -100,7 +100,9 @@ def forearm(
         (
             row.name,
             f"{row.pose:.1f} +- {row.pose_sigma:.1f} {row.unit}",
-            f"{row.motion:.1f} +- {row.motion_sigma:.1f} {row.unit}",
+            f"{row.motion:.1f} +- {row.motion_sigma:.1f} {row.unit}"
+            if row.motion_sigma
+            else "counted from it",
             f"{row.apart:.1f}",
         )
         for row in compare(calibration)

@@ -139,9 +139,10 @@ def _gaps(gaps: list[GapSummary]) -> list[str]:
             *(["before the first movement out of view"] if early else []),
             *(["after the last one"] if late else []),
         ]
+        was = "was" if len(early) + len(late) == 1 else "were"
         sentences.append(
             f"Keep the forearm in view for at least 1.5 s {' and '.join(when)}: the gap"
-            f"{_times([*early, *late])} was seen from one side only."
+            f"{_times([*early, *late])} {was} seen from one side only."
         )
     two_sided = [each for each in gaps if not each.one_sided]
     weak = [each for each in two_sided if each.is_weaker_than(WEAK_M)]

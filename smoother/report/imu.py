@@ -138,7 +138,7 @@ def coverage(heading: str, caption: str, calibration: ImuCalibration) -> str:
     directions = sphere_points(2500)
     sigma = 1e3 * acc.sigma_towards(directions, calibration.gravity)
     limits = (float(sigma.min()), float(sigma.max()))
-    known = shaded_cloud(directions, "standard deviation", sigma, "cividis", limits, 11)
+    known = shaded_cloud(directions, "standard deviation", sigma, "cividis", limits, 0.1)
     up = unit(acc.apply(calibration.rests.acc))
     names = [f"rest {number}" for number in range(1, len(up) + 1)]
     rested = cloud(1.03 * up, "rests", OCCLUDED, 10, words=names)
@@ -174,6 +174,6 @@ def allan(noise: SensorNoise, unit: str) -> go.Figure:
 
 def sphere(heading: str, caption: str, items: list[dict[str, Any]], unit_of_values: str) -> str:
     """A section of directions in the sensor's axes, on a ball that nothing shines through."""
-    corners = 1.2 * np.vstack([np.eye(3), -np.eye(3)])
+    corners = 1.4 * np.vstack([np.eye(3), -np.eye(3)])
     view = view_of(corners, np.array([0.0, 0.0, 1.0]), np.array([1.2, -1.0, 0.8]))
     return space(heading, caption, items, view, axes="xyz", ball=0.97, unit_of_values=unit_of_values)

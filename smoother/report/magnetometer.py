@@ -83,7 +83,7 @@ def coverage(heading: str, caption: str, corrected: FloatArray) -> str:
     empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
     off = 100.0 * (length - 1.0)
     most = max(float(np.percentile(np.abs(off), 99)), 0.1)
-    items = [shaded_cloud(corrected, "samples", off, "blue-red", (-most, most), 4)]
+    items = [shaded_cloud(corrected, "samples", off, "blue-red", (-most, most), 0.025)]
     if len(empty):
         items.append(cloud(empty, "not covered", "#9a9a9a", 5))
     return sphere(heading, caption, items, "% off")

@@ -58,6 +58,7 @@ def player(
     view = view_of(points, up, seen_from(points, up, frame))
     at = [float(first.t_s[row]) for hidden in (True, False) for row in instants(first, hidden)]
     values = {"view": view, "arms": played, "axes": list(axis_names(frame)), "instants": at}
+    view["zoom"] = 1.15
     return (
         f'<div class="together">{headed(heading, caption)}<div class="space player">'
         f'<canvas tabindex="0" role="img" aria-label="The arm in space, at the time of the slider"></canvas>'

@@ -92,14 +92,14 @@ def cloud(
 
 
 def shaded_cloud(
-    points: FloatArray, name: str, values: ArrayLike, scale: str, limits: tuple[float, float], size: float
+    points: FloatArray, name: str, values: ArrayLike, scale: str, limits: tuple[float, float], size_m: float
 ) -> dict[str, Any]:
-    """Points (n, 3) coloured by a value each, on a colour scale between two limits."""
+    """Points (n, 3) coloured by a value each, on a colour scale between limits; sizes as in space."""
     low, high = limits
     share = (np.asarray(values, float) - low) / max(high - low, 1e-12)
     shade = np.clip(np.rint(share * (_SHADES - 1)), 0, _SHADES - 1).astype(int)
     ramp = _ramp(_SCALES[scale])
-    item = {"kind": "points", "name": name, "size": size, "colour": shade.tolist(), "ramp": ramp}
+    item = {"kind": "points", "name": name, "size_m": size_m, "colour": shade.tolist(), "ramp": ramp}
     return item | {"points": packed(points), "limits": limits}
 
 

@@ -67,7 +67,7 @@ def _against_reference(validation: Validation) -> str:
     hidden = validation.occluded if validation.occluded.samples else validation.all
     where = "in the gaps" if validation.occluded.samples else "over the recording"
     if hidden.position_rms_m is None:
-        return "The reference has no position to compare with there."
+        return _joints_against_reference(validation, where)
     text = (
         f"Against the reference the position is off by {100 * hidden.position_rms_m:.1f} cm {where}"
         f" (root mean square; {100 * (hidden.position_max_m or 0):.1f} cm at most)"
@@ -85,6 +85,31 @@ def _against_reference(validation: Validation) -> str:
     return f"{text}. The stated uncertainty covers these errors."
 
 
+def _joints_against_reference(validation: Validation, where: str) -> str:
+    """For a reference of joints alone: their errors, and whether their stated uncertainty covers these."""
+    part = "occluded" if validation.occluded.samples else "all"
+    figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
+    if not errors:
+        return "The reference has neither the sensor's position nor a joint to compare with there."
+    words = [f"the {joint} by {100 * error:.1f} cm" for joint, error in errors.items()]
+    are = "is" if len(words) == 1 else "are"
+    text = f"Against the reference {_and(words)} {are} off {where} (root mean square)"
+    nees = [value for joint in errors if (value := figures[joint].nees) is not None]
+    if not nees:
+        return f"{text}."
+    if max(nees) > OVER_CONFIDENT:
+        return (
+            f"{text}. These errors are up to {np.sqrt(max(nees)):.1f} times as large as the stated"
+            " uncertainty allows: read every standard deviation on this page as that much larger."
+        )
+    return f"{text}. The stated uncertainty covers these errors."
+
+
+def _and(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
 def _camera_doubts(recovery: Recovery) -> str:
     """That the camera's samples lie farther from the answer than stated, where they do."""
     inside = {joint: errors.inside(0.95) for joint, errors in camera_residuals(recovery).items()}
@@ -100,8 +125,13 @@ def _camera_doubts(recovery: Recovery) -> str:
 
 def _consistent(validation: Validation | None) -> bool:
     """Whether no reference contradicts the stated uncertainty."""
-    figures = None if validation is None else (validation.occluded.nees or validation.all.nees)
-    return figures is None or figures <= OVER_CONFIDENT
+    if validation is None:
+        return True
+    own = [validation.occluded.nees or validation.all.nees]
+    part = "occluded" if validation.occluded.samples else "all"
+    joints = [parts[part].nees for parts in validation.points.values() if part in parts]
+    stated = [value for value in (own if own[0] is not None else joints) if value is not None]
+    return not stated or max(stated) <= OVER_CONFIDENT
 
 
 def _what_to_trust(gaps: list[GapSummary], consistent: bool) -> str:

@@ -180,6 +180,7 @@ def _gaps(validation: Validation) -> str:
             figures.nees,
         )
         for gap, figures in validation.gaps
+        if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
     ]
     heads = ("gap at, s", "length, s", "rms, cm", "95 % below, cm", "largest, cm")
     return table((*heads, "rms, degrees", "largest, degrees", "NEES"), rows) if rows else ""

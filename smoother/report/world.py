@@ -130,7 +130,7 @@ def on_the_camera(heading: str, caption: str, calibration: WorldCalibration) -> 
     down = np.array([row["down"] for row in rows], float)
     items += [polyline(np.array([np.zeros(3), 0.96 * each]), "down", TRUTH, 1) for each in down]
     items.append(cloud(0.96 * down, "down", TRUTH, 9, words=[row["pose"] for row in rows]))
-    corners = np.vstack([np.eye(3), -np.eye(3)])
+    corners = 1.15 * np.vstack([np.eye(3), -np.eye(3)])
     # seen from behind the camera, a little to the side and from above
     view = view_of(corners, np.array([0.0, -1.0, 0.0]), np.array([-0.6, -0.6, -1.2]))
     view |= {"axes_at": [0.0, 0.0, 0.0], "axes_length": 1.0, "grid": False}

@@ -88,12 +88,12 @@ def panel_session(folder: Path) -> Path:
 
 
 def panel(folder: Path) -> Path:
-    """The page of `calibrate panel`."""
-    panel_session(folder)
-    page, files = folder / "panel.html", folder / "panel"
+    """The page of `calibrate panel`; the camera stands still."""
+    page, files = folder / "panel.html", folder / "still"
+    command("simulate", "panel", "-o", files, "--poses", 2, "--seed", 5)
     poses = [
         part
-        for number in (1, 2, 3)
+        for number in (1, 2)
         for what, ending in (("depth", "depth.png"), ("infrared", "infrared.png"), ("markers", "markers.csv"))
         for part in (f"--{what}", files / f"pose_{number:02d}_{ending}")
     ]

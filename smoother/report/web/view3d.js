@@ -22,7 +22,7 @@ var View3D = (() => {
   }
 
   class View3D {
-    constructor(box, { up, eye, center, radius, aspect }) {
+    constructor(box, { up, eye, center, radius, aspect, zoom }) {
       this.canvas = box.querySelector("canvas");
       this.pen = this.canvas.getContext("2d");
       this.up = unit(up);
@@ -30,7 +30,7 @@ var View3D = (() => {
       const beside = Math.abs(this.up[0]) < 0.8 ? [1, 0, 0] : [0, 1, 0];
       this.a = unit(Math.hypot(...flat) > 1e-6 ? flat : cross(this.up, beside));
       this.b = cross(this.up, this.a);
-      this.home = { yaw: 0, pitch: Math.asin(Math.max(-1, Math.min(1, dot(unit(eye), this.up)))), zoom: 1 };
+      this.home = { yaw: 0, pitch: Math.asin(Math.max(-1, Math.min(1, dot(unit(eye), this.up)))), zoom: zoom || 1 };
       Object.assign(this, this.home, { center, radius, aspect, paper: false, draw: () => {} });
       this._pointers = new Map();
       this._listen();
@@ -65,7 +65,7 @@ var View3D = (() => {
       this.right = add([c * this.b[0], c * this.b[1], c * this.b[2]], this.a, -s);
       this.top = cross(this.eye, this.right);
       this.far = 3.6 * this.radius;
-      this.size = (1.12 * this.zoom * Math.min(this.w, this.h)) / 2 / this.radius;
+      this.size = (this.zoom * Math.min(this.w, this.h)) / 2 / this.radius;
     }
 
     redraw() {
@@ -163,10 +163,11 @@ var View3D = (() => {
       if (axes) this.triad(add(add(at, e, -n * step), f, -n * step), 1.2 * step, axes);
     }
 
-    triad(at, length, names) {
+    triad(at, length, names, ball) { // about a ball only what stands out of it, and is not behind it
       [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, k) => {
-        this.line([at, add(at, axis, length)], "soft", 2);
-        this.text(add(at, axis, 1.15 * length), names[k], "soft", -6);
+        const tip = add(at, axis, length), from = ball ? add(at, axis, 1.02 * ball) : at;
+        if (!ball || !this.hides(ball, from)) this.line([from, tip], "soft", 2);
+        if (!ball || !this.hides(ball, tip)) this.text(add(at, axis, 1.08 * length), names[k], "soft", -6);
       });
     }
 
@@ -222,7 +223,7 @@ var View3D = (() => {
       if (ball) {
         const [x, y, , k] = v.project([0, 0, 0]);
         v.pen.beginPath();
-        v.pen.arc(x, y, ball * k * 1.04, 0, 7);
+        v.pen.arc(x, y, ball * k * 1.035, 0, 7);
         v.pen.fillStyle = v.colours.faint;
         v.pen.fill();
       } else if (view.grid !== false) v.floor(view.low, null);
@@ -243,10 +244,10 @@ var View3D = (() => {
       }
       points.sort((p, q) => p[0] - q[0]);
       for (const [, p, colour, item, i] of points) {
-        v.dot(p, colour, item.size, item.symbol);
+        v.dot(p, colour, item.size_m ? item.size_m * v.project(p)[3] : item.size, item.symbol);
         if (item.words) targets.push([...v.project(p), item.words[i]]);
       }
-      if (axes) v.triad(ball ? [0, 0, 0] : view.axes_at, ball ? 1.25 : view.axes_length, axes);
+      if (axes) v.triad(ball ? [0, 0, 0] : view.axes_at, ball ? 1.3 : view.axes_length, axes, ball);
     };
     for (const input of box.querySelectorAll(".legend input"))
       input.addEventListener("change", () => { if (input.checked) off.delete(input.value); else off.add(input.value); space.redraw(); });
