@@ -141,11 +141,12 @@ def _drawn(spread: GapSpread) -> list[float]:
 
 
 def decades(values: Sequence[float]) -> list[float]:
-    """Ticks of a logarithmic axis about values: 1, 2 and 5 of each power of ten, written in full."""
+    """Ticks of a logarithmic axis about values: 1, 2 and 5 of each power of ten, more if few lie inside."""
     if not values:
         return []
     low, high = int(np.floor(np.log10(min(values)))), int(np.ceil(np.log10(max(values))))
-    return [float(f"{lead}e{power}") for power in range(low, high + 1) for lead in (1, 2, 5)]
+    leads = (1, 2, 5) if max(values) > 10 * min(values) else (1, 1.5, 2, 3, 4, 5, 7)
+    return [float(f"{lead}e{power}") for power in range(low, high + 1) for lead in leads]
 
 
 def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Scatter:

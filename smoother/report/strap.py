@@ -46,8 +46,8 @@ def _sections(search: StrapFound) -> Iterator[str]:
     if search.profiles:
         yield figure(
             "Brightness along the forearm",
-            "From elbow to wrist over time, as the image has it: the strap is the dark line; dots are where it"
-            " was found.",
+            "From elbow to wrist over time, as the image has it: the strap is the dark line; dots are where"
+            " it was found.",
             brightness(search),
         )
     if any(not reason for reason in search.reasons):
@@ -73,7 +73,7 @@ def brightness(search: StrapFound) -> go.Figure:
     table = np.stack([profile for _, profile in search.profiles], axis=1)
     edges, picture = side_by_side(t, table)
     good = np.array([not reason for reason in search.reasons], bool)
-    plot = go.Figure(dots(search.t_s[good], 100 * search.in_profile[good], "strap", OCCLUDED, 4))
+    plot = go.Figure(dots(search.t_s[good], 100 * search.in_profile[good], "strap", OCCLUDED, 6))
     low, high = 100 * SEARCH[0], 100 * SEARCH[1]
     plot.add_layout_image(
         source=f"data:image/png;base64,{b64encode(picture).decode('ascii')}",

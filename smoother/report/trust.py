@@ -43,7 +43,7 @@ def calibration_curves(
     if not rows:
         return None
     titles = [
-        f"{what} ({'errors against the reference' if name == 'reference' else 'distance to camera samples'})"
+        f"{what}<br>({'errors against the reference' if name == 'reference' else 'distance to camera samples'})"
         for name, _ in rows
         for what in ("inside the stated region", "stated and actual")
     ]
@@ -68,7 +68,7 @@ def calibration_curves(
         figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
         figure.update_xaxes(title_text="stated sigma, cm an axis", range=ends, row=row, col=2)
         figure.update_yaxes(title_text="actual rms, cm an axis", range=ends, row=row, col=2)
-    return dress(figure, 90 + 350 * len(rows), head=60)
+    return dress(figure, 110 + 350 * len(rows), head=80)
 
 
 def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:

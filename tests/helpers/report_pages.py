@@ -171,7 +171,11 @@ def strap(folder: Path) -> Path:
     return page
 
 
-def study(folder: Path, name: str = "a") -> Path:
+#: A file may be called so; a name cannot hold a slash.
+HOSTILE_NAME = "<img src=x onerror=hacked=1>"
+
+
+def study(folder: Path, name: str = HOSTILE_NAME) -> Path:
     """The page of `batch`: two recordings and a file that is none."""
     sessions = folder / "sessions"
     sessions.mkdir()
