@@ -92,9 +92,8 @@ def _joints_against_reference(validation: Validation, where: str) -> str:
     errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
     if not errors:
         return "The reference has neither the sensor's position nor a joint to compare with there."
-    words = [f"the {joint} by {100 * error:.1f} cm" for joint, error in errors.items()]
-    are = "is" if len(words) == 1 else "are"
-    text = f"Against the reference {_and(words)} {are} off {where} (root mean square)"
+    words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
+    text = f"Against the reference the error {where} is {_and(words)} (root mean square)"
     nees = [value for joint in errors if (value := figures[joint].nees) is not None]
     if not nees:
         return f"{text}."

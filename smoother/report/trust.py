@@ -42,8 +42,9 @@ def calibration_curves(
     rows = [(name, part) for name, part in (("camera", camera), ("reference", truth)) if part]
     if not rows:
         return None
+    of = {"camera": "distance to camera samples", "reference": "errors against the reference"}
     titles = [
-        f"{what}<br>({'errors against the reference' if name == 'reference' else 'distance to camera samples'})"
+        f"{what}<br>({of[name]})"
         for name, _ in rows
         for what in ("inside the stated region", "stated and actual")
     ]
