@@ -156,7 +156,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
         "How certain the answer is",
         "Sigma is one standard deviation of the sensor's position (worst axis) and of its orientation, as"
         " stated by the method. It grows into a gap and falls towards its end."
-        + (" The black line is the true error, for comparison." if truth is not None else ""),
+        + (" The thin line is the true error, for comparison." if truth is not None else ""),
         uncertainty(recovery, truth),
     )
     yield _figure(

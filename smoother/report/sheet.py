@@ -114,8 +114,9 @@ def _slug(heading: str) -> str:
 
 
 def figure(heading: str, caption: str, plot: go.Figure) -> str:
-    """A heading, a caption and a plot, which the page draws when it is open."""
-    wide = any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
+    """A heading, a caption and a plot, which the page draws when it is open; a phone moves wide ones sideways."""
+    wide = bool((plot.layout.meta or {}).get("wide"))
+    wide |= any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
     height = int(plot.layout.height or 450)
     return (
         f'<div class="together">{headed(heading, caption)}<div class="figure{" wide" if wide else ""}">'

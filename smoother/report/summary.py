@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.coverage import camera_residuals
+from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..result import Recovery
@@ -67,7 +68,7 @@ def _against_reference(validation: Validation) -> str:
     hidden = validation.occluded if validation.occluded.samples else validation.all
     where = "in the gaps" if validation.occluded.samples else "over the recording"
     if hidden.position_rms_m is None:
-        return _joints_against_reference(validation, where)
+        return _joints_against_reference(validation)
     text = (
         f"Against the reference the position is off by {100 * hidden.position_rms_m:.1f} cm {where}"
         f" (root mean square; {100 * (hidden.position_max_m or 0):.1f} cm at most)"
@@ -85,10 +86,11 @@ def _against_reference(validation: Validation) -> str:
     return f"{text}. The stated uncertainty covers these errors."
 
 
-def _joints_against_reference(validation: Validation, where: str) -> str:
+def _joints_against_reference(validation: Validation) -> str:
     """For a reference of joints alone: their errors, and whether their stated uncertainty covers these."""
-    part = "occluded" if validation.occluded.samples else "all"
-    figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+    figures = _joint_figures(validation)
+    hidden = figures and all(figures[joint] is validation.points[joint]["occluded"] for joint in figures)
+    where = "in the gaps" if hidden else "over the recording"
     errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
     if not errors:
         return "The reference has neither the sensor's position nor a joint to compare with there."
@@ -103,6 +105,15 @@ def _joints_against_reference(validation: Validation, where: str) -> str:
             " uncertainty allows: read every standard deviation on this page as that much larger."
         )
     return f"{text}. The stated uncertainty covers these errors."
+
+
+def _joint_figures(validation: Validation) -> dict[str, Figures]:
+    """Figures of each joint in gaps; over the whole recording where no joint has a reference in a gap."""
+    for part in ("occluded", "all"):
+        figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+        if any(each.position_rms_m is not None for each in figures.values()):
+            return figures
+    return {}
 
 
 def _and(words: list[str]) -> str:
@@ -126,10 +137,9 @@ def _consistent(validation: Validation | None) -> bool:
     """Whether no reference contradicts the stated uncertainty."""
     if validation is None:
         return True
-    own = [validation.occluded.nees or validation.all.nees]
-    part = "occluded" if validation.occluded.samples else "all"
-    joints = [parts[part].nees for parts in validation.points.values() if part in parts]
-    stated = [value for value in (own if own[0] is not None else joints) if value is not None]
+    own = validation.occluded.nees or validation.all.nees
+    joints = [each.nees for each in _joint_figures(validation).values()]
+    stated = [value for value in ([own] if own is not None else joints) if value is not None]
     return not stated or max(stated) <= OVER_CONFIDENT
 
 

@@ -121,12 +121,13 @@ var View3D = (() => {
     }
 
     text(p, words, colour, dx = 6, dy = 4) {
-      const [x, y] = this.project(p);
+      const [x, y] = this.project(p), room = this.w - this.pen.measureText(words).width - 4;
+      const at = Math.max(4, Math.min(room, x + dx));
       this.pen.fillStyle = this.colour(colour);
       this.pen.strokeStyle = this.colours.paper;
       this.pen.lineWidth = 3;
-      this.pen.strokeText(words, x + dx, y + dy);
-      this.pen.fillText(words, x + dx, y + dy);
+      this.pen.strokeText(words, at, y + dy);
+      this.pen.fillText(words, at, y + dy);
     }
 
     /* Outline of the ellipsoid p + factor L ball, L lower triangular (xx, yx, yy, zx, zy, zz). */
