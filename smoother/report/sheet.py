@@ -114,7 +114,7 @@ def _slug(heading: str) -> str:
 
 
 def figure(heading: str, caption: str, plot: go.Figure) -> str:
-    """A heading, a caption and a plot, which the page draws when it is open; a phone moves wide ones sideways."""
+    """A heading, a caption and a plot; the page draws it, and lets a phone move a wide one sideways."""
     wide = bool((plot.layout.meta or {}).get("wide"))
     wide |= any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
     height = int(plot.layout.height or 450)
