@@ -121,7 +121,7 @@ def places(search: StrapFound) -> go.Figure:
             (1, search.position[:, axis], True),
             (2, 1e3 * search.sigma_m[:, axis], False),
         ):
-            plot.add_trace(dots(search.t_s, values, name, colour, 3, showlegend=shown), row=row, col=1)
+            plot.add_trace(dots(search.t_s, values, name, colour, 4, showlegend=shown), row=row, col=1)
     plot.update_yaxes(title_text="m", row=1, col=1)
     plot.update_yaxes(title_text="sigma, mm", rangemode="tozero", row=2, col=1)
     plot.update_xaxes(title_text="time, s", row=2, col=1)

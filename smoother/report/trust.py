@@ -19,6 +19,9 @@ from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, curve, dots, dress,
 #: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
 
+#: Most samples of a joint that took part and are drawn.
+MOST_USED = 1000
+
 
 def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAndActual]:
     """Position errors with what was stated of them, in gaps and while seen; empty without a reference."""
@@ -95,14 +98,14 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     joints = [joint for joint in JOINTS if joint in joints]
     for joint in joints:
         index = np.flatnonzero(samples.used[:, JOINTS.index(joint)])
-        index = index[decimate(np.zeros(len(index), bool), 2000)]
+        index = index[decimate(np.zeros(len(index), bool), MOST_USED)]
         ticks = dots(samples.t_s[index], [joint] * len(index), "used", "#c9d3da", 8, symbol="line-ns-open")
         ticks.update(legendgroup="used", showlegend=joint == joints[0], hoverinfo="skip")
         figure.add_trace(ticks)
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
         at, column = np.nonzero(samples.reason == samples.reasons.index(Reason(reason, why)))
-        chosen = decimate(np.zeros(len(at), bool), 3000)
+        chosen = decimate(np.zeros(len(at), bool), 2 * MOST_USED)
         colour, names = REASON_COLOURS[number % len(REASON_COLOURS)], [JOINTS[i] for i in column[chosen]]
         ticks = dots(
             samples.t_s[at[chosen]],

@@ -58,6 +58,7 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Performance.enable", timeDomain="threadTicks")
 
     def close(self) -> None:
         """End the program."""
@@ -114,11 +115,17 @@ class Browser:
 
     def open(self, path: Path) -> float:
         """Open a page and wait until all of it is drawn; seconds it took."""
+        self.call("Page.navigate", url="about:blank")
         self.events.clear()
         begin = time.monotonic()
         self.call("Page.navigate", url=path.resolve().as_uri())
         self.wait("document.documentElement?.dataset.drawn === 'yes'")
         return time.monotonic() - begin
+
+    def computed_s(self) -> float:
+        """Time that the page's main thread has computed since it was opened, s."""
+        metrics = self.call("Performance.getMetrics")["metrics"]
+        return next(each["value"] for each in metrics if each["name"] == "TaskDuration")
 
     def wait(self, condition: str) -> None:
         """Wait until a JavaScript expression holds."""

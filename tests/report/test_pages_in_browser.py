@@ -201,6 +201,20 @@ def test_paper_is_white_and_holds_the_path(player: Browser):
     player.dark(False)
 
 
+def test_an_hour_opens_in_three_seconds(browser: Browser, tmp_path: Path):
+    recording = make_recording(3600.0, truth=False)
+    hidden = recording.arm.t_s % 10 < 1.5
+    recording = replace(recording, arm=recording.arm.hide(hidden), camera_frame=CameraFrame.KINECT)
+    page = tmp_path / "hour.html"
+    write_report(make_recovery(recording), page, recording=recording)
+    assert page.stat().st_size < 15e6
+    browser.size(1100, 900)
+    # what its one thread computes, whatever else the machine does: 2.0 s were measured
+    assert browser.open(page) > 0 and browser.computed_s() < 3.0
+    assert browser.run("performance.getEntriesByType('paint').length") > 0
+    assert browser.complaints() == []
+
+
 def hostile_result(path: Path) -> Path:
     """A page of `smooth` whose every word of a file is hostile."""
     recording = make_recording(8.0)

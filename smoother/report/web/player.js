@@ -41,7 +41,9 @@
     const { view, arms: plain, axes, instants } = JSON.parse(box.querySelector('script[type="application/json"]').textContent);
     const arms = plain.map((each) => new Arm(each));
     const from = Math.min(...arms.map((arm) => arm.start)), to = Math.max(...arms.map((arm) => arm.end));
-    const gaps = arms.flatMap((arm) => arm.gaps).sort((p, q) => p[0] - q[0]);
+    const several = arms.length > 1;
+    const gaps = arms.flatMap((arm) => arm.gaps.map(([start, end]) => [start, end, several ? arm.name + ", " : ""]));
+    gaps.sort((p, q) => p[0] - q[0]);
     const space = new View3D(box, view);
     const find = (name) => box.querySelector(`[data-do="${name}"]`);
     const slider = find("seek"), words = box.querySelector(".now"), play = find("play"), speed = find("speed");
@@ -92,11 +94,6 @@
           v.dot(p, "ghost", sure ? 8 : 5, sure ? "circle" : "x", 0.75);
         });
       }
-      if (shown("reference") && arm.tracks.truth) {
-        v.line(arm.chain("truth", t).filter(Boolean), "truth", 2, { dash: [5, 4] });
-        const p = arm.at("truth", arm.names.length, t);
-        if (p) v.dot(p, "truth", 9, "cross");
-      }
       const joints = skeleton(v, arm, t), sensor = arm.at("sensor", 0, t), end = arm.end_point(t);
       if (sensor) {
         const [x, y] = v.project(sensor);
@@ -105,9 +102,14 @@
         v.pen.fillStyle = v.colours.paper;
         v.pen.fillRect(x - 2, y - 2, 4, 4);
       }
+      if (shown("reference") && arm.tracks.truth) {
+        v.line(arm.chain("truth", t).filter(Boolean), "truth", 2, { dash: [5, 4] });
+        const p = arm.at("truth", arm.names.length, t);
+        if (p) v.dot(p, "truth", 9, "cross");
+      }
       const sigma = arm.row("sigma", t);
       if (shown("sigma") && end && sigma && !Number.isNaN(sigma[0])) v.ellipsoid(end, sigma, 2, arm.hidden(t) >= 0 ? "recovered" : "seen");
-      if (arms.length > 1 && (joints[0] || end)) v.text(joints[0] || end, arm.name, "ink", 8, -8);
+      if (several && (joints[0] || end)) v.text(joints[0] || end, arm.name, "ink", 8, -8);
       return joints;
     }
 
@@ -119,12 +121,12 @@
     function describe() {
       const number = gaps.findIndex(([start, end]) => t >= start && t <= end);
       const parts = [`${t.toFixed(2)} s of ${to.toFixed(1)} s`];
-      parts.push(number < 0 ? "seen by the camera" : `recovered: gap ${number + 1} of ${gaps.length}`);
+      parts.push(number < 0 ? "seen by the camera" : `recovered: ${gaps[number][2]}gap ${number + 1} of ${gaps.length}`);
       for (const arm of arms) {
         const l = arm.row("sigma", t);
         if (!l || Number.isNaN(l[0])) continue;
         const worst = Math.max(l[0] ** 2, l[1] ** 2 + l[2] ** 2, l[3] ** 2 + l[4] ** 2 + l[5] ** 2) ** 0.5;
-        parts.push(`sigma of the ${arms.length > 1 ? arm.name + " " : ""}${arm.tip} ${(100 * worst).toFixed(1)} cm`);
+        parts.push(`sigma of the ${several ? arm.name + " " : ""}${arm.tip} ${(100 * worst).toFixed(1)} cm`);
       }
       words.textContent = parts.join(" · ");
       slider.setAttribute("aria-valuetext", parts.join(", "));
