@@ -59,7 +59,10 @@ class Sighting:
     pixel : ndarray, shape (2,)
         Of the strap in the image.
     along : float
-        Part of the way from elbow to wrist.
+        Part of the way from elbow to wrist, of the seen point.
+    in_profile : float
+        Part of the way at which the dark place lies in the profile: the strap's surface, as seen from the
+        side, is not over the same place of the line.
     contrast, width_m, off_line_m : float
         How dark, how wide, how far from the elbow-wrist line.
     profile : ndarray, shape (SAMPLES,)
@@ -72,6 +75,7 @@ class Sighting:
     surface: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     pixel: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     along: float = float("nan")
+    in_profile: float = float("nan")
     contrast: float = float("nan")
     width_m: float = float("nan")
     off_line_m: float = float("nan")
@@ -152,7 +156,14 @@ def find_strap(
     pixel, _ = camera.pixels(place[None])
     surface = surface_at(camera, depth, elbow, wrist, at, BESIDE_M)
     if surface is None:
-        return Sighting("no depth at the strap", pixel=pixel[0], along=at, contrast=contrast, profile=profile)
+        return Sighting(
+            "no depth at the strap",
+            pixel=pixel[0],
+            along=at,
+            in_profile=at,
+            contrast=contrast,
+            profile=profile,
+        )
     along = float((surface - elbow) @ y)
     off, reason = _criteria(surface, *joints)
     core, covariance = _core(
@@ -165,10 +176,11 @@ def find_strap(
         surface,
         pixel[0],
         along / length,
-        contrast,
-        width * length,
-        off,
-        profile,
+        in_profile=at,
+        contrast=contrast,
+        width_m=width * length,
+        off_line_m=off,
+        profile=profile,
     )
 
 

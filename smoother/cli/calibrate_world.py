@@ -9,7 +9,7 @@ import typer
 
 from ..errors import CalibrationError
 from .calibrate import held_calibration, naming, print_words, write_answer
-from .options import CalibrationOutput, Depth, Files, Force, Infrared, IntrinsicsFile, Json, PanelFile
+from .options import CalibrationOutput, Depth, Files, Force, Infrared, IntrinsicsFile, Json, PanelFile, Report
 from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def world(
     base_topic: Annotated[
         str, typer.Option("--base-topic", metavar="TOPIC", help="In a recording: the IMU on the camera.")
     ] = "base",
+    report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -65,24 +66,29 @@ def world(
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
-    held = held_calibration(output, [json_file], inputs, force=force)
+    held = held_calibration(output, [json_file, report], inputs, force=force)
     known = read_panel(panel_file)
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     if recording is not None:
         if any(images):
             raise typer.BadParameter("give either a recording or files, not both")
-        views, times, panels, bases, lens = _from_recording(recording, panel_topic, base_topic, lens)
+        views, times, panels, bases, lens, notes = _from_recording(recording, panel_topic, base_topic, lens)
     else:
         views, times, panels, bases = _from_files(*images)
+        notes = ()
         if lens is None:
             raise typer.BadParameter("give --intrinsics with --depth")
     with pictured(output.with_name(f"{output.stem}.seen.png")):
         calibration = calibrate_world_from_views(views, times, panels, bases, known, lens, held)
     answer = world_answer(calibration)
+    if report is not None:
+        from ..report.world import write_world_report
+
+        write_world_report(report, calibration, notes=notes, force=force)
     write_answer(answer, output, json_file, force)
     print_tables(answer.table.tables)
     print_words(answer)
-    say_written(output, json_file)
+    say_written(output, report, json_file)
 
 
 def _from_files(
@@ -116,7 +122,7 @@ def _from_files(
 
 def _from_recording(
     path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
-) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics]:
+) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics, tuple[str, ...]]:
     from ..io.media.panel_session import read_session
 
     session = read_session(path, panel_topic, base_topic)
@@ -126,8 +132,8 @@ def _from_recording(
             f"{path} holds no lens (CameraCalibration, CameraInfo) of the depth camera; give --intrinsics."
         )
     print_notes(session.notes)
-    count = len(session.views)
-    return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens
+    count, notes = len(session.views), tuple(session.notes)
+    return session.views, session.times_s, [session.panel] * count, [session.base] * count, lens, notes
 
 
 def print_tables(tables: dict[str, Any]) -> None:

@@ -272,5 +272,15 @@ def print_gaps(table: GapTable) -> None:
                     f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
                 )
             )
-    columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
+    columns = (
+        "gap, s",
+        "method",
+        "rms, cm",
+        "median of samples",
+        "95 %",
+        "max",
+        "NEES",
+        "inside 95 %",
+        "gaps",
+    )
     print_table(f"Error in hidden gaps against the {against}", columns, rows)

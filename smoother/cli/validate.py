@@ -58,7 +58,8 @@ def validate(
 
     check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
     recovery = load_recovery(result, one_side(side))
-    frame = None if calibration is None else camera_frame_of(result)
+    axes = camera_frame_of(result)
+    frame = None if calibration is None else axes
     truth, alignment = read_reference(
         truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
     )
@@ -66,7 +67,7 @@ def validate(
     if report is not None:
         from ..report import write_report
 
-        write_report(recovery, report, validation=validation, truth=truth, force=force)
+        write_report(recovery, report, validation=validation, truth=truth, camera_frame=axes, force=force)
     damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
     validation = replace(validation, notes=(*damaged, *validation.notes))
     write_json(json_file, validation.to_dict(), force)

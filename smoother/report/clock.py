@@ -13,7 +13,7 @@ from calib.clock.clock_summary import next_time, open_questions, verdict
 from calib.clock.links import ClockNetwork, Leftover, Receptions
 from calib.clock.motion_clock import MotionClock
 
-from .sheet import figure, listing, tabulated, write_sheet
+from .sheet import figure, label, listing, tabulated, write_sheet
 from .style import OCCLUDED, TRUTH, VISIBLE, curve, dots, dress
 
 
@@ -96,7 +96,7 @@ def residuals(leftover: Leftover) -> go.Figure:
         mine = names == name
         symbols = np.where(leftover.used[mine], "circle", "x").tolist()
         x, y = leftover.t_s[mine] - first, 1e3 * leftover.residual_s[mine]
-        plot.add_trace(dots(x, y, name, None, 8, symbol=symbols))
+        plot.add_trace(dots(x, y, label(name), None, 8, symbol=symbols))
     limit = max(
         4 * leftover.sigma_s, 1.2 * float(np.abs(leftover.residual_s[leftover.used]).max(initial=0.0))
     )

@@ -9,7 +9,7 @@ from ..linalg import runs
 from ..recording import BoolArray, FloatArray, IntArray
 
 #: Most points of one drawn line.
-MOST_POINTS = 6000
+MOST_POINTS = 4000
 #: Share of them that the gaps may take.
 GAP_SHARE = 0.6
 

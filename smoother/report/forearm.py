@@ -69,7 +69,9 @@ def _sections(recording: Recording, calibration: ForearmCalibration, rows: list[
             (
                 row.name,
                 f"{row.pose:.1f} ± {row.pose_sigma:.1f} {row.unit}",
-                f"{row.motion:.1f} ± {row.motion_sigma:.1f} {row.unit}",
+                f"{row.motion:.1f} ± {row.motion_sigma:.1f} {row.unit}"
+                if row.motion_sigma
+                else "counted from it",
                 f"{row.apart:.1f}",
                 "agree" if row.agrees else "do not agree",
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from ..evaluation.gap_spread import GapSpread, spread_by_length
 from ..evaluation.gaps import GapTable
 from .method_styles import PLAIN, STYLES, faint, line_of
-from .sheet import figure, in_cm, listing, tabulated, write_sheet
+from .sheet import figure, in_cm, label, listing, tabulated, write_sheet
 from .style import dress
 
 Spreads = dict[float, dict[str, GapSpread]]
@@ -80,7 +80,7 @@ def verdict(spreads: Spreads) -> list[str]:
         if len(known) > 1:
             ranked = sorted(known, key=lambda name: known[name])[:3]
             words = ", ".join(f"{name} {100 * known[name]:.1f}" for name in ranked)
-            sentences.append(f"Gaps of {length:g} s, median error, cm: {words}")
+            sentences.append(f"Gaps of {length:g} s, median over gaps of the error, cm: {words}")
     return sentences or ["No gap has an answer."]
 
 
@@ -113,7 +113,7 @@ def curves(spreads: Spreads) -> go.Figure:
             for field in ("low_m", "median_m", "high_m")
         )
         shift = 1.0 if name == "graph" else 1.012 ** (place - len(names) / 2)  # bars beside each other
-        trace = go.Scatter(x=x * shift, y=median, name=name, mode="lines+markers", line=line_of(name))
+        trace = go.Scatter(x=x * shift, y=median, name=label(name), mode="lines+markers", line=line_of(name))
         if name == "graph":
             plot.add_trace(_band(x, low, high, name))
         else:
@@ -122,9 +122,31 @@ def curves(spreads: Spreads) -> go.Figure:
         plot.add_trace(trace)
     ticks = [f"{length:g}" for length in spreads]
     plot.update_xaxes(type="log", title_text="gap, s", tickvals=list(spreads), ticktext=ticks)
-    plot.update_yaxes(type="log", title_text="error in a gap, rms, cm", dtick="D2")
+    values = [
+        100 * each for methods in spreads.values() for spread in methods.values() for each in _drawn(spread)
+    ]
+    marks = decades(values)
+    plot.update_yaxes(
+        type="log",
+        title_text="error in a gap, rms, cm",
+        tickvals=marks,
+        ticktext=[f"{mark:g}" for mark in marks],
+    )
     dress(plot, 620, head=70)
     return plot.update_layout(legend={"traceorder": "reversed"})
+
+
+def _drawn(spread: GapSpread) -> list[float]:
+    return [value for value in (spread.low_m, spread.median_m, spread.high_m) if value]
+
+
+def decades(values: Sequence[float]) -> list[float]:
+    """Ticks of a logarithmic axis about values: 1, 2 and 5 of each power of ten, more if few lie inside."""
+    if not values:
+        return []
+    low, high = int(np.floor(np.log10(min(values)))), int(np.ceil(np.log10(max(values))))
+    leads = (1, 2, 5) if max(values) > 10 * min(values) else (1, 1.5, 2, 3, 4, 5, 7)
+    return [float(f"{lead}e{power}") for power in range(low, high + 1) for lead in leads]
 
 
 def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, name: str) -> go.Scatter:
@@ -153,7 +175,7 @@ def _sections(spreads: Spreads, notes: tuple[str, ...]) -> Iterator[str]:
     columns = (
         "gap, s",
         "method",
-        "median, cm",
+        "median of gaps, cm",
         "25 %",
         "75 %",
         "rms over gaps",
@@ -175,4 +197,7 @@ _CURVES = (
     " the graph a band) reach from the 25 % to the 75 % quartile. Both axes are logarithmic. Click a name to"
     " hide its line."
 )
-_TABLE = "The rms inside each gap, summed up over gaps: the best median first."
+_TABLE = (
+    "Each gap counts once, with its rms: median, quartiles, root mean square and the worst over the gaps of a"
+    " length, the best median first. (The terminal's median is over all samples of these gaps.)"
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,7 +17,8 @@ from calib.imu.sphere_coverage import sphere_points
 from ..linalg import unit
 from ..recording import ImuStream
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dots_3d, dress, shade_times
+from .space import cloud, shaded_cloud, space, view_of
+from .style import JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve, dress, shade_times
 
 #: Samples of the recording that are drawn.
 MOST_POINTS = 6000
@@ -66,12 +68,12 @@ def _sections(imu: ImuStream, calibration: ImuCalibration) -> Iterator[str]:
     )
     acc = calibration.accelerometer
     if acc is not None:
-        yield figure(
+        yield coverage(
             "Which directions were covered",
             "Dots: direction of up in the sensor's axes, a rest each. The sphere's colour is the standard"
-            " deviation"
-            " of corrected gravity with that side up: dark is well known, bright is where a rest is missing.",
-            coverage(calibration),
+            " deviation of corrected gravity with that side up: dark is well known, bright is where a rest is"
+            " missing. Drag to turn.",
+            calibration,
         )
         yield figure(
             "How far each rest misses gravity",
@@ -129,26 +131,18 @@ def rests(imu: ImuStream, calibration: ImuCalibration) -> go.Figure:
     return dress(plot, 340, xaxis={"title": "s"}, yaxis={"title": "specific force, m/s²"})
 
 
-def coverage(calibration: ImuCalibration) -> go.Figure:
+def coverage(heading: str, caption: str, calibration: ImuCalibration) -> str:
     """Rests on the sphere, coloured by how well each direction is known."""
     acc = calibration.accelerometer
     assert acc is not None
-    directions = sphere_points(900)
-    plot = go.Figure(
-        dots_3d(
-            (0.97 * directions).astype(np.float32),
-            "",
-            size=6,
-            color=1e3 * acc.sigma_towards(directions, calibration.gravity),
-            colorscale="Cividis",
-            showscale=True,
-            colorbar={"title": {"text": "mm/s²"}},
-        )
-    )
-    plot.data[0].showlegend = False
-    up = acc.apply(calibration.rests.acc)
-    plot.add_trace(dots_3d(unit(up).astype(np.float32), "rests", size=8, color=OCCLUDED))
-    return sphere(plot)
+    directions = sphere_points(2500)
+    sigma = 1e3 * acc.sigma_towards(directions, calibration.gravity)
+    limits = (float(sigma.min()), float(sigma.max()))
+    known = shaded_cloud(directions, "standard deviation", sigma, "cividis", limits, 0.1)
+    up = unit(acc.apply(calibration.rests.acc))
+    names = [f"rest {number}" for number in range(1, len(up) + 1)]
+    rested = cloud(1.03 * up, "rests", OCCLUDED, 10, words=names)
+    return sphere(heading, caption, [known, rested], "mm/s²")
 
 
 def residuals(calibration: ImuCalibration) -> go.Figure:
@@ -178,7 +172,8 @@ def allan(noise: SensorNoise, unit: str) -> go.Figure:
     )
 
 
-def sphere(plot: go.Figure) -> go.Figure:
-    """A figure of directions in the sensor's axes."""
-    axes = {f"{axis}axis": {"title": {"text": axis}, "range": [-1.25, 1.25]} for axis in "xyz"}
-    return dress(plot, 560, scene={"aspectmode": "cube", **axes})
+def sphere(heading: str, caption: str, items: list[dict[str, Any]], unit_of_values: str) -> str:
+    """A section of directions in the sensor's axes, on a ball that nothing shines through."""
+    corners = 1.4 * np.vstack([np.eye(3), -np.eye(3)])
+    view = view_of(corners, np.array([0.0, 0.0, 1.0]), np.array([1.2, -1.0, 0.8]))
+    return space(heading, caption, items, view, axes="xyz", ball=0.97, unit_of_values=unit_of_values)

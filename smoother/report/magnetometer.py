@@ -15,7 +15,8 @@ from calib.imu.sphere_coverage import sphere_points
 from ..recording import FloatArray, ImuStream
 from .imu import sphere
 from .sheet import figure, listing, tabulated, write_sheet
-from .style import OCCLUDED, TRUTH, VISIBLE, dots, dots_3d, dress
+from .space import cloud, shaded_cloud, space, view_of
+from .style import OCCLUDED, TRUTH, VISIBLE, dots, dress
 
 #: Samples that are drawn.
 MOST_POINTS = 4000
@@ -48,17 +49,18 @@ def _sections(imu: ImuStream, calibration: MagnetometerCalibration) -> Iterator[
     raw, t = raw[::step], t[::step]
     corrected = calibration.apply(raw)
     yield listing("For the next recording", magnetometer_next(calibration))
-    yield figure(
+    yield coverage(
         "The sphere, and what was covered of it",
         "Corrected samples, coloured by how far they lie off the unit sphere: they should cover it evenly."
-        " Grey dots mark the part that no sample came near. Drag to turn.",
-        coverage(corrected),
+        " Grey dots mark where no sample came near. Drag to turn.",
+        corrected,
     )
-    yield figure(
+    yield recorded(
         "As recorded",
         "Samples as recorded, and the middle of the ellipsoid that they lie on (cross): its distance from"
         " zero is hard iron, its flattening soft iron.",
-        recorded(raw, calibration),
+        raw,
+        calibration,
     )
     yield figure(
         "How far the samples lie off the sphere",
@@ -71,7 +73,7 @@ def _sections(imu: ImuStream, calibration: MagnetometerCalibration) -> Iterator[
     yield tabulated("The ellipsoid", "In the sensor's own unit.", ("number", "value"), rows)
 
 
-def coverage(corrected: FloatArray) -> go.Figure:
+def coverage(heading: str, caption: str, corrected: FloatArray) -> str:
     """Corrected samples in space, and where there are none."""
     from scipy.spatial import cKDTree
 
@@ -79,31 +81,27 @@ def coverage(corrected: FloatArray) -> go.Figure:
     grid = sphere_points(1500)
     apart, _ = cKDTree(corrected / length[:, None]).query(grid)
     empty = grid[apart > 2.0 * np.sin(np.radians(12.0) / 2.0)]
-    plot = go.Figure()
-    plot.add_trace(
-        dots_3d(
-            corrected.astype(np.float32),
-            "samples",
-            size=2.5,
-            color=100.0 * (length - 1.0),
-            colorscale="RdBu",
-            cmid=0.0,
-            colorbar={"title": {"text": "% off"}},
-        )
-    )
+    off = 100.0 * (length - 1.0)
+    most = max(float(np.percentile(np.abs(off), 99)), 0.1)
+    items = [shaded_cloud(corrected, "samples", off, "blue-red", (-most, most), 0.025)]
     if len(empty):
-        plot.add_trace(dots_3d(empty.astype(np.float32), "not covered", size=3, color="#9a9a9a"))
-    return sphere(plot)
+        items.append(cloud(empty, "not covered", "#9a9a9a", 5))
+    return sphere(heading, caption, items, "% off")
 
 
-def recorded(raw: FloatArray, calibration: MagnetometerCalibration) -> go.Figure:
+def recorded(heading: str, caption: str, raw: FloatArray, calibration: MagnetometerCalibration) -> str:
     """Raw samples and the ellipsoid's middle."""
-    plot = go.Figure(dots_3d(raw.astype(np.float32), "as recorded", size=2, color=VISIBLE))
-    plot.add_trace(
-        dots_3d(calibration.offset[None].astype(np.float32), "middle", size=7, color=OCCLUDED, symbol="cross")
-    )
-    plot.add_trace(dots_3d(np.zeros((1, 3), np.float32), "zero", size=5, color=TRUTH))
-    return dress(plot, 520, scene={"aspectmode": "data"})
+    middle, zero = calibration.offset[None], np.zeros((1, 3))
+    items = [
+        cloud(raw, "as recorded", VISIBLE, 2.5),
+        cloud(middle, "middle", OCCLUDED, 14, symbol="cross", words=["middle of the ellipsoid"]),
+        cloud(zero, "zero", TRUTH, 9, words=["zero"]),
+    ]
+    up = np.array([0.0, 0.0, 1.0])
+    view = view_of(np.concatenate([raw, middle, zero]), up, np.array([1.2, -1.0, 0.8]))
+    size = view["radius"]
+    view |= {"axes_at": [0.0, 0.0, 0.0], "axes_length": 0.4 * size}
+    return space(heading, caption, items, view | {"grid": False}, axes="xyz")
 
 
 def residuals(t: FloatArray, length: FloatArray) -> go.Figure:

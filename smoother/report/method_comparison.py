@@ -234,6 +234,6 @@ _LAG = (
     " does not follow the truth at all."
 )
 _CURVES = (
-    "The shaded time is hidden from the camera. Dashed black is the truth. Click a name to hide its curve,"
+    "The shaded time is hidden from the camera. The dashed line is the truth. Click a name to hide its curve,"
     " double-click to see it alone. The lowest plot is the distance from the truth."
 )

@@ -65,7 +65,7 @@ def mount(estimates: ArmEstimates | None) -> go.Figure | None:
     axis = "along the forearm, cm (0 = the sensor)" if estimates.frame is not None else "cm (0 = the sensor)"
     figure.update_xaxes(title_text=axis, row=2, col=1)
     height = 190 + 2 * 960 * 2 * half / (high - low)
-    return dress(figure, int(np.clip(height, 420, 900)), head=40)
+    return dress(figure, int(np.clip(height, 420, 900)), head=40, meta={"wide": True})
 
 
 def directions(estimates: ArmEstimates) -> tuple[FloatArray, FloatArray]:

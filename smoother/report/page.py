@@ -19,7 +19,8 @@ from ..result import Recovery
 from . import tables
 from .decimate import MOST_POINTS, decimate
 from .mount import mount
-from .path3d import flat_views, path_in_space
+from .path3d import flat_views
+from .player import player
 from .points import points
 from .sheet import Html, bullets, figure, headed, listing, write_sheet
 from .summary import summary
@@ -38,6 +39,7 @@ def write_report(
     recording: Recording | None = None,
     validation: Validation | None = None,
     truth: Truth | None = None,
+    camera_frame: CameraFrame | None = None,
     force: bool = False,
 ) -> None:
     """Write a result as one HTML page that needs no network and no other file.
@@ -54,6 +56,8 @@ def write_report(
         Figures against a reference.
     truth : Truth, optional
         The reference, drawn beside the answer.
+    camera_frame : CameraFrame, optional
+        The directions of the camera's axes, where the recording is not at hand.
     force : bool
         Overwrite a page that exists.
 
@@ -67,7 +71,7 @@ def write_report(
         f"Recovered arm motion: {recovery.name}",
         _origin(recovery),
         summary(recovery, validation),
-        _sections(recovery, recording, validation, truth),
+        _sections(recovery, recording, validation, truth, camera_frame),
         force=force,
     )
 
@@ -81,9 +85,13 @@ def _origin(recovery: Recovery) -> str:
 
 
 def _sections(
-    recovery: Recovery, recording: Recording | None, validation: Validation | None, truth: Truth | None
+    recovery: Recovery,
+    recording: Recording | None,
+    validation: Validation | None,
+    truth: Truth | None,
+    frame: CameraFrame | None,
 ) -> Iterator[str]:
-    frame = None if recording is None else recording.camera_frame
+    frame = frame if recording is None else recording.camera_frame or frame
     estimates = found_in(recovery, recording)
     if len(recovery):
         yield listing("For the next recording", advice(recovery, estimates))
@@ -110,20 +118,23 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             f" The recording is long: of its {len(recovery)} samples about {MOST_POINTS} are drawn,"
             " closer together in the gaps."
         )
-    recovery = recovery.rows(decimate(recovery.occluded))
-    reference = " The dashed black line is the reference." if truth is not None else ""
-    arms = " The thick lines are the arm (shoulder, elbow, wrist, hand) at a few instants."
+    reference = " The dashed line is the reference." if truth is not None else ""
     directions = ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""
-    yield _figure(
-        "The path in space",
-        f"Path of the sensor on the forearm, {_SEEN}, {_RECOVERED}.{reference}"
-        f"{arms if len(recovery.joints) > 1 else ''} Drag to turn, scroll to come closer. Axes are the"
-        f" camera's{directions}.{decimated}",
-        path_in_space(recovery, truth, frame),
+    yield player(
+        "The arm in motion",
+        Html(
+            f"The recovered arm, {_SEEN}, {_RECOVERED}; grey is the camera's own skeleton (dotted where it"
+            " only guessed), the square is the sensor, the ellipse two standard deviations of where the"
+            f" {'wrist' if 'wrist' in recovery.joints else 'sensor'} is.{reference} Axes are the"
+            f" camera's{directions}. On paper: the whole path, and the arm at some instants."
+        ),
+        [(recovery, truth)],
+        frame,
     )
+    recovery = recovery.rows(decimate(recovery.occluded))
     yield _figure(
         "The path, flat",
-        "The same path in two flat views, to the same scale.",
+        f"The path of the sensor on the forearm in two flat views, to the same scale.{decimated}",
         flat_views(recovery, truth, frame),
     )
     shown = points(recovery, truth)
@@ -145,7 +156,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
         "How certain the answer is",
         "Sigma is one standard deviation of the sensor's position (worst axis) and of its orientation, as"
         " stated by the method. It grows into a gap and falls towards its end."
-        + (" The black line is the true error, for comparison." if truth is not None else ""),
+        + (" The thin line is the true error, for comparison." if truth is not None else ""),
         uncertainty(recovery, truth),
     )
     yield _figure(
@@ -162,7 +173,7 @@ def _figure(heading: str, caption: str, plot: go.Figure | None) -> str:
     if plot is None:
         return ""
     for trace in plot.data:
-        for axis in ("x", "y", "z"):
+        for axis in ("x", "y"):
             if axis in trace and isinstance(trace[axis], np.ndarray) and trace[axis].dtype == np.float64:
                 trace[axis] = trace[axis].astype(np.float32)
     return figure(heading, Html(caption), plot)

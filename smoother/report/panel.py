@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -14,8 +15,10 @@ from calib.panel.panel_accuracy import accuracy, verdict
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
 from calib.panel.panel_table import pose_cells, pose_rows, transform_values
 
-from .sheet import figure, listing, picture, tabulated, write_sheet
-from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, curve_3d, dots_3d, dress
+from ..recording import FloatArray
+from .sheet import figure, label, listing, picture, tabulated, write_sheet
+from .space import cloud, face, polyline, space, view_of
+from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress
 
 #: Depth points drawn of all poses together.
 MOST_POINTS = 12_000
@@ -67,12 +70,12 @@ def _sections(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[
     yield listing("What to record next", judgement.next)
     yield _answer(calibration)
     yield listing("What else was found", judgement.findings)
-    yield figure(
+    yield in_space(
         "The panel in space",
         "Depth points that took part, in the colour of their group, the fitted plane of every pose, the"
         " markers as the camera has them (dots) and as motion capture has them, put there by the answer"
-        " (crosses). Drag to turn, scroll to come closer; click in the legend to hide.",
-        in_space(calibration),
+        " (crosses). Drag to turn, Ctrl and the wheel to come closer; the boxes below hide.",
+        calibration,
     )
     yield figure(
         "Where the markers miss",
@@ -145,39 +148,29 @@ def _pictures(calibration: PanelCalibration, views: Sequence[View]) -> Iterator[
         )
 
 
-def in_space(calibration: PanelCalibration) -> go.Figure:
+def in_space(heading: str, caption: str, calibration: PanelCalibration) -> str:
     """Depth points, planes, markers and axes of all poses, to be turned."""
-    plot = go.Figure()
+    items: list[dict[str, Any]] = []
     most = MOST_POINTS // len(calibration.seen)
     for number, panel in enumerate(calibration.seen):
-        first = number == 0
-        for name, colour, points in _clouds(panel, most):
-            cloud = dots_3d(points, name, size=1.5, color=colour)
-            plot.add_trace(cloud.update(legendgroup=name, showlegend=first, hoverinfo="skip"))
-        plot.add_trace(_plane(calibration, panel, first))
-        plot.add_trace(_dots(panel.points_K, "camera's markers", TRUTH, "circle", first))
+        items += [cloud(points, name, colour, 2) for name, colour, points in _clouds(panel, most)]
+        items.append(face(_corners(calibration, panel), "plane", "#8a8a8a"))
+        words = list(calibration.labels[number])
+        items.append(cloud(panel.points_K, "camera's markers", TRUTH, 8, words=words))
         transform = calibration.solution.camera_from_mocap
         at = calibration.markers_E[number] @ transform.R.T + transform.origin
-        plot.add_trace(_dots(at, "mocap's markers", OCCLUDED, "x", first))
+        items.append(cloud(at, "mocap's markers", OCCLUDED, 8, symbol="x", words=words))
         for axis, colour in enumerate(AXIS_COLOURS.values()):
             ends = np.array([panel.frame.origin, panel.frame.origin + AXIS_M * panel.frame.R[:, axis]])
-            plot.add_trace(_line(ends, f"panel's {'xyz'[axis]}", colour, first))
+            items.append(polyline(ends, f"panel's {'xyz'[axis]}", colour, 3))
     for axis, colour in enumerate(AXIS_COLOURS.values()):
         ends = np.array([np.zeros(3), AXIS_M * np.eye(3)[axis]])
-        plot.add_trace(_line(ends, "camera", colour, axis == 0, dash="dot"))
-    dress(plot, 660, head=80)
-    plot.update_layout(
-        scene={
-            "aspectmode": "data",
-            "xaxis_title": "x (right), m",
-            "yaxis_title": "y (down), m",
-            "zaxis_title": "z (away), m",
-            # seen from behind the camera, a little to the side and from above
-            "camera": {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.5, "y": -0.5, "z": -1.2}},
-        },
-        legend={"itemsizing": "constant"},
-    )
-    return plot
+        items.append(polyline(ends, "camera", colour, 2, dash=True))
+    points = np.concatenate([np.zeros((1, 3)), *(_corners(calibration, panel) for panel in calibration.seen)])
+    # seen from behind the camera, a little to the side and from above
+    view = view_of(points, np.array([0.0, -1.0, 0.0]), np.array([-0.5, -0.5, -1.2]))
+    view |= {"axes_at": [0.0, 0.0, 0.0], "axes_length": AXIS_M}
+    return space(heading, caption, items, view, axes=("x (right)", "y (down)", "z (away)"))
 
 
 def misses(calibration: PanelCalibration) -> go.Figure:
@@ -187,11 +180,11 @@ def misses(calibration: PanelCalibration) -> go.Figure:
     for k in range(4):
         plot.add_trace(
             go.Bar(
-                x=list(calibration.names),
+                x=[label(name) for name in calibration.names],
                 y=1e3 * calibration.solution.marker_residuals_m[:, k],
                 name=f"marker {k + 1} of the panel",
                 marker_color=colours[k],
-                customdata=[labels[k] for labels in calibration.labels],
+                customdata=[label(labels[k]) for labels in calibration.labels],
                 hovertemplate="%{customdata}: %{y:.2f} mm<extra></extra>",
             )
         )
@@ -211,36 +204,12 @@ def _clouds(panel: SeenPanel, most: int) -> Iterator[tuple[str, str, np.ndarray]
         yield name, colour, points[decimated & chosen].astype(np.float32)
 
 
-def _plane(calibration: PanelCalibration, panel: SeenPanel, first: bool) -> go.Mesh3d:
+def _corners(calibration: PanelCalibration, panel: SeenPanel) -> FloatArray:
+    """Corners (4, 3) of the panel on the fitted plane."""
     (x0, y0), (x1, y1) = calibration.panel.extent_P
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     at = panel.frame.origin + corners @ panel.frame.R[:, :2].T
-    at = at / (at @ panel.plane.theta)[:, None]  # on the fitted plane itself
-    return go.Mesh3d(
-        x=at[:, 0],
-        y=at[:, 1],
-        z=at[:, 2],
-        i=[0, 0],
-        j=[1, 2],
-        k=[2, 3],
-        color="#8a8a8a",
-        opacity=0.35,
-        name="plane",
-        legendgroup="plane",
-        showlegend=first,
-        hoverinfo="skip",
-    )
-
-
-def _dots(points: np.ndarray, name: str, colour: str, symbol: str, first: bool) -> go.Scatter3d:
-    trace = dots_3d(points, name, size=4, color=colour, symbol=symbol)
-    hover = "%{x:.4f}, %{y:.4f}, %{z:.4f} m"
-    return trace.update(legendgroup=name, showlegend=first, hovertemplate=hover)
-
-
-def _line(ends: np.ndarray, name: str, colour: str, first: bool, dash: str = "solid") -> go.Scatter3d:
-    line = curve_3d(ends, name, colour, 5, dash)
-    return line.update(legendgroup=name, showlegend=first, hoverinfo="name")
+    return np.asarray(at / (at @ panel.plane.theta)[:, None])
 
 
 def _numbers(values: Sequence[float] | np.ndarray, digits: int) -> str:

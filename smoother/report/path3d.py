@@ -1,4 +1,4 @@
-"""The path in space, which the reader can turn, and two flat views of it."""
+"""Two flat views of the path, and the instants at which the arm is drawn on paper."""
 
 from __future__ import annotations
 
@@ -9,43 +9,13 @@ from plotly.subplots import make_subplots
 from ..recording import BoolArray, CameraFrame, FloatArray, IntArray, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
-from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, curve, curve_3d, dress
+from .space import upwards
+from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, curve, dress
 
 #: How many arms are drawn.
 MOST_ARMS = 8
-_CHAIN = ("shoulder", "elbow", "wrist", "hand")
-
-
-def path_in_space(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
-    """The sensor's path in 3D: visible and occluded, the truth dashed, the arm at some instants."""
-    figure = go.Figure()
-    index = decimate(recovery.occluded)
-    visible, hidden = split_line(recovery.position[index], recovery.occluded[index])
-    for name, values, colour in (("seen", visible, VISIBLE), ("recovered", hidden, OCCLUDED)):
-        figure.add_trace(curve_3d(values, name, colour, 4))
-    if truth is not None and len(truth):
-        positions = truth.position[decimate(np.zeros(len(truth), bool))]
-        figure.add_trace(curve_3d(positions, "reference", TRUTH, 3, "dash"))
-    for name, occluded, colour in (("arm, seen", False, VISIBLE), ("arm, recovered", True, OCCLUDED)):
-        chain = arm_lines(recovery, instants(recovery, occluded))
-        if len(chain):
-            arm = curve_3d(chain, name, colour, 6)
-            arm.update(mode="lines+markers", marker={"size": 3, "color": colour}, opacity=0.45)
-            figure.add_trace(arm)
-    x, y, z = (f"{name}, m" for name in axis_names(frame))
-    up = _up(recovery, frame)
-    figure.update_layout(
-        scene={
-            "aspectmode": "data",
-            "xaxis": {"title": {"text": x}},
-            "yaxis": {"title": {"text": y}},
-            "zaxis": {"title": {"text": z}},
-            "camera": {"up": _xyz(up), "eye": _xyz(_eye(recovery, up, frame)), "center": _xyz(-0.1 * up)},
-        }
-    )
-    dress(figure, 680, head=30)
-    figure.update_layout(margin={"l": 0, "r": 0, "b": 0})
-    return figure
+#: The joints of an arm in a row.
+CHAIN = ("shoulder", "elbow", "wrist", "hand")
 
 
 def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> go.Figure:
@@ -55,7 +25,7 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
     views = {
         CameraFrame.KINECT: (((0, True), (1, False)), ((2, False), (1, False))),
         CameraFrame.OPTICAL: (((0, False), (1, True)), ((2, False), (1, True))),
-    }.get(frame or CameraFrame.ZUP, (((0, False), (2, False)), ((1, False), (2, False))))
+    }.get(frame or CameraFrame.ZUP, _upright(upwards(frame, recovery.gravity_direction)))
     titles = (
         ("as the camera sees it", "from the side")
         if frame in (CameraFrame.KINECT, CameraFrame.OPTICAL)
@@ -84,6 +54,13 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
     return dress(figure, 450, head=75)
 
 
+def _upright(up: FloatArray) -> tuple[tuple[tuple[int, bool], tuple[int, bool]], ...]:
+    """Two views of axes that nobody named: the one that gravity says points up is drawn upwards."""
+    upright = int(np.argmax(np.abs(up)))
+    across = [axis for axis in range(3) if axis != upright]
+    return tuple(((axis, False), (upright, bool(up[upright] < 0))) for axis in across)
+
+
 def instants(recovery: Recovery, occluded: bool) -> IntArray:
     """Samples at which the arm is drawn: middles of the longest gaps, or spread over what is seen."""
     answered: BoolArray = np.all(np.isfinite(recovery.position), axis=1)
@@ -97,36 +74,3 @@ def instants(recovery: Recovery, occluded: bool) -> IntArray:
     if not len(seen):
         return seen
     return seen[np.linspace(0, len(seen) - 1, MOST_ARMS // 2 + 2).astype(int)[1:-1]]
-
-
-def arm_lines(recovery: Recovery, index: IntArray) -> FloatArray:
-    """The arm's joints in a row for each sample, nan between arms (K, 3)."""
-    joints = [name for name in _CHAIN if name in recovery.joints]
-    if len(joints) < 2 or not len(index):
-        return np.zeros((0, 3))
-    arms = np.stack([recovery.joints[name][index] for name in joints], axis=1)
-    gap = np.full((len(index), 1, 3), np.nan)
-    return np.concatenate([arms, gap], axis=1).reshape(-1, 3)
-
-
-def _up(recovery: Recovery, frame: CameraFrame | None) -> FloatArray:
-    down = recovery.gravity_direction
-    if np.isfinite(down).all() and np.linalg.norm(down) > 0:
-        return -down / np.linalg.norm(down)
-    return -(frame or CameraFrame.ZUP).down
-
-
-def _eye(recovery: Recovery, up: FloatArray, frame: CameraFrame | None) -> FloatArray:
-    """Look from the camera's side, a little from above and beside it."""
-    position = recovery.position[np.isfinite(recovery.position).all(axis=1)]
-    back = -np.median(position, axis=0) if len(position) else np.array([1.0, 1.0, 0.5])
-    if frame not in (CameraFrame.KINECT, CameraFrame.OPTICAL):
-        back = np.array([1.2, -1.4, 0.3])
-    back = back - up * (back @ up)
-    length = np.linalg.norm(back)
-    back = back / length if length > 1e-9 else np.cross(up, [0.3, 0.5, 0.8])
-    return 2.3 * back + 0.7 * up + 1.1 * np.cross(up, back)
-
-
-def _xyz(vector: FloatArray) -> dict[str, float]:
-    return {axis: float(value) for axis, value in zip("xyz", vector, strict=True)}

@@ -12,7 +12,7 @@ from .decimate import decimate
 
 SENSOR = "sensor"
 #: Most camera samples of a point that are drawn.
-MOST_DOTS = 3000
+MOST_DOTS = 1500
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 from string import Template
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
 from ..runtime.atomic import writing
 
 #: A longer table is cut, and says so.
 MOST_ROWS = 500
+#: A page with fewer headings needs no list of contents.
+FEWEST_CONTENTS = 4
 #: Stands for the sections while the page around them is put together.
 _HERE = "<!-- sections -->"
+#: The page's programs, in the order in which they run; Plotly's only where a figure needs it.
+_PROGRAMS = ("page.js", "view3d.js", "player.js")
+#: Plotly's basic bundle: lines, dots and bars, a quarter of the whole program.
+PLOTLY = "plotly-basic.min.js"
 
 
 class Html(str):
@@ -34,7 +41,7 @@ def write_sheet(
     *,
     force: bool = False,
 ) -> None:
-    """Write one HTML page that needs no network and no other file; its sections are made one by one.
+    """Write one HTML page that needs no network and no other file.
 
     Parameters
     ----------
@@ -45,7 +52,7 @@ def write_sheet(
     verdict : iterable of str
         Sentences that stand first.
     sections : iterable of str
-        HTML, made by `figure`, `picture`, `listing` and `tabulated`.
+        HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`.
     force : bool
         Overwrite a page that exists.
 
@@ -56,33 +63,79 @@ def write_sheet(
     """
     from .. import __version__
 
-    here = resources.files(__package__)
-    page = Template(here.joinpath("page.html").read_text(encoding="utf-8")).substitute(
-        title=escape(title),
-        made=escape(subtitle),
-        style=here.joinpath("style.css").read_text(encoding="utf-8"),
-        plotly=get_plotlyjs(),
-        content=_HERE,
-        version=escape(__version__),
-    )
-    before, after = page.split(_HERE)
     paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in verdict)
     with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8") as file:
-        file.write(f'{before}<div class="summary">{paragraphs}</div>')
-        for section in sections:
+        body, contents = _with_anchors(list(sections))
+        page = Template(_web("page.html")).substitute(
+            title=escape(title),
+            made=escape(subtitle),
+            style=_web("style.css"),
+            scripts=_programs(body),
+            content=_HERE,
+            version=escape(__version__),
+        )
+        before, after = page.split(_HERE)
+        file.write(f'{before}<div class="summary">{paragraphs}</div>{contents}')
+        for section in body:
             file.write(f"\n{section}")
         file.write(after)
 
 
+def _web(name: str) -> str:
+    return resources.files(__package__).joinpath("web", name).read_text(encoding="utf-8")
+
+
+def _programs(body: Sequence[str]) -> str:
+    """The page's own programs; Plotly's where something is plotted."""
+    names = [PLOTLY] if any('class="plot"' in section for section in body) else []
+    return "".join(f"<script>{_web(name)}</script>\n" for name in (*names, *_PROGRAMS))
+
+
+def _with_anchors(sections: Sequence[str]) -> tuple[list[str], str]:
+    """Sections whose headings have names of their own, and the list of contents that leads to them."""
+    names: dict[str, str] = {}
+
+    def anchored(match: re.Match[str]) -> str:
+        heading = match.group(1)
+        stem = name = _slug(heading)
+        while name in names:
+            name = f"{stem}-{len(names)}"
+        names[name] = heading
+        return f'<h2 id="{name}">{heading}</h2>'
+
+    body = [re.sub("<h2>(.*?)</h2>", anchored, section, flags=re.DOTALL) for section in sections]
+    items = "".join(f'<li><a href="#{name}">{heading}</a></li>' for name, heading in names.items())
+    contents = f'<details class="contents"><summary>Contents</summary><ol>{items}</ol></details>'
+    return body, contents if len(names) >= FEWEST_CONTENTS else ""
+
+
+def _slug(heading: str) -> str:
+    return re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
+
+
 def figure(heading: str, caption: str, plot: go.Figure) -> str:
-    """A heading, a caption and a plot."""
-    html = plot.to_html(
-        full_html=False,
-        include_plotlyjs=False,
-        config={"displaylogo": False, "responsive": True, "plotlyServerURL": ""},
-        div_id="figure-" + re.sub("[^a-z0-9]+", "-", heading.lower()).strip("-"),
+    """A heading, a caption and a plot; the page draws it, and lets a phone move a wide one sideways."""
+    wide = bool((plot.layout.meta or {}).get("wide"))
+    wide |= any(axis.domain and axis.domain[0] > 0.2 for axis in plot.select_xaxes())
+    height = int(plot.layout.height or 450)
+    return (
+        f'<div class="together">{headed(heading, caption)}<div class="figure{" wide" if wide else ""}">'
+        f'<div class="plot" id="figure-{_slug(heading)}" style="height:{height}px"></div>'
+        f"{data_block(plot.to_json(engine='json'))}</div></div>"
     )
-    return f'{headed(heading, caption)}<div class="figure">{html}</div>'
+
+
+def data_block(values: str | dict[str, Any]) -> str:
+    """JSON for the page's programs; nothing in it can end the block."""
+    text = values if isinstance(values, str) else json.dumps(values, separators=(",", ":"), allow_nan=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return f'<script type="application/json">{text}</script>'
+
+
+def label(text: object) -> str:
+    """Text of a file for a name, a tick or a label of a plot, where Plotly would obey some HTML."""
+    return escape(str(text), quote=False)
 
 
 def picture(heading: str, caption: str, png: bytes) -> str:
@@ -91,8 +144,7 @@ def picture(heading: str, caption: str, png: bytes) -> str:
 
     data = b64encode(png).decode("ascii")
     return (
-        f'{headed(heading, caption)}<p><img alt="{escape(heading)}" style="max-width:100%"'
-        f' src="data:image/png;base64,{data}"></p>'
+        f'{headed(heading, caption)}<p><img alt="{escape(heading)}" src="data:image/png;base64,{data}"></p>'
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from base64 import b64encode
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -14,13 +15,15 @@ from calib.strap.strap_in_image import SEARCH
 from ..recording import FloatArray
 from .sheet import figure, listing, picture, tabulated, write_sheet
 from .strap_summary import next_time, verdict
-from .style import JOINT_COLOURS, OCCLUDED, dress
+from .style import JOINT_COLOURS, OCCLUDED, dots, dress
 
 if TYPE_CHECKING:
     from ..io.media.strap_cameras import StrapFound
 
 #: Profiles farther apart than so many steps are drawn apart.
 APART_STEPS = 2.5
+#: Columns of the picture of profiles.
+MOST_COLUMNS = 1600
 
 
 def write_strap_report(
@@ -43,7 +46,8 @@ def _sections(search: StrapFound) -> Iterator[str]:
     if search.profiles:
         yield figure(
             "Brightness along the forearm",
-            "From elbow to wrist over time: the strap is the dark line; dots are where it was found.",
+            "From elbow to wrist over time, as the image has it: the strap is the dark line; dots are where"
+            " it was found.",
             brightness(search),
         )
     if any(not reason for reason in search.reasons):
@@ -64,31 +68,46 @@ def _sections(search: StrapFound) -> Iterator[str]:
 
 
 def brightness(search: StrapFound) -> go.Figure:
-    """Brightness profiles side by side, and the places found."""
+    """Brightness profiles side by side as a picture, and where in them the strap was found."""
     t = np.array([time for time, _ in search.profiles])
     table = np.stack([profile for _, profile in search.profiles], axis=1)
-    part = 100 * np.linspace(*SEARCH, len(table))
-    t, table = _blank(t, np.rint(table))
-    plot = go.Figure(go.Heatmap(x=t, y=part, z=table, colorscale="gray", showscale=False))
-    good = [not reason for reason in search.reasons]
-    mark = {"size": 3, "color": OCCLUDED}
-    plot.add_trace(
-        go.Scattergl(
-            x=search.t_s[good], y=100 * search.along[good], mode="markers", marker=mark, name="strap"
-        )
+    edges, picture = side_by_side(t, table)
+    good = np.array([not reason for reason in search.reasons], bool)
+    plot = go.Figure(dots(search.t_s[good], 100 * search.in_profile[good], "strap", OCCLUDED, 6))
+    low, high = 100 * SEARCH[0], 100 * SEARCH[1]
+    plot.add_layout_image(
+        source=f"data:image/png;base64,{b64encode(picture).decode('ascii')}",
+        xref="x",
+        yref="y",
+        x=edges[0],
+        y=high,
+        sizex=edges[1] - edges[0],
+        sizey=high - low,
+        sizing="stretch",
+        layer="below",
     )
-    plot.update_xaxes(title_text="time, s")
-    plot.update_yaxes(title_text="% of elbow to wrist")
+    plot.update_xaxes(title_text="time, s", range=list(edges), showgrid=False)
+    plot.update_yaxes(title_text="% of elbow to wrist", range=[low, high], showgrid=False)
     return dress(plot, 380)
 
 
-def _blank(t: FloatArray, table: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Profiles (k, n) at times (n,), empty ones between those that lie apart: else a column fills it."""
-    step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
-    before = np.flatnonzero(np.diff(t) > APART_STEPS * step) if step > 0 else np.empty(0, dtype=int)
-    times = np.concatenate([t[before] + step, t[before + 1] - step])
-    where = np.concatenate([before + 1, before + 1])
-    return np.insert(t, where, times), np.insert(table, where, np.nan, axis=1)
+def side_by_side(t: FloatArray, table: FloatArray) -> tuple[tuple[float, float], bytes]:
+    """Profiles (k, n) at times (n,) as a picture: the times of its edges, and PNG.
+
+    Its columns are even in time, each the nearest profile; where none is near it is transparent, and the
+    wrist is at the top.
+    """
+    import cv2
+
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+    count = int(np.clip(np.rint((t[-1] - t[0]) / step) + 1, 1, MOST_COLUMNS))
+    at = np.linspace(t[0], t[-1], count)
+    nearest = np.abs(t[None, :] - at[:, None]).argmin(axis=1)
+    near = np.abs(t[nearest] - at) < 0.5 * APART_STEPS * step
+    grey = np.rint(table[::-1, nearest]).clip(0, 255).astype(np.uint8)
+    alpha = np.broadcast_to(np.where(near, 255, 0).astype(np.uint8), grey.shape)
+    _, png = cv2.imencode(".png", np.dstack([grey, grey, grey, alpha]))
+    return (float(t[0] - 0.5 * step), float(t[-1] + 0.5 * step)), png.tobytes()
 
 
 def places(search: StrapFound) -> go.Figure:
@@ -98,18 +117,11 @@ def places(search: StrapFound) -> go.Figure:
     plot = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.7, 0.3])
     colours = (JOINT_COLOURS["wrist"], JOINT_COLOURS["elbow"], JOINT_COLOURS["hand"])
     for axis, (name, colour) in enumerate(zip("xyz", colours, strict=True)):
-        mark = {"size": 3, "color": colour}
         for row, values, shown in (
             (1, search.position[:, axis], True),
             (2, 1e3 * search.sigma_m[:, axis], False),
         ):
-            plot.add_trace(
-                go.Scattergl(
-                    x=search.t_s, y=values, mode="markers", marker=mark, name=name, showlegend=shown
-                ),
-                row=row,
-                col=1,
-            )
+            plot.add_trace(dots(search.t_s, values, name, colour, 4, showlegend=shown), row=row, col=1)
     plot.update_yaxes(title_text="m", row=1, col=1)
     plot.update_yaxes(title_text="sigma, mm", rangemode="tozero", row=2, col=1)
     plot.update_xaxes(title_text="time, s", row=2, col=1)

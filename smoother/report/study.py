@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..recording import FloatArray
-from .sheet import Html, figure, listing, tabulated, write_sheet
+from .sheet import Html, figure, label, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -110,8 +110,8 @@ def _verdict(
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
     )
     yield (
-        f"{recorded / 3600:.2f} h of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
-        f" one process needed {spent / 3600:.2f} h, {recorded / max(spent, 1e-9):.3g} times real time"
+        f"{_duration(recorded)} of recordings, {100 * occluded / max(recorded, 1e-9):.1f} % of it occluded;"
+        f" one process needed {_duration(spent)}, {recorded / max(spent, 1e-9):.3g} times real time"
     )
     sigma = 100 * columns["sigma_max_m"][np.isfinite(columns["sigma_max_m"])]
     if len(sigma):
@@ -120,6 +120,12 @@ def _verdict(
             f"the largest sigma of a recording is {half:.1f} cm in the median, {most:.1f} cm at the 95th"
             f" percentile, {sigma.max():.1f} cm in the worst one"
         )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
@@ -147,6 +153,7 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
             )
             plot.add_trace(bars, row=row, col=column)
         plot.update_xaxes(title=title, row=row, col=column)
+    plot.update_yaxes(tickformat="d", rangemode="tozero", minallowed=0, dtick=1 if len(share) < 8 else None)
     plot.update_yaxes(title="recordings", col=1)
     return dress(plot, 620, head=20, showlegend=False, bargap=0.05)
 
@@ -154,10 +161,10 @@ def _distributions(columns: dict[str, FloatArray]) -> go.Figure:
 def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndarray) -> go.Figure:
     kept = order[:MOST_POINTS]
     plot = go.Figure(
-        go.Scattergl(
+        go.Scatter(
             x=np.round(columns["gap_longest_s"][kept], _DIGITS),
             y=np.round(100 * columns["sigma_max_m"][kept], _DIGITS),
-            text=recovered["recording"].take(kept).to_pylist(),
+            text=[label(name) for name in recovered["recording"].take(kept).to_pylist()],
             mode="markers",
             marker={"color": OCCLUDED, "size": 6, "opacity": 0.6},
         )

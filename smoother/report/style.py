@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
@@ -36,6 +35,20 @@ _MEANING = {
 }
 
 
+_AXIS = {"gridcolor": "#e4e7ea", "zerolinecolor": "#cccccc", "automargin": True, "title": {"standoff": 8}}
+#: Plain, and without a background, so that a page in dark colours shows through.
+_TEMPLATE = go.layout.Template(
+    layout={
+        "paper_bgcolor": "rgba(0, 0, 0, 0)",
+        "plot_bgcolor": "rgba(0, 0, 0, 0)",
+        "colorway": [*JOINT_COLOURS.values(), CAMERA],
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "modebar": {"bgcolor": "rgba(0, 0, 0, 0)", "color": "#9a9a9a", "activecolor": VISIBLE},
+    }
+)
+
+
 def axis_names(frame: CameraFrame | None) -> tuple[str, str, str]:
     """Names of the camera's axes with their directions, for axis titles (without unit)."""
     meanings = _MEANING[frame] if frame is not None else ("", "", "")
@@ -48,7 +61,7 @@ def axis_names(frame: CameraFrame | None) -> tuple[str, str, str]:
 def dress(figure: go.Figure, height: int, head: int = 50, **layout: Any) -> go.Figure:
     """Give a figure the report's plain look; `head` is the room above it for legend and buttons, pixels."""
     figure.update_layout(
-        template="plotly_white",
+        template=_TEMPLATE,
         height=height,
         margin={"l": 70, "r": 20, "t": head, "b": 50},
         font={"family": "system-ui, sans-serif", "size": 13},
@@ -81,21 +94,6 @@ def dots(
     return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker, **more)
 
 
-def dots_3d(points: np.ndarray, name: str, **marker: Any) -> go.Scatter3d:
-    """Points (n, 3) in space."""
-    x, y, z = points.T
-    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker)
-
-
-def curve_3d(
-    points: FloatArray, name: str, colour: str, width: float, dash: str | None = None
-) -> go.Scatter3d:
-    """A line (n, 3) in space."""
-    x, y, z = points.T
-    line = {"color": colour, "width": width, "dash": dash}
-    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line)
-
-
 def seen_and_recovered(
     t: ArrayLike, values: FloatArray, occluded: BoolArray, width: float = 1.8, prefix: str = ""
 ) -> list[go.Scatter]:
@@ -108,14 +106,16 @@ def seen_and_recovered(
 
 
 def shade(figure: go.Figure, gaps: tuple[Gap, ...]) -> None:
-    """Shade the gaps over the whole height; the longest ones if there are very many."""
+    """Shade the gaps over the whole height (the longest if very many), and show the player's time there."""
     longest = sorted(gaps, key=lambda gap: -gap.length_s)[:MOST_SHADES]
     shade_times(figure, [(gap.start_s, gap.end_s) for gap in longest])
+    figure.update_layout(meta={"time": True})
 
 
 def shade_times(figure: go.Figure, times: Sequence[tuple[float, float]]) -> None:
     """Shade times (start, end) over the whole height."""
-    plain = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
-    plain |= {"fillcolor": SHADE, "line": {"width": 0}}
-    # all at once: plotly checks every shape again whenever one is added
-    figure.update_layout(shapes=[{**plain, "x0": start, "x1": end} for start, end in times])
+    # as one shape: hundreds of them are slow to draw
+    path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in times)
+    plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "fillcolor": SHADE}
+    shapes = [{**plain, "path": path, "line": {"width": 0}}] if path else []
+    figure.update_layout(shapes=shapes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.coverage import camera_residuals
+from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..result import Recovery
@@ -67,7 +68,7 @@ def _against_reference(validation: Validation) -> str:
     hidden = validation.occluded if validation.occluded.samples else validation.all
     where = "in the gaps" if validation.occluded.samples else "over the recording"
     if hidden.position_rms_m is None:
-        return "The reference has no position to compare with there."
+        return _joints_against_reference(validation)
     text = (
         f"Against the reference the position is off by {100 * hidden.position_rms_m:.1f} cm {where}"
         f" (root mean square; {100 * (hidden.position_max_m or 0):.1f} cm at most)"
@@ -85,6 +86,40 @@ def _against_reference(validation: Validation) -> str:
     return f"{text}. The stated uncertainty covers these errors."
 
 
+def _joints_against_reference(validation: Validation) -> str:
+    """For a reference of joints alone: their errors, and whether their stated uncertainty covers these."""
+    figures = _joint_figures(validation)
+    hidden = figures and all(figures[joint] is validation.points[joint]["occluded"] for joint in figures)
+    where = "in the gaps" if hidden else "over the recording"
+    errors = {joint: each.position_rms_m for joint, each in figures.items() if each.position_rms_m}
+    if not errors:
+        return "The reference has neither the sensor's position nor a joint to compare with there."
+    words = [f"{100 * error:.1f} cm at the {joint}" for joint, error in errors.items()]
+    text = f"Against the reference the error {where} is {_and(words)} (root mean square)"
+    nees = [value for joint in errors if (value := figures[joint].nees) is not None]
+    if not nees:
+        return f"{text}."
+    if max(nees) > OVER_CONFIDENT:
+        return (
+            f"{text}. These errors are up to {np.sqrt(max(nees)):.1f} times as large as the stated"
+            " uncertainty allows: read every standard deviation on this page as that much larger."
+        )
+    return f"{text}. The stated uncertainty covers these errors."
+
+
+def _joint_figures(validation: Validation) -> dict[str, Figures]:
+    """Figures of each joint in gaps; over the whole recording where no joint has a reference in a gap."""
+    for part in ("occluded", "all"):
+        figures = {joint: parts[part] for joint, parts in validation.points.items() if part in parts}
+        if any(each.position_rms_m is not None for each in figures.values()):
+            return figures
+    return {}
+
+
+def _and(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
 def _camera_doubts(recovery: Recovery) -> str:
     """That the camera's samples lie farther from the answer than stated, where they do."""
     inside = {joint: errors.inside(0.95) for joint, errors in camera_residuals(recovery).items()}
@@ -100,8 +135,12 @@ def _camera_doubts(recovery: Recovery) -> str:
 
 def _consistent(validation: Validation | None) -> bool:
     """Whether no reference contradicts the stated uncertainty."""
-    figures = None if validation is None else (validation.occluded.nees or validation.all.nees)
-    return figures is None or figures <= OVER_CONFIDENT
+    if validation is None:
+        return True
+    own = validation.occluded.nees or validation.all.nees
+    joints = [each.nees for each in _joint_figures(validation).values()]
+    stated = [value for value in ([own] if own is not None else joints) if value is not None]
+    return not stated or max(stated) <= OVER_CONFIDENT
 
 
 def _what_to_trust(gaps: list[GapSummary], consistent: bool) -> str:

@@ -162,10 +162,10 @@ def validation(comparison: Validation) -> str:
     )
     parts = (comparison.all, comparison.occluded, comparison.visible)
     joints = [(name, *[in_cm(part.joint_rms_m.get(name)) for part in parts]) for name in parts[0].joint_rms_m]
-    if not joints:
-        return table(columns, rows)
     heads = ("joint", "all samples, rms, cm", "in gaps, cm", "while seen, cm")
-    return table(columns, rows) + table(heads, joints)
+    compared = any(figure is not None for row in rows for figure in row[2:])
+    sensor = table(columns, rows) if compared or not joints else "<p>The reference has joints only.</p>"
+    return sensor + (table(heads, joints) if joints else "")
 
 
 def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:

@@ -13,6 +13,7 @@ from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Tr
 from ..result import FrameResiduals, Recovery
 from .decimate import band, decimate
 from .points import Point
+from .sheet import label
 from .style import (
     BAND,
     CAMERA,
@@ -29,6 +30,8 @@ from .style import (
 )
 
 FLEXION = "elbow flexion"
+#: Most residuals of a joint that are drawn; every dot is an element of the page.
+MOST_RESIDUALS = 1200
 _TIME = "time, s"
 
 
@@ -166,14 +169,14 @@ def _residual(samples: FrameResiduals, answered: BoolArray, joint: int) -> list[
 
     aside = ~samples.used[:, joint] & answered & (samples.reason[:, joint] != 0)
     index = np.flatnonzero(samples.used[:, joint] & answered)
-    index = index[decimate(np.zeros(len(index), bool), 3000)]
+    index = index[decimate(np.zeros(len(index), bool), MOST_RESIDUALS)]
     name = JOINTS[joint]
     traces = [dots(samples.t_s[index], distance_cm(index), name, JOINT_COLOURS[name], 3)]
     index = np.flatnonzero(aside)
-    index = index[decimate(np.zeros(len(index), bool), 1000)]
+    index = index[decimate(np.zeros(len(index), bool), MOST_RESIDUALS // 2)]
     if len(index):
         crosses = _crosses(samples.t_s[index], distance_cm(index))
-        sentences = np.array([reason.sentence for reason in samples.reasons])
+        sentences = np.array([label(reason.sentence) for reason in samples.reasons])
         crosses.update(text=sentences[samples.reason[index, joint]], showlegend=False)
         traces.append(crosses)
     return traces

@@ -13,10 +13,14 @@ from ..measurements.rejection import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .decimate import decimate
+from .sheet import label
 from .style import CAMERA, JOINT_COLOURS, OCCLUDED, VISIBLE, curve, dots, dress, shade
 
 #: Colours of the reasons for which samples are rejected, in the order of their frequency.
 REASON_COLOURS = ("#D55E00", "#0072B2", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#7a3fb0")
+
+#: Most samples of a joint that took part and are drawn.
+MOST_USED = 1000
 
 
 def against_truth(recovery: Recovery, truth: Truth | None) -> dict[str, StatedAndActual]:
@@ -41,8 +45,9 @@ def calibration_curves(
     rows = [(name, part) for name, part in (("camera", camera), ("reference", truth)) if part]
     if not rows:
         return None
+    of = {"camera": "distance to camera samples", "reference": "errors against the reference"}
     titles = [
-        f"{what} ({'errors against the reference' if name == 'reference' else 'distance to camera samples'})"
+        f"{what}<br>({of[name]})"
         for name, _ in rows
         for what in ("inside the stated region", "stated and actual")
     ]
@@ -54,12 +59,12 @@ def calibration_curves(
         figure.add_trace(ideal, row=row, col=1)
         largest = 0.0
         for name, errors in parts.items():
-            label = f"errors {name}" if name not in JOINT_COLOURS else name
+            words = f"errors {name}" if name not in JOINT_COLOURS else name
             stated, actual = errors.binned()
-            inside = curve(100 * LEVELS, 100 * errors.coverage(), label, colours[name], 2)
-            sizes = curve(100 * stated, 100 * actual, label, colours[name], 2, showlegend=False)
-            figure.add_trace(inside.update(legendgroup=label), row=row, col=1)
-            figure.add_trace(sizes.update(legendgroup=label, mode="lines+markers"), row=row, col=2)
+            inside = curve(100 * LEVELS, 100 * errors.coverage(), words, colours[name], 2)
+            sizes = curve(100 * stated, 100 * actual, words, colours[name], 2, showlegend=False)
+            figure.add_trace(inside.update(legendgroup=words), row=row, col=1)
+            figure.add_trace(sizes.update(legendgroup=words, mode="lines+markers"), row=row, col=2)
             largest = max(largest, *(100 * stated), *(100 * actual)) if len(stated) else largest
         ends = [0, 1.08 * max(largest, 0.1)]
         figure.add_trace(curve(ends, ends, None, CAMERA, 1.2, "dash", showlegend=False), row=row, col=2)
@@ -67,7 +72,7 @@ def calibration_curves(
         figure.update_yaxes(title_text="do lie inside, %", range=[0, 100], row=row, col=1)
         figure.update_xaxes(title_text="stated sigma, cm an axis", range=ends, row=row, col=2)
         figure.update_yaxes(title_text="actual rms, cm an axis", range=ends, row=row, col=2)
-    return dress(figure, 90 + 350 * len(rows), head=60)
+    return dress(figure, 110 + 350 * len(rows), head=80)
 
 
 def share_inside(camera: dict[str, StatedAndActual], truth: dict[str, StatedAndActual]) -> str:
@@ -93,23 +98,23 @@ def timeline(recovery: Recovery) -> go.Figure | None:
     joints = [joint for joint in JOINTS if joint in joints]
     for joint in joints:
         index = np.flatnonzero(samples.used[:, JOINTS.index(joint)])
-        index = index[decimate(np.zeros(len(index), bool), 2000)]
+        index = index[decimate(np.zeros(len(index), bool), MOST_USED)]
         ticks = dots(samples.t_s[index], [joint] * len(index), "used", "#c9d3da", 8, symbol="line-ns-open")
         ticks.update(legendgroup="used", showlegend=joint == joints[0], hoverinfo="skip")
         figure.add_trace(ticks)
     reasons = list(dict.fromkeys((row.reason, row.why) for row in rows))
     for number, (reason, why) in enumerate(reasons):
         at, column = np.nonzero(samples.reason == samples.reasons.index(Reason(reason, why)))
-        chosen = decimate(np.zeros(len(at), bool), 3000)
+        chosen = decimate(np.zeros(len(at), bool), 2 * MOST_USED)
         colour, names = REASON_COLOURS[number % len(REASON_COLOURS)], [JOINTS[i] for i in column[chosen]]
         ticks = dots(
             samples.t_s[at[chosen]],
             names,
-            reason,
+            label(reason),
             colour,
             20,
             symbol="line-ns-open",
-            text=Reason(reason, why).sentence,
+            text=label(Reason(reason, why).sentence),
         )
         figure.add_trace(ticks.update(marker_line_width=1.6))
     shade(figure, recovery.gaps)

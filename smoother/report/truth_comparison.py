@@ -36,7 +36,7 @@ _OVER_TIME = (
     " are shaded. Joints are behind the legend: click on a name."
 )
 _ANGLES = (
-    "Angles in the order of the ISB's recommendation (Wu et al. 2005), the reference as a dashed black line."
+    "Angles in the order of the ISB's recommendation (Wu et al. 2005), the reference as a dashed line."
     " Where an angle has no meaning (pronation of a straight arm, plane of elevation of one that hangs)"
     " nothing is drawn. The thorax is not seen: shoulder angles are relative to gravity and to a person who"
     " faces the camera."
@@ -180,6 +180,7 @@ def _gaps(validation: Validation) -> str:
             figures.nees,
         )
         for gap, figures in validation.gaps
+        if figures.position_rms_m is not None or figures.orientation_rms_deg is not None
     ]
     heads = ("gap at, s", "length, s", "rms, cm", "95 % below, cm", "largest, cm")
     return table((*heads, "rms, degrees", "largest, degrees", "NEES"), rows) if rows else ""

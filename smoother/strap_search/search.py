@@ -131,7 +131,7 @@ def _locate_all(
     depths: deque[ImageMessage] = deque(maxlen=AHEAD)
     waiting: deque[ImageMessage] = deque(maxlen=AHEAD)
     estimates: dict[int, tuple[FloatArray, FloatArray]] = {}
-    rows: list[tuple[float, FloatArray, FloatArray, float, str]] = []
+    rows: list[tuple[float, FloatArray, FloatArray, float, float, str]] = []
     first: int | None = None
 
     def settle(colour: ImageMessage) -> None:
@@ -146,7 +146,7 @@ def _locate_all(
         if not sighting.reason and row is not None:
             estimates[row] = place, covariance
         sigma = np.sqrt(np.diag(covariance))
-        rows.append((t, place, sigma, sighting.along, sighting.reason))
+        rows.append((t, place, sigma, sighting.along, sighting.in_profile, sighting.reason))
         _keep_samples(cameras.found, t, colour, sighting, len(rows))
 
     for role, image in cameras.images():
@@ -162,9 +162,10 @@ def _locate_all(
         settle(waiting.popleft())
     results = cameras.found
     if rows:
-        t_s, place, sigma, along, reasons = zip(*rows, strict=True)
+        t_s, place, sigma, along, in_profile, reasons = zip(*rows, strict=True)
         results.t_s, results.position, results.sigma_m = np.array(t_s), np.array(place), np.array(sigma)
-        results.along, results.reasons = np.array(along), list(reasons)
+        results.along, results.in_profile = np.array(along), np.array(in_profile)
+        results.reasons = list(reasons)
     return estimates
 
 

@@ -62,7 +62,7 @@ def test_latency_and_lag(everything):
 
 def test_the_page_has_every_method_over_the_others(everything):
     _, page = everything
-    assert page.count('class="plotly-graph-div"') == 1  # one gap
+    assert page.count('class="plot"') == 1  # one gap
     assert "Lag left behind the truth" in page and "Joints in gaps" in page
     for name in (*METHODS, "truth"):
         assert f'"name":"{name}"' in page

@@ -60,8 +60,12 @@ def test_recording_gives_camera_from_base_and_the_mounting(session: Path, tmp_pa
     write_calibration(cal, CalibrationFile().with_table("kept", {"value": 1}))
     panel = ["--panel", str(session / "s/panel.toml")]
     command = ["calibrate", "world", str(session / "s.mcap"), *panel, "-o", str(cal), "--json", str(figures)]
-    assert run(command) == 0
-    said = capsys.readouterr().out
+    page = tmp_path / "world.html"
+    assert run([*command, "--report", str(page)]) == 0
+    said, text = capsys.readouterr().out, page.read_text(encoding="utf-8")
+    assert "The base IMU on the camera" in text and text.count("s.mcap at ") >= 2 * 5
+    assert run([*command, "--report", str(page)]) == 1  # the page is there already
+    assert "--force" in capsys.readouterr().err
     truth = tomllib.loads((session / "s/truth.toml").read_text())
     tables = read_calibration(cal).tables
     assert degrees(matrix(tables["camera_from_base"]) @ matrix(truth["camera_from_base"]).T) < 0.4

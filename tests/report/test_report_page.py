@@ -68,7 +68,7 @@ def written(path, recovery, **options) -> tuple[Page, str]:
 
 def own_part(text: str) -> str:
     """The page without plotly's own code."""
-    return re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)
+    return re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
 
 
 def test_whole_page(tmp_path):
@@ -77,11 +77,11 @@ def test_whole_page(tmp_path):
     page, text = written(
         tmp_path / "r.html", recovery, recording=recording, validation=found, truth=recording.truth
     )
-    assert page.loaded == []
+    assert [url for url in page.loaded if not url.startswith("#")] == []
     assert "http" not in own_part(text).lower().replace("http-equiv", "")
     assert page.headings == [
         "For the next recording",
-        "The path in space",
+        "The arm in motion",
         "The path, flat",
         "Coordinates over time",
         "Angles of the arm",
@@ -98,14 +98,14 @@ def test_whole_page(tmp_path):
         "Notes",
         "Settings",
     ]
-    assert text.count("Plotly.newPlot(") >= 6
+    assert text.count('class="plot"') >= 6
     words = " ".join(page.cells)
     assert "The camera lost the forearm once, for 2." in words
     assert "camera.joint_sigma_m" in words
     assert "A & <b>" in words  # shown, not obeyed
     assert "The path was made by hand." in words
     assert "x (left), m" in text
-    assert len(text) < 9e6
+    assert len(text) < 6e6
 
 
 def test_name_is_escaped(tmp_path):
@@ -121,7 +121,7 @@ def test_an_hour_still_opens(tmp_path):
     _, text = written(
         tmp_path / "r.html", make_recovery(recording), recording=recording, truth=recording.truth
     )
-    assert len(text) < 20e6
+    assert len(text) < 15e6
     assert "The recording is long" in text
 
 
@@ -164,7 +164,7 @@ def test_odd_results(tmp_path, what):
         "none": lambda: cut(recovery, 0),
     }[what]()
     page, text = written(tmp_path / "r.html", recovery)
-    assert page.loaded == []
+    assert [url for url in page.loaded if not url.startswith("#")] == []
     assert "Gaps" in page.headings
     assert "NaN ms" not in text
     if what == "open":

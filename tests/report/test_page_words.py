@@ -1,0 +1,96 @@
+"""What pages say and draw of a reference, of axes and of lengths: faults that were there once."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
+from plotly.offline import get_plotlyjs
+
+from smoother.evaluation import validate
+from smoother.evaluation.gap_spread import GapSpread
+from smoother.recording import CameraFrame
+from smoother.report import write_report
+from smoother.report.gap_curves import curves, decades
+from smoother.report.path3d import flat_views
+from smoother.report.sheet import PLOTLY
+from smoother.report.summary import summary
+
+
+@pytest.fixture(scope="module")
+def recovery():
+    recording = make_recording()
+    hidden = (recording.arm.t_s > 8) & (recording.arm.t_s < 9.5)
+    return make_recovery(replace(recording, arm=recording.arm.hide(hidden)), error_m=0.004, sigma_m=0.004)
+
+
+def joints_only(off_m: float = 0.0):
+    """A reference without the sensor: markers at the joints alone."""
+    t = np.arange(0, 20, 0.01)
+    truth = make_truth(t)
+    joints = {name: path(t) + turn(t).apply(lever) + off_m for name, lever in LEVERS.items()}
+    nothing = np.full((len(t), 3), np.nan)
+    return replace(truth, position=nothing, quaternion=np.full((len(t), 4), np.nan), joints=joints)
+
+
+def test_joints_alone_are_compared_in_the_headline_and_leave_no_table_of_dashes(recovery, tmp_path):
+    truth = joints_only()
+    found = validate(recovery, truth)
+    said = " ".join(summary(recovery, found))
+    assert re.search(
+        r"the error in the gaps is 0\.\d cm at the \w+, 0\.\d cm at the \w+ and 0\.\d cm at the \w+ \(root",
+        said,
+    )
+    assert "no position to compare" not in said
+    write_report(recovery, tmp_path / "r.html", validation=found, truth=truth)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "The reference has joints only." in text
+    rows = re.findall(r"<tr><td>[^<]*</td>(?:<td>–</td>)+</tr>", text)
+    assert rows == []
+
+
+def test_errors_of_joints_beyond_their_sigma_are_said(recovery):
+    said = summary(recovery, validate(recovery, joints_only(off_m=0.03)))
+    assert any("times as large as the stated uncertainty allows" in text for text in said)
+    assert not any("In 95 of 100 cases" in text for text in said)
+
+
+def test_the_cameras_axes_are_named_without_the_recording(recovery, tmp_path):
+    write_report(recovery, tmp_path / "r.html", camera_frame=CameraFrame.KINECT)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "x (left), m" in text and "as the camera sees it" in text
+    write_report(recovery, tmp_path / "n.html")
+    assert "x (left)" not in (tmp_path / "n.html").read_text(encoding="utf-8")
+
+
+def test_axes_that_nobody_named_are_drawn_upright_by_gravity(recovery):
+    # gravity of these recoveries points along -y: y is drawn upwards, depth is not
+    assert recovery.gravity_direction[1] == -1.0
+    drawn = flat_views(recovery, None, None)
+    assert drawn.layout.yaxis.title.text == drawn.layout.yaxis2.title.text == "y, m"
+    assert {drawn.layout.xaxis.title.text, drawn.layout.xaxis2.title.text} == {"x, m", "z, m"}
+    flipped = flat_views(replace(recovery, gravity_direction=np.array([0.0, 1.0, 0.0])), None, None)
+    assert flipped.layout.yaxis.autorange == "reversed"
+
+
+def test_logarithmic_ticks_are_written_in_full():
+    assert decades([0.3, 8.0])[:6] == [0.1, 0.2, 0.5, 1.0, 2.0, 5.0]
+    assert decades([]) == [] and sum(0.17 < mark < 0.36 for mark in decades([0.17, 0.36])) >= 2
+    spread = GapSpread(0.004, 0.006, 0.009, 0.007, 0.012, 5, 0)
+    drawn = curves({0.5: {"graph": spread}, 1.0: {"graph": replace(spread, median_m=0.008)}})
+    assert drawn.layout.yaxis.ticktext[:4] == tuple(f"{mark:g}" for mark in drawn.layout.yaxis.tickvals[:4])
+    assert drawn.layout.yaxis.tickvals[0] <= 0.4 and drawn.layout.yaxis.dtick is None
+
+
+def test_the_bundle_is_of_the_locked_plotly():
+    version = re.search(r"plotly\.js v([\d.]+)", get_plotlyjs()[:200])
+    bundle = resources.files("smoother.report").joinpath("web", PLOTLY).read_text(encoding="utf-8")
+    assert version is not None
+    assert f"(basic - minified) v{version.group(1)}" in bundle[:200], (
+        f"Plotly was updated: run `npm pack plotly.js-basic-dist-min@{version.group(1)}` and put"
+        f" plotly-basic.min.js into smoother/report/web, its LICENSE beside it as plotly-basic.license.txt"
+    )
