@@ -11,7 +11,7 @@ from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..io.recording.choose import Selection
+    from ..io.recording.selection import Selection
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery

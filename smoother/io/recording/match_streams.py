@@ -12,8 +12,8 @@ from ...recording import FloatArray, ImuStream, JointTracks
 from ...runtime.store import Store
 from ..mcap.stamps import seconds
 from .bodies import join_bodies
-from .choose import is_named, named_side, role
 from .clean import clean_arm, clean_imu
+from .stream_names import is_named, named_side, role
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
 #: Clocks may be this far apart, s.

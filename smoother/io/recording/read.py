@@ -16,11 +16,12 @@ from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..mcap.stamps import SECOND_NS, seconds
-from .choose import Selection, choose
+from .choose import choose
 from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
+from .selection import Selection
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Unpack
 
 from ...calibration import ArmCalibration
 from ...measurements.remedy import Remedy
-from .choose import Selection
 from .read import read_recording
+from .selection import Selection
 
 if TYPE_CHECKING:
     from ...recording import Recording

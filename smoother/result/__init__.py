@@ -1,0 +1,9 @@
+"""The recovered motion: what `smooth` and every baseline return."""
+
+from __future__ import annotations
+
+from .estimates import Estimates
+from .frame_residuals import FrameResiduals
+from .recovery import Recovery
+
+__all__ = ["Estimates", "FrameResiduals", "Recovery"]
