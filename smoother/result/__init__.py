@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .estimates import Estimates
 from .frame_residuals import FrameResiduals
+from .recoveries import Recoveries, arm_tags
 from .recovery import Recovery
 
-__all__ = ["Estimates", "FrameResiduals", "Recovery"]
+__all__ = ["Estimates", "FrameResiduals", "Recoveries", "Recovery", "arm_tags"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..calibration import ArmCalibration
 from ..errors import UnoccludeError
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks
+from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks, arm_words
 from ..upper_motion import UpperMotion
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
@@ -74,6 +74,8 @@ class Recovery:
         What was found besides the motion.
     upper : UpperMotion, optional
         Of an IMU on the upper arm, at the same samples.
+    body : int, optional
+        The camera's number of the person, where several are told apart.
     """
 
     method: str
@@ -100,6 +102,12 @@ class Recovery:
     config: dict[str, object] = field(default_factory=dict)
     estimates: Estimates = field(default_factory=Estimates)
     upper: UpperMotion | None = None
+    body: int | None = None
+
+    @property
+    def arm_label(self) -> str:
+        """Which arm, in words: "right arm of body 2"; without a side "arm"."""
+        return arm_words(self.side, self.body)
 
     def __len__(self) -> int:
         return len(self.t_s)

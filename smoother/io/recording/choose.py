@@ -62,7 +62,7 @@ def choose(
     if body is None:
         arms, notes = join_bodies(file.arms, store)
         file = replace(file, arms=arms)
-    arms = _arms(file, skeleton, side, body)
+    arms = arms_asked_for(file, skeleton, side, body)
     imus = forearm_imus(file, imu)
     pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
     if not pairs:
@@ -110,7 +110,16 @@ def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[I
     return None, []
 
 
-def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int | None) -> list[ArmFrames]:
+def arms_asked_for(
+    file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
+) -> list[ArmFrames]:
+    """The tracked arms that fit what was asked for.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message lists those that are there.
+    """
     if not file.arms and not file.frames_without_body:
         raise RecordingError(
             f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "

@@ -47,6 +47,8 @@ class StreamChoice:
         How it was decided, one sentence each.
     upper : ImuSamples, optional
         The IMU on the same arm's upper arm.
+    body : int, optional
+        The camera's number of the person, where arms of several were chosen.
     """
 
     imu: ImuSamples
@@ -56,3 +58,4 @@ class StreamChoice:
     truth: PoseSamples | None = None
     notes: list[str] = field(default_factory=list)
     upper: ImuSamples | None = None
+    body: int | None = None

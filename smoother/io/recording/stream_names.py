@@ -31,6 +31,12 @@ def named_side(*names: str) -> str:
     return ""
 
 
+def named_body(name: str) -> int | None:
+    """The camera's number of a body that a name speaks of ("body_2"), or None."""
+    match = re.search(r"body_?(\d+)", words(name))
+    return None if match is None else int(match.group(1))
+
+
 def is_named(asked: str, topic: str, frame_id: str) -> bool:
     """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
     return asked.strip("/").lower() in topic.lower() or asked == frame_id

@@ -1,0 +1,77 @@
+"""`write_arms_report`: several arms of one recording on one page."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from ..evaluation.validate import Validation
+from ..recording import Recording, Truth
+from ..result import Recovery, arm_tags
+from .page import origin, sections
+from .sheet import Html, qualified, table, write_sheet
+from .summary import summary
+
+#: An arm's recording, answer, and what it was held against, where it was.
+Arm = tuple[Recording | None, Recovery] | tuple[Recording | None, Recovery, Validation | None, Truth | None]
+
+
+def write_arms_report(arms: Sequence[Arm], path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write the results of several arms as one HTML page: a summary of each, then arm by arm.
+
+    Parameters
+    ----------
+    arms : sequence of (Recording or None, Recovery[, Validation or None, Truth or None])
+        Each as `write_report` takes it.
+    path : path-like
+        The page to write.
+    force : bool
+        Overwrite a page that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    recoveries = [arm[1] for arm in arms]
+    marks = [re.sub("[^a-z0-9]+", "-", tag.lower()) for tag in arm_tags(recoveries)]
+    paragraphs = []
+    for arm in arms:
+        paragraphs += [f"{_name(arm[1])}: {text}" for text in summary(arm[1], _of(arm)[0])]
+    write_sheet(
+        path,
+        f"Recovered arm motion: {recoveries[0].name}",
+        origin(recoveries[0]),
+        paragraphs,
+        _sections(arms, marks),
+        force=force,
+    )
+
+
+def _sections(arms: Sequence[Arm], marks: Sequence[str]) -> Iterator[str]:
+    links = [
+        Html(f'<a href="#arm-{mark}">{escape(_name(arm[1]))}</a>')
+        for arm, mark in zip(arms, marks, strict=True)
+    ]
+    rows = [
+        (link, len(arm[1].gaps), f"{sum(gap.length_s for gap in arm[1].gaps):.1f}", arm[1].estimates.verdict)
+        for link, arm in zip(links, arms, strict=True)
+    ]
+    yield table(("arm", "gaps", "hidden, s", "verdict"), rows)
+    for arm, mark in zip(arms, marks, strict=True):
+        yield f'<section id="arm-{mark}"><h1>{escape(_name(arm[1]))}</h1>'
+        for section in sections(arm[1], arm[0], *_of(arm)):
+            yield qualified(section, mark)
+        yield "</section>"
+
+
+def _of(arm: Arm) -> tuple[Validation | None, Truth | None]:
+    """What an arm was held against."""
+    return (arm[2], arm[3]) if len(arm) == 4 else (None, None)
+
+
+def _name(recovery: Recovery) -> str:
+    label = recovery.arm_label
+    return label[:1].upper() + label[1:]
