@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from ..errors import UnoccludeError
 from .output import say
 
 if TYPE_CHECKING:
     from ..recording import Recording
-    from ..result import Recovery
+
+Answer = TypeVar("Answer")
 
 
 def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -44,13 +46,29 @@ def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict
     return together
 
 
+def each_arm(
+    recordings: Sequence[Recording], work: Callable[[int], Answer]
+) -> tuple[list[tuple[Recording, Answer]], list[str]]:
+    """Some work on every arm; one of several that cannot be worked on is left out, and said.
+
+    Raises
+    ------
+    UnoccludeError
+        No arm can be worked on: the first one's sentence.
+    """
+    answers, left_out, errors = [], [], []
+    for number, recording in enumerate(recordings):
+        try:
+            answers.append((recording, work(number)))
+        except UnoccludeError as error:
+            errors.append(error)
+            left_out.append(f"The {recording.arm_label} was left out: {str(error).rstrip('.')}.")
+    if not answers:
+        raise errors[0]
+    return answers, left_out
+
+
 def say_arm(arm: Any, count: int) -> None:
     """Say whose tables follow, where there are several arms."""
     if count > 1:
         say(f"--- {arm.arm_label} ---")
-
-
-def same_arm(recording: Recording, recovery: Recovery) -> bool:
-    """Whether a recovery is of this arm of a recording."""
-    of_arm = (recording.arm.name, recording.side, recording.body)
-    return of_arm == (recovery.arm.name, recovery.side, recovery.body)

@@ -45,7 +45,7 @@ from .remedies import (
     clock_of,
     remedy_of,
 )
-from .several_figures import arms_figures, same_arm, say_arm
+from .several_figures import arms_figures, say_arm
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
@@ -95,6 +95,7 @@ def smooth(
     from calib.motion.estimates import with_given
 
     from ..io import write_recovery
+    from ..result import is_of_arm
     from ..runtime.disk_store import DiskStore
     from .config_file import read_config, with_anatomy, with_processes
     from .limit import limit_sigma
@@ -133,7 +134,7 @@ def smooth(
             recoveries = recover_arms(recordings, names[0], given, clocks, config, settings, progress, store)
         results = []
         for recovery in recoveries:
-            recording, calibration = next(arm for arm in arms if same_arm(arm[0], recovery))
+            recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
             recovery = with_given(recovery, calibration)
             if solve_lever_arms:
                 recovery = with_strap_note(recovery)

@@ -7,9 +7,12 @@ import re
 from collections.abc import Iterator, Sequence
 from html import escape
 
+from ..evaluation.compare import Comparison
 from ..evaluation.validate import Validation
 from ..recording import Recording, Truth
 from ..result import Recovery, arm_tags
+from .method_comparison import sections as of_comparison
+from .method_comparison import verdict
 from .page import origin, sections
 from .sheet import Html, qualified, table, write_sheet
 from .summary import summary
@@ -36,7 +39,7 @@ def write_arms_report(arms: Sequence[Arm], path: str | os.PathLike[str], *, forc
         The page exists and `force` is not given, or it cannot be written.
     """
     recoveries = [arm[1] for arm in arms]
-    marks = [re.sub("[^a-z0-9]+", "-", tag.lower()) for tag in arm_tags(recoveries)]
+    marks = [_mark(tag) for tag in arm_tags(recoveries)]
     paragraphs = []
     for arm in arms:
         paragraphs += [f"{_name(arm[1])}: {text}" for text in summary(arm[1], _of(arm)[0])]
@@ -73,5 +76,42 @@ def _of(arm: Arm) -> tuple[Validation | None, Truth | None]:
 
 
 def _name(recovery: Recovery) -> str:
-    label = recovery.arm_label
-    return label[:1].upper() + label[1:]
+    return _capital(recovery.arm_label)
+
+
+def write_arms_comparison(
+    compared: Sequence[tuple[Recording, Comparison]], path: str | os.PathLike[str], *, force: bool = False
+) -> None:
+    """Write the comparisons of several arms as one HTML page, arm by arm.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    arms = [
+        (_capital(recording.arm_label), verdict(comparison), of_comparison(comparison, recording))
+        for recording, comparison in compared
+    ]
+    recording, comparison = compared[0]
+    write_sheet(
+        path,
+        comparison.title(f"Methods compared: {recording.name}"),
+        f"{len(comparison.rows)} methods, {len(compared)} arms, each held against its own truth.",
+        [f"{name}: {text}" for name, texts, _ in arms for text in texts],
+        (
+            part
+            for name, _, parts in arms
+            for part in (f"<h1>{escape(name)}</h1>", *(qualified(one, _mark(name)) for one in parts))
+        ),
+        force=force,
+    )
+
+
+def _mark(name: str) -> str:
+    """A name as a part of an id."""
+    return re.sub("[^a-z0-9]+", "-", name.lower())
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import overload
 
 from ..errors import UnoccludeError
+from ..recording import Recording
 from .recovery import Recovery
 
 
@@ -25,6 +26,12 @@ def arm_tags(recoveries: Sequence[Recovery]) -> list[str]:
         one if tags.count(one) == 1 and recovery.side else f"{one}_{number}"
         for number, (one, recovery) in enumerate(zip(tags, recoveries, strict=True), start=1)
     ]
+
+
+def is_of_arm(recovery: Recovery, recording: Recording) -> bool:
+    """Whether a recovery is of this arm of a recording."""
+    of_arm = (recording.arm.name, recording.side, recording.body)
+    return of_arm == (recovery.arm.name, recovery.side, recovery.body)
 
 
 @dataclass(frozen=True)
