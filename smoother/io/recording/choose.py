@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...runtime.store import Store
-from .bodies import join_bodies
 from .imu_choice import forearm_imus
 from .motion_agreement import agreement_far_apart, motion_agreement
+from .people import people
 from .selection import StreamChoice
 from .stream_names import is_named, named_side, role, topics_of
 from .streams import ArmFrames, ImuSamples, RecordingFile
@@ -60,7 +60,7 @@ def choose(
     """
     notes: list[str] = []
     if body is None:
-        arms, notes = join_bodies(file.arms, store)
+        arms, notes = people(file, store)
         file = replace(file, arms=arms)
     arms = arms_asked_for(file, skeleton, side, body)
     imus = forearm_imus(file, imu)

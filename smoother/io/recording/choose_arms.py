@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Unpack
 
 from ...errors import RecordingError
 from ...runtime.store import Store
-from .bodies import join_bodies
 from .choose import arms_asked_for, choose, choose_upper
 from .imu_choice import forearm_imus
+from .people import people
 from .selection import Selection, StreamChoice
 from .stream_names import named_side, role
 from .streams import ArmFrames, ImuSamples, RecordingFile
@@ -80,7 +80,7 @@ def choose_arms(
     joined = file
     notes: list[str] = []
     if asked[2] is None:
-        arms, notes = join_bodies(file.arms, store)
+        arms, notes = people(file, store)
         joined = replace(file, arms=arms)
     arms = arms_asked_for(joined, *asked)
     imus = _candidates(joined, arms)
@@ -172,7 +172,28 @@ def _by_motion(
         truth, truth_notes = choose_truth(file, arm.side, body)
         said = [*notes, *open_notes, _taken(imu, arm, match), *truth_notes, *upper_notes]
         choices.append(StreamChoice(imu, arm, arm.side, base, truth, said, upper, body))
-    return choices
+    used = {id(stream) for one in choices for stream in (one.imu, one.upper, one.base)}
+    unused = _unused([(i, m) for i, m in zip(imus, matches, strict=True) if id(i) not in used])
+    return [replace(one, notes=[*one.notes, *unused]) for one in choices]
+
+
+def _unused(rest: Sequence[tuple[ImuSamples, ImuMatch]]) -> list[str]:
+    """What is said of IMUs that belong to no arm that is recovered; those left open are said already."""
+    notes = []
+    for imu, match in rest:
+        where, how_sure = match.limb, f"(probability {match.probability:.2f})"
+        if where is None and match.is_known:
+            notes.append(f"IMU {imu.topic} is on no limb in view {how_sure}.")
+        elif where is not None and where.segment == "wrist":
+            notes.append(
+                f"IMU {imu.topic} may be on {where.label} {how_sure}, too doubtful to recover that arm;"
+                f" if it is, give --imu {imu.topic}."
+            )
+        elif where is not None:
+            notes.append(
+                f"IMU {imu.topic} is on {where.label} {how_sure} and not used: that forearm has none."
+            )
+    return notes
 
 
 def _taken(imu: ImuSamples, arm: ArmFrames, match: ImuMatch) -> str:
