@@ -78,7 +78,10 @@ def test_export_writes_a_file_an_arm(folder: Path, capsys: pytest.CaptureFixture
         arguments = ["export", str(folder / "out.mcap"), "--format", name, "-o", str(folder / f"e.{name}")]
         assert run(arguments) == 0
         assert (folder / f"e_left.{name}").exists() and (folder / f"e_right.{name}").exists()
-    left, right = (list(csv.DictReader(open(folder / f"e_{side}.csv"))) for side in ("left", "right"))
+    left, right = (
+        list(csv.DictReader((folder / f"e_{side}.csv").read_text().splitlines()))
+        for side in ("left", "right")
+    )
     assert len(left) == len(right) and left[100]["imu_x"] != right[100]["imu_x"]
     said = sentence(
         capsys, ["export", str(folder / "out.mcap"), "--format", "csv", "-o", "x.csv", "--body", "4"], 1

@@ -77,7 +77,7 @@ def test_one_arm_is_read_as_before(both: tuple[SimulatedArm, SimulatedArm]) -> N
 
 def test_a_side_without_an_imu_is_refused(file: RecordingFile) -> None:
     file.imus = [imu for imu in file.imus if "right" in imu.topic]
-    with pytest.raises(RecordingError, match="no IMU is on an arm .* choose with --imu"):
+    with pytest.raises(RecordingError, match=r"no IMU is on an arm .* choose with --imu"):
         select_recordings(file, side="left")
 
 

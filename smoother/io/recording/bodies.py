@@ -19,7 +19,7 @@ _APART_M = 0.4
 _ASKED = [JOINTS.index(joint) for joint in ("shoulder", "elbow", "wrist", "hand", "strap")]
 
 
-class Agreement(Protocol):
+class WornAgreement(Protocol):
     """What IMUs say of two bodies; see `WornImus.agree`."""
 
     def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
@@ -28,7 +28,7 @@ class Agreement(Protocol):
 
 
 def join_bodies(
-    arms: list[ArmFrames], store: Store | None = None, worn: Agreement | None = None
+    arms: list[ArmFrames], store: Store | None = None, worn: WornAgreement | None = None
 ) -> tuple[list[ArmFrames], list[str]]:
     """Join arms of one topic and side that are never seen together and take over where the other was lost.
 
@@ -41,7 +41,7 @@ def join_bodies(
         As the file has them; they stay as they are.
     store : Store, optional
         Where the positions of joined arms are to lie; None = in memory.
-    worn : Agreement, optional
+    worn : WornAgreement, optional
         Which IMUs the bodies wear; None = not asked.
 
     Returns
