@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import UnoccludeError
-from .load import camera_frame_of, damage
-from .options import Force, Json, Output, Result, Side, one_side
+from .load import camera_frame_of, damage, load_recoveries
+from .options import Body, Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
@@ -27,6 +26,7 @@ def export(
         str, typer.Option("--format", metavar="|".join(FORMATS), help="Format to write.", show_default=False)
     ],
     side: Side = None,
+    body: Body = None,
     frame: Annotated[
         str | None,
         typer.Option(
@@ -57,15 +57,8 @@ def export(
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
     straight line bridges a stretch without an answer.
     """
-    from ..io import read_recovery
-
     _check(format_name, frame, rate)
-    side = one_side(side)
-    recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
-    if not recoveries:
-        raise UnoccludeError(
-            f"{result}: there is no recovered arm{f' {side!r}' if side else ''} in this file"
-        )
+    recoveries = load_recoveries(result, one_side(side), body)
     files = output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
     # All arms are ready before the first is written.
@@ -79,6 +72,7 @@ def export(
                 "file": str(path),
                 "rows": ready.rows,
                 "side": recovery.side,
+                **({} if recovery.body is None else {"body": recovery.body}),
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
@@ -91,10 +85,13 @@ def export(
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
-    """One file an arm: the name as given, or with the side (and a number) before its ending."""
+    """One file an arm: the name as given, or with body, side (and a number) before its ending."""
     if len(recoveries) == 1:
         return [output]
-    sides = [recovery.side or "arm" for recovery in recoveries]
+    sides = [
+        (f"body_{recovery.body}_" if recovery.body is not None else "") + (recovery.side or "arm")
+        for recovery in recoveries
+    ]
     names = []
     for place, side in enumerate(sides):
         again = sides[:place].count(side)

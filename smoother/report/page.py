@@ -65,14 +65,14 @@ def write_report(
     write_sheet(
         path,
         f"Recovered arm motion: {recovery.name}",
-        _origin(recovery),
+        origin(recovery),
         summary(recovery, validation),
-        _sections(recovery, recording, validation, truth),
+        sections(recovery, recording, validation, truth),
         force=force,
     )
 
 
-def _origin(recovery: Recovery) -> str:
+def origin(recovery: Recovery) -> str:
     """When the recording was made, where its clock says so."""
     if recovery.origin_ns <= 0:
         return "Times count from the recording's own zero."
@@ -80,9 +80,10 @@ def _origin(recovery: Recovery) -> str:
     return f"Times count from {start:%Y-%m-%d %H:%M:%S} UTC."
 
 
-def _sections(
+def sections(
     recovery: Recovery, recording: Recording | None, validation: Validation | None, truth: Truth | None
 ) -> Iterator[str]:
+    """The sections about one arm, as HTML; parameters as of `write_report`."""
     frame = None if recording is None else recording.camera_frame
     estimates = found_in(recovery, recording)
     if len(recovery):
