@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from .config import Config
     from .errors import UnoccludeError
     from .evaluation.validate import validate
-    from .io import read_recording, read_recovery, write_recording, write_recovery
+    from .io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
     from .recording import ImuStream, JointState, JointTracks, Recording, Truth
-    from .result import Recovery
+    from .result import Recoveries, Recovery
+    from .several_arms import smooth_arms
     from .smoothing import smooth
 
 #: Where each public name lives; loaded at first use, so that the command line starts at once.
@@ -32,13 +33,16 @@ _HOME = {
     "JointState": "smoother.recording",
     "JointTracks": "smoother.recording",
     "Recording": "smoother.recording",
+    "Recoveries": "smoother.result",
     "Recovery": "smoother.result",
     "Truth": "smoother.recording",
     "UnoccludeError": "smoother.errors",
     "read_calibration": "calib.file",
     "read_recording": "smoother.io",
+    "read_recordings": "smoother.io",
     "read_recovery": "smoother.io",
     "smooth": "smoother.smoothing",
+    "smooth_arms": "smoother.several_arms",
     "validate": "smoother.evaluation.validate",
     "write_recording": "smoother.io",
     "write_recovery": "smoother.io",
@@ -51,13 +55,16 @@ __all__ = [
     "JointState",
     "JointTracks",
     "Recording",
+    "Recoveries",
     "Recovery",
     "Truth",
     "UnoccludeError",
     "read_calibration",
     "read_recording",
+    "read_recordings",
     "read_recovery",
     "smooth",
+    "smooth_arms",
     "validate",
     "write_recording",
     "write_recovery",

@@ -187,6 +187,11 @@ class Truth:
         return len(self.t_s)
 
 
+def arm_words(side: str, body: int | None) -> str:
+    """Which arm, in words: "right arm of body 2"; without a side "arm"."""
+    return f"{side + ' ' if side else ''}arm{'' if body is None else f' of body {body}'}"
+
+
 @dataclass(frozen=True, repr=False)
 class Recording:
     """One arm, the IMU on its forearm, and what else was recorded with them.
@@ -217,6 +222,8 @@ class Recording:
         How well `gravity_hint` is known, an axis; to some degrees where None.
     upper_imu : ImuStream, optional
         An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
+    body : int, optional
+        The camera's number of the person, where several are told apart.
     """
 
     imu: ImuStream
@@ -231,6 +238,12 @@ class Recording:
     notes: tuple[str, ...] = ()
     gravity_sigma_rad: float | None = None
     upper_imu: ImuStream | None = None
+    body: int | None = None
+
+    @property
+    def arm_label(self) -> str:
+        """Which arm, in words: "right arm of body 2"; without a side "arm"."""
+        return arm_words(self.side, self.body)
 
     def __repr__(self) -> str:
         from .recording_view import recording_text

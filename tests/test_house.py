@@ -23,6 +23,7 @@ STACK = (
     ("selfcal",),
     ("recovery",),
     ("smoothing",),
+    ("several_arms",),
 )
 MIDDLE = ("io", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.

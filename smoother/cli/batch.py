@@ -164,6 +164,19 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
     }
 
 
+def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row an arm, the least certain first; where there are several, the recording's name says which."""
+    from ..recording import arm_words
+    from ..study.columns import arms_of
+
+    arms = []
+    for row in rows:
+        for arm in arms_of(row):
+            which = f" ({arm_words(arm['side'], arm['body'])})" if row["arm_figures"] else ""
+            arms.append(arm | {"recording": row["recording"] + which})
+    return sorted(arms, key=lambda arm: -(arm["sigma_max_m"] or 0.0))[:MOST_WORST]
+
+
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     """Print what came of a study, the worst recordings first."""
     speed = f", {tally.recorded_s / tally.seconds:.1f} times real time" if tally.computed else ""
@@ -174,8 +187,8 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     import pyarrow.compute as pc
 
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
-    done = rows.filter(pc.equal(rows["status"], "done")).select(columns)
-    worst = done.sort_by([("sigma_max_m", "descending")]).slice(0, MOST_WORST).to_pylist()
+    done = rows.filter(pc.equal(rows["status"], "done")).select([*columns, "arm_figures"])
+    worst = worst_arms(done.sort_by([("sigma_max_m", "descending")]).slice(0, MOST_WORST).to_pylist())
     if worst:
         print_table(
             "The least certain recordings (sigma = one standard deviation)",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +11,7 @@ import typer
 
 from ..errors import CalibrationError
 from .estimates import print_arm, print_camera, print_clocks
-from .load import load_arm
+from .load import load_arms
 from .options import (
     Body,
     CalibrationOutput,
@@ -25,10 +25,14 @@ from .options import (
     one_side,
 )
 from .output import check_outputs, print_notes, say, say_written, write_json
+from .several_figures import arms_figures, say_arm
 
 if TYPE_CHECKING:
     from calib.file import CalibrationFile
     from calib.protocol import Answer
+
+    from ..calibration import ArmCalibration
+    from ..recording import Recording
 
 #: Files that a command reads or writes; some may not be given.
 Paths = Iterable[Path | None]
@@ -113,8 +117,10 @@ def motion(
     """Find lever arms, limb lengths and the IMU's mounting from visible motion.
 
     Several recordings are solved together. A calibration that exists is added to, without --force: what
-    was found replaces what the file holds of this arm, the rest of it is kept.
+    was found replaces what the file holds of this arm, the rest of it is kept. Of recordings with IMUs on
+    both arms both are calibrated, each by itself.
     """
+    from calib.file import write_calibration
     from calib.motion.estimates import motion_answer
     from calib.motion.motion_summary import roll_known
     from calib.motion.several_recordings import calibrate_motion
@@ -126,24 +132,71 @@ def motion(
         raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
     held_calibration(output, [json_file], [*recording_files, config_file], force=force, known=[known_file])
     config = with_processes(read_config(config_file), processes)
-    loaded = [
-        load_arm(path, known_file, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
-        for path in recording_files
-    ]
-    estimates = calibrate_motion([recording for recording, _ in loaded], loaded[0][1], config)
-    if not estimates.calibration.lever_arms:
-        raise CalibrationError(
-            "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
-        )
-    answer = motion_answer(estimates)
-    notes = [note for recording, _ in loaded for note in recording.notes]
-    write_answer(answer, output, json_file, force, notes)
-    print_arm(estimates)
-    print_clocks(estimates.offsets)
-    say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
-    print_camera(estimates)
-    if sentence := roll_known(estimates.frame):
-        say(sentence)
-    print_words(answer)
+    arms = _by_side(recording_files, known_file, imu, skeleton, one_side(side), body)
+    several = len(arms) > 1
+    answers = []
+    for recordings, known in arms:
+        with naming(recordings[0].arm_label) if several else nullcontext():
+            estimates = calibrate_motion(recordings, known, config)
+            if not estimates.calibration.lever_arms:
+                raise CalibrationError(
+                    "only the strap was tracked, which is the IMU's own place: there is no lever arm to find"
+                )
+        answers.append((recordings[0], estimates, motion_answer(estimates)))
+    notes = [note for recordings, _ in arms for recording in recordings for note in recording.notes]
+    figures = [answer.figures for _, _, answer in answers]
+    together = arms_figures([recording for recording, _, _ in answers], figures)
+    write_json(json_file, {**together, "notes": list(dict.fromkeys(notes))}, force)
+    for recording, estimates, answer in answers:
+        write_calibration(output, answer.table)
+        say_arm(recording, len(arms))
+        print_arm(estimates)
+        print_clocks(estimates.offsets)
+        say("A clock offset belongs to its recording: every recording's is solved anew, never carried over.")
+        print_camera(estimates)
+        if sentence := roll_known(estimates.frame):
+            say(sentence)
+        print_words(answer)
     print_notes(notes)
     say_written(output, json_file)
+
+
+def _by_side(
+    recording_files: list[Path],
+    known_file: Path | None,
+    imu: str | None,
+    skeleton: str | None,
+    side: str | None,
+    body: int | None,
+) -> list[tuple[list[Recording], ArmCalibration | None]]:
+    """The recordings of each arm, with what is known of it; one arm unless recordings have both.
+
+    Raises
+    ------
+    CalibrationError
+        Recordings are of several people, or do not say which of two arms they are of.
+    """
+    loaded = [
+        (path, *arm)
+        for path in recording_files
+        for arm in load_arms(path, known_file, imu=imu, skeleton=skeleton, side=side, body=body)
+    ]
+    for path, recording, _ in loaded:
+        if recording.body is not None:
+            raise CalibrationError(
+                f"{path}: several people wear IMUs, and a calibration is one person's; choose with --body"
+            )
+    sides = sorted({recording.side for _, recording, _ in loaded} - {""})
+    if len(sides) < 2:
+        return [([recording for _, recording, _ in loaded], loaded[0][2])]
+    for path, recording, _ in loaded:
+        if not recording.side:
+            raise CalibrationError(
+                f"{path} does not say whether it is the left or the right arm's, and the others are of both;"
+                " calibrate it apart"
+            )
+    arms = []
+    for one in sides:
+        mine = [(recording, known) for _, recording, known in loaded if recording.side == one]
+        arms.append(([recording for recording, _ in mine], mine[0][1]))
+    return arms

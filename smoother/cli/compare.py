@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,8 @@ import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
-from .load import load_arm
+from .comparison_tables import print_comparison
+from .load import load_arms
 from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
 from .option_groups import with_groups
 from .options import (
@@ -31,23 +33,15 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import (
-    centimetres,
-    check_outputs,
-    percent,
-    print_notes,
-    print_table,
-    say,
-    say_written,
-    write_json,
-)
+from .output import check_outputs, print_notes, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
+from .several_figures import arms_figures, each_arm, say_arm
 from .strap import with_strap
 
 if TYPE_CHECKING:
     from ..evaluation import ReferenceAlignment
-    from ..evaluation.compare import Comparison, MethodResult
+    from ..evaluation.compare import Comparison
     from ..recording import Recording, Truth
     from ..result import Recovery
 
@@ -104,7 +98,7 @@ def compare(
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)
     config = with_processes(read_config(config_file), processes)
-    recording, calibration = load_arm(
+    arms = load_arms(
         recording_file,
         calibration_file,
         imu=imu,
@@ -114,50 +108,86 @@ def compare(
         remedy=remedy,
         swap_sides=swap_sides,
     )
-    clock = set_up.clock(calibration_file, recording)
-    _check_truth(recording_file, recording, truth_file, markers, align)
-    given = with_strap(calibration, recording) if solve_lever_arms else calibration
-    blind = replace(recording, truth=None)
-    with progress_bar("comparing") as progress:
+    recordings = [recording for recording, _ in arms]
+    for recording in recordings:
+        _check_truth(recording_file, recording, truth_file, markers, align, several=len(arms) > 1)
+
+    def compare_arm(place: int) -> Comparison:
+        recording, calibration = arms[place]
+        clock = set_up.clock(calibration_file, recording)
+        given = with_strap(calibration, recording) if solve_lever_arms else calibration
+        blind = replace(recording, truth=None)
+
+        def report_part(part: float, name: str) -> None:
+            progress((place + part) / len(arms), name)
+
         running = make_methods(
             [GRAPH, *names],
             given,
             config,
             settings,
-            lambda part, _: progress(part / 2, GRAPH),
+            lambda part, _: report_part(part / 2, GRAPH),
             clock=clock,
         )
         graph = running[GRAPH](blind)
         truth, alignment = truth_for(
             recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
         )
-        comparison = compare(
+        return compare(
             blind,
             graph,
             truth,
             {name: running[name] for name in names},
             alignment,
-            lambda part, name: progress((1 + part) / 2, name),
+            lambda part, name: report_part((1 + part) / 2, name),
         )
-    if report is not None:
-        from ..report.method_comparison import write_comparison
 
-        write_comparison(comparison, recording, report, force=force)
-    figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
-    figures["notes"] = list(dict.fromkeys([*recording.notes, *comparison.notes]))
-    write_json(json_file, figures, force)
-    print_comparison(comparison)
-    print_notes([*recording.notes, *comparison.notes])
+    with progress_bar("comparing") as progress:
+        compared, left_out = each_arm(recordings, compare_arm)
+    if report is not None:
+        write_page(compared, report, force)
+    each = []
+    for recording, comparison in compared:
+        figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+        figures["notes"] = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
+        each.append(figures)
+    write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
+    for recording, comparison in compared:
+        say_arm(recording, len(compared))
+        print_comparison(comparison)
+        print_notes([*recording.notes, *left_out, *comparison.notes])
     say_written(report, json_file)
 
 
+def write_page(compared: Sequence[tuple[Recording, Comparison]], path: Path, force: bool) -> None:
+    """The comparison of an arm, or of several on one page."""
+    from ..report.arms import write_arms_comparison
+    from ..report.method_comparison import write_comparison
+
+    if len(compared) > 1:
+        write_arms_comparison(compared, path, force=force)
+    else:
+        ((recording, comparison),) = compared
+        write_comparison(comparison, recording, path, force=force)
+
+
 def _check_truth(
-    path: Path, recording: Recording, truth_file: Path | None, markers: Path | None, align: bool
+    path: Path,
+    recording: Recording,
+    truth_file: Path | None,
+    markers: Path | None,
+    align: bool,
+    several: bool,
 ) -> None:
     """Refuse before anything is solved what cannot be compared in the end."""
     if truth_file is not None:
         if not truth_file.is_file():
             raise UnoccludeError(f"{truth_file}: there is no such file")
+        if several and truth_file.suffix.lower() != ".mcap":
+            raise UnoccludeError(
+                f"{truth_file} is the truth of one arm, and {path} has IMUs on several; choose its arm with"
+                " --side or --body"
+            )
         return
     if markers is not None or align:
         raise typer.BadParameter("--markers and --align are for a truth named with --truth")
@@ -201,66 +231,3 @@ def truth_for(
         camera_frame=recording.camera_frame,
         align=align,
     )
-
-
-def print_comparison(comparison: Comparison) -> None:
-    """Print the tables of a comparison."""
-    what = "forearm IMU" if comparison.point == "sensor" else comparison.point
-    columns = (
-        "method",
-        "rms, cm",
-        "95 %",
-        "max",
-        "rms, deg",
-        "NEES",
-        "inside 95 %",
-        "visible rms, cm",
-        "deg",
-    )
-    title = f"Error of the {what} {comparison.where}, the best method first"
-    print_table(comparison.title(title), columns, [_row(comparison, row) for row in comparison.rows])
-    _print_joints(comparison)
-    _print_lag(comparison)
-
-
-def _row(comparison: Comparison, row: MethodResult) -> tuple[object, ...]:
-    hidden, visible = comparison.figures(row, comparison.part), comparison.figures(row, "visible")
-    if hidden is None or visible is None:
-        return (row.method, *["-"] * 8)
-    return (
-        row.method,
-        centimetres(hidden.position_rms_m),
-        centimetres(hidden.position_p95_m),
-        centimetres(hidden.position_max_m),
-        hidden.orientation_rms_deg,
-        hidden.nees,
-        percent(hidden.coverage_95),
-        centimetres(visible.position_rms_m),
-        visible.orientation_rms_deg,
-    )
-
-
-def _print_joints(comparison: Comparison) -> None:
-    answered = [row for row in comparison.rows if row.validation is not None]
-    joints = list(dict.fromkeys(joint for row in answered for joint in row.validation.points))  # type: ignore[union-attr]
-    if not joints:
-        return
-    rows = []
-    for row in answered:
-        assert row.validation is not None
-        cells = [row.validation.points.get(joint, {}).get(comparison.part) for joint in joints]
-        rows.append(
-            (row.method, *[centimetres(None if each is None else each.position_rms_m) for each in cells])
-        )
-    print_table(comparison.title(f"Joints {comparison.where}, rms, cm"), ("method", *joints), rows)
-
-
-def _print_lag(comparison: Comparison) -> None:
-    say(comparison.camera_words)
-    rows = [(row.method, _ms(row.lag_s), _ms(row.lag_occluded_s)) for row in comparison.rows]
-    title = "Lag left behind the truth, ms (peak of cross-correlation; - where an answer does not follow it)"
-    print_table(comparison.title(title), ("method", "all samples", "in gaps"), rows)
-
-
-def _ms(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:+.1f}"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import RecordingError, UnoccludeError
-from .load import camera_frame_of, damage
-from .options import Force, Json, Output, Result, Side, one_side
+from ..errors import RecordingError
+from .load import camera_frame_of, damage, load_recoveries
+from .options import Body, Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def export(
         str, typer.Option("--format", metavar="|".join(FORMATS), help="Format to write.", show_default=False)
     ],
     side: Side = None,
+    body: Body = None,
     frame: Annotated[
         str | None,
         typer.Option(
@@ -71,15 +72,8 @@ def export(
     and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
     arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
-    from ..io import read_recovery
-
     _check(format_name, frame, rate, origin)
-    side = one_side(side)
-    recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
-    if not recoveries:
-        raise UnoccludeError(
-            f"{result}: there is no recovered arm{f' {side!r}' if side else ''} in this file"
-        )
+    recoveries = load_recoveries(result, one_side(side), body)
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
     check_outputs(force, [*files, json_file], [result])
@@ -98,6 +92,7 @@ def export(
                 "file": str(path),
                 "rows": ready.rows,
                 "side": "" if together and len(recoveries) > 1 else recovery.side,
+                **({} if recovery.body is None else {"body": recovery.body}),
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
@@ -110,10 +105,13 @@ def export(
 
 
 def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
-    """One file an arm: the name as given, or with the side (and a number) before its ending."""
+    """One file an arm: the name as given, or with body, side (and a number) before its ending."""
     if len(recoveries) == 1:
         return [output]
-    sides = [recovery.side or "arm" for recovery in recoveries]
+    sides = [
+        (f"body_{recovery.body}_" if recovery.body is not None else "") + (recovery.side or "arm")
+        for recovery in recoveries
+    ]
     names = []
     for place, side in enumerate(sides):
         again = sides[:place].count(side)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import CalibrationError
-from .load import load_arm
+from .gap_tables import gap_figures, print_factors, print_gaps, tables_by_arm
+from .load import load_arms
 from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
 from .option_groups import with_groups
 from .options import (
@@ -31,14 +32,15 @@ from .options import (
     SolveLeverArms,
     one_side,
 )
-from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
+from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
+from .several_figures import each_arm
 from .strap import with_strap
 
 if TYPE_CHECKING:
+    from ..calibration import ArmCalibration
     from ..evaluation import GapTable
-    from ..evaluation.real_gaps import RealGaps
     from ..evaluation.sigma_factor import LengthFactor
     from ..recording import Recording
 
@@ -90,11 +92,13 @@ def gaps(
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
     that were hidden; these carry the camera's own noise. Also says by what factor the stated sigma would
-    have to grow to hold, with which `--keep-in` fills a calibration file.
+    have to grow to hold, with which `--keep-in` fills a calibration file. Every arm that has an IMU takes
+    part, by itself and together with the others.
     """
     from ..evaluation.gaps import evaluate_gaps, pooled
     from ..evaluation.real_gaps import compare_real_gaps
     from ..evaluation.sigma_factor import factor_sentences
+    from ..recording import arm_words
     from .config_file import read_config, with_processes
 
     lengths_s = parse_lengths(lengths)
@@ -115,9 +119,11 @@ def gaps(
     config = with_processes(read_config(config_file), processes)
     recordings: list[Recording] = []
     tables: list[GapTable] = []
+    notes: list[str] = []
+    several = False
     with progress_bar("hiding and recovering") as progress:
         for number, path in enumerate(recording_files):
-            recording, calibration = load_arm(
+            arms = load_arms(
                 path,
                 calibration_file,
                 imu=imu,
@@ -127,35 +133,59 @@ def gaps(
                 remedy=remedy,
                 swap_sides=swap_sides,
             )
-            clock = set_up.clock(calibration_file, recording)
-            given = with_strap(calibration, recording) if solve_lever_arms else calibration
-            if keep_in is not None and given is not None:  # what is measured anew is not applied before
-                given = replace(given, sigma_factors=None)
-            recording = replace(recording, name=_unlike(recording.name, [each.name for each in recordings]))
-            tables.append(
-                evaluate_gaps(
+            here: list[Recording] = []
+            for recording, _ in arms:
+                label = f"{recording.name}, {recording.arm_label}" if len(arms) > 1 else recording.name
+                others = [each.name for each in (*recordings, *here)]
+                here.append(replace(recording, name=_unlike(label, others)))
+            file_progress = _share(progress, number, len(recording_files))
+
+            def hide_and_recover(
+                place: int,
+                arms: Sequence[tuple[Recording, ArmCalibration | None]] = arms,
+                here: Sequence[Recording] = here,
+                file_progress: Callable[[float, str], None] = file_progress,
+            ) -> GapTable:
+                recording, calibration = here[place], arms[place][1]
+                clock = set_up.clock(calibration_file, recording)
+                given = with_strap(calibration, recording) if solve_lever_arms else calibration
+                if keep_in is not None and given is not None:  # what is measured anew is not applied before
+                    given = replace(given, sigma_factors=None)
+                return evaluate_gaps(
                     recording,
                     lengths_s,
                     make_methods(names, given, config, settings, clock=clock),
                     seed=seed,
                     repetitions=repetitions,
                     gaps_per_run=gaps_per_run,
-                    progress=_share(progress, number, len(recording_files)),
+                    progress=_share(file_progress, place, len(here)),
                 )
-            )
-            recordings.append(recording)
+
+            evaluated, left_out = each_arm(here, hide_and_recover)
+            several = several or len(arms) > 1
+            notes += left_out
+            recordings += [recording for recording, _ in evaluated]
+            tables += [table for _, table in evaluated]
     table = pooled(tables)
     real = compare_real_gaps(recordings, table)
     factors = table.sigma_factors(GRAPH)
-    notes = [*(note for recording in recordings for note in recording.notes), *table.notes]
+    notes = [*notes, *(note for recording in recordings for note in recording.notes), *table.notes]
     sentences = [*factor_sentences(factors), real.sentence]
     if report is not None:
         from ..report.gap_curves import write_gap_curves
 
         name = ", ".join(recording.name for recording in recordings)
         write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)
-    write_json(json_file, gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}, force)
-    print_gaps(table)
+    figures = gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}
+    by_arm = tables_by_arm(recordings, tables) if several else {}
+    if by_arm:
+        figures["arms"] = [
+            {"side": side, "body": body, **gap_figures(mine)} for (side, body), mine in by_arm.items()
+        ]
+    write_json(json_file, figures, force)
+    for (arm_side, arm_body), mine in by_arm.items():
+        print_gaps(mine, f" ({arm_words(arm_side, arm_body)})")
+    print_gaps(table, " (all arms together)" if by_arm else "")
     print_factors(factors)
     for sentence in sentences:
         say(f"{sentence[0].upper()}{sentence[1:]}.")
@@ -207,36 +237,6 @@ def keep(
     write_calibration(path, with_sigma_table(CalibrationFile(), rows, reference, names))
 
 
-def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]:
-    """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
-    from ..evaluation.gap_spread import spread_by_length
-
-    spread = [
-        {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}
-        for length, methods in spread_by_length(table.rows).items()
-    ]
-    figures = table.to_dict() | {"spread": spread}
-    return figures if real is None else figures | {"real_gaps": real.to_dict() | {"sentence": real.sentence}}
-
-
-def print_factors(factors: Sequence[LengthFactor]) -> None:
-    """Print by what sigma would have to grow, by length of gap."""
-    if not factors:
-        return
-    columns = ("gap, s", "for 50 %", "for 95 %", "to be applied", "gaps behind it")
-    rows = [
-        (
-            f"{row.length_s:g}",
-            f"{row.factor_50:.2f}",
-            f"{row.factor_95:.2f}",
-            f"{row.factor:.2f}",
-            f"{row.count} of all lengths" if row.pooled else f"{row.count}",
-        )
-        for row in factors
-    ]
-    print_table("Factor by which sigma would have to grow to hold", columns, rows)
-
-
 def parse_lengths(text: str) -> list[float]:
     """Gap lengths of a comma-separated list, s."""
     try:
@@ -246,41 +246,3 @@ def parse_lengths(text: str) -> list[float]:
     if not lengths or not all(0.05 <= length <= 600 for length in lengths):
         raise typer.BadParameter(f"--lengths takes seconds between 0.05 and 600, as 0.5,1,2; not '{text}'")
     return lengths
-
-
-def print_gaps(table: GapTable) -> None:
-    """Print error against gap length."""
-    reference = next((row.reference for row in table.rows if row.reference), "truth")
-    against = "truth" if reference == "truth" else f"camera's hidden samples of the {reference}"
-    rows = []
-    for length, methods in table.lengths.items():
-        for name, result in methods.items():
-            figures = result.figures
-            distances = (
-                figures.position_rms_m,
-                figures.position_median_m,
-                figures.position_p95_m,
-                figures.position_max_m,
-            )
-            rows.append(
-                (
-                    f"{length:g}",
-                    name,
-                    *[None if value is None else f"{100 * value:.2f}" for value in distances],
-                    figures.nees,
-                    percent(figures.coverage_95),
-                    f"{result.gaps}" if not result.failed else f"{result.gaps} ({result.failed} failed)",
-                )
-            )
-    columns = (
-        "gap, s",
-        "method",
-        "rms, cm",
-        "median of samples",
-        "95 %",
-        "max",
-        "NEES",
-        "inside 95 %",
-        "gaps",
-    )
-    print_table(f"Error in hidden gaps against the {against}", columns, rows)

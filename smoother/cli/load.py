@@ -11,7 +11,7 @@ from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..io.recording.choose import Selection
+    from ..io.recording.selection import Selection
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
@@ -47,24 +47,64 @@ def load_arm(
         swap_sides=swap_sides,
         **selection,
     )
-    arm = f"{recording.side} arm" if recording.side else "strap"
-    joints = ", ".join(recording.arm.present) or "no joint tracked"
-    say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
+    _say_chosen(path, recording)
     return recording, calibration
 
 
-def load_recovery(path: Path, side: str | None = None) -> Recovery:
-    """The one recovery of a file, or that of a side."""
+def load_arms(
+    path: Path,
+    calibration_file: Path | None = None,
+    *,
+    store: Store | None = None,
+    truth: bool = True,
+    remedy: Remedy | None = None,
+    swap_sides: bool = False,
+    **selection: Unpack[Selection],
+) -> list[tuple[Recording, ArmCalibration | None]]:
+    """Read every arm of a recording that has an IMU, with its calibration, and say what was chosen.
+
+    Parameters as of `load_arm`.
+    """
+    from ..io.recording.read_arm import read_arms
+
+    arms = read_arms(
+        path,
+        calibration_file,
+        store=store,
+        truth=truth,
+        remedy=remedy,
+        swap_sides=swap_sides,
+        **selection,
+    )
+    for recording, _ in arms:
+        _say_chosen(path, recording)
+    return arms
+
+
+def _say_chosen(path: Path, recording: Recording) -> None:
+    arm = recording.arm_label if recording.side else "strap"
+    joints = ", ".join(recording.arm.present) or "no joint tracked"
+    say(f"{path}: IMU {recording.imu.name}, {arm} of {recording.arm.name} ({joints})")
+
+
+def load_recoveries(path: Path, side: str | None = None, body: int | None = None) -> list[Recovery]:
+    """The recoveries of a file, or those of a side or body.
+
+    Raises
+    ------
+    UnoccludeError
+        There is none.
+    """
     from ..io import read_recovery
 
     recoveries = read_recovery(path)
-    chosen = [recovery for recovery in recoveries if side in (None, recovery.side)]
-    sides = ", ".join(recovery.side or "no side" for recovery in recoveries) or "none"
+    chosen = [one for one in recoveries if side in (None, one.side) and body in (None, one.body)]
     if not chosen:
-        raise UnoccludeError(f"{path}: there is no recovered arm '{side}'; the file has: {sides}")
-    if len(chosen) > 1:
-        raise UnoccludeError(f"{path}: several arms are in this file ({sides}); choose one with --side")
-    return chosen[0]
+        asked = [f"--side {side}"] if side is not None else []
+        asked += [f"--body {body}"] if body is not None else []
+        has = ", ".join(one.arm_label for one in recoveries) or "none"
+        raise UnoccludeError(f"{path}: there is no recovered arm for {' '.join(asked)}; the file has: {has}")
+    return chosen
 
 
 def damage(notes: Iterable[str]) -> list[str]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..measurements.clock import Clock
     from ..recording import Recording
-    from ..result import Recovery
+    from ..result import Recoveries, Recovery
     from ..runtime.store import Store
 
     Method = Callable[[Recording], Recovery]
@@ -153,3 +153,34 @@ def make_methods(
         return run
 
     return {name: graph if name == GRAPH else baseline(name) for name in names}
+
+
+def recover_arms(
+    recordings: Sequence[Recording],
+    name: str,
+    calibrations: Sequence[ArmCalibration | None],
+    clocks: Sequence[Clock | None],
+    config: Config,
+    settings: BaselineSettings,
+    progress: Progress,
+    store: Store,
+) -> Recoveries:
+    """The arms of a recording by one method; those that cannot be recovered are left out.
+
+    Raises
+    ------
+    UnoccludeError
+        No arm can be recovered.
+    """
+    from ..several_arms import smooth_arms, together
+
+    if name == GRAPH:
+        return smooth_arms(recordings, calibrations, config, progress, store, clocks=clocks)
+    answers: list[Recovery | UnoccludeError] = []
+    for recording, calibration, clock in zip(recordings, calibrations, clocks, strict=True):
+        recover = make_methods([name], calibration, config, settings, progress, store, clock)[name]
+        try:
+            answers.append(recover(recording))
+        except UnoccludeError as error:
+            answers.append(error)
+    return together(recordings, answers)

@@ -34,6 +34,15 @@ PresetName = Annotated[
 ]
 
 
+Arms = Annotated[
+    str,
+    typer.Option(
+        "--arms",
+        metavar="one|both",
+        help="Both arms of one person, each with its IMU or IMUs; --side is the first.",
+    ),
+]
+
 #: Commands by name: the module that holds them, and an example of their use.
 _COMMANDS = {
     "arm": ("simulate", "arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"),
@@ -73,6 +82,7 @@ def arm(
     preset: PresetName = "white",
     seed: Seed = 0,
     mocap: Mocap = False,
+    arms: Arms = "one",
     json_file: Json = None,
     force: Force = False,
     **settings: Any,
@@ -84,7 +94,7 @@ def arm(
     from pydantic import ValidationError
 
     from ..io import write_recording
-    from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm
+    from ..simulation import ArmSimulation, MocapSimulation, capture, simulate_arm, simulate_both_arms
     from .config_file import describe
     from .mocap_files import MocapFiles
 
@@ -99,28 +109,38 @@ def arm(
         raise typer.BadParameter(f"setting {describe(error)}") from error
     if not mocap and mocap_config != MocapSimulation():
         raise typer.BadParameter("the settings of markers and mocap need --mocap")
+    if arms not in ("one", "both"):
+        raise typer.BadParameter(f"--arms is one or both, not '{arms}'")
+    if mocap and arms == "both":
+        raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
     files = MocapFiles.beside(output, calibration_out) if mocap else None
     calibration_out = files.calibration if files else calibration_out
     outputs = [output, calibration_out, *(files.markers if files else ()), json_file]
     check_outputs(force, outputs)
-    simulated = simulate_arm(config, seed)
+    both = simulate_both_arms(config, seed) if arms == "both" else (simulate_arm(config, seed),)
+    simulated = both[0]
     markers = capture(simulated, mocap_config, seed) if files else None
-    write_recording(simulated.recording, output, force=force)
+    write_recording([one.recording for one in both], output, force=force)
     if calibration_out is not None:
-        _write_calibration(simulated.calibration, markers, calibration_out, force)
+        _write_calibration([one.calibration for one in both], markers, calibration_out, force)
     figures = {"seed": seed, "preset": preset, "config": config.model_dump(mode="json")}
     if files is not None and markers is not None:
         files.write(markers, force)
         found = {"offset_s": markers.offset_s, "skew_ppm": markers.skew_ppm} | markers.extrinsics
         figures["mocap"] = mocap_config.model_dump(mode="json") | found
-    write_json(json_file, figures | {"parameters": simulated.parameters}, force)
+    figures["parameters"] = simulated.parameters
+    if len(both) > 1:
+        figures["arms"] = [{"side": one.recording.side, "parameters": one.parameters} for one in both]
+    write_json(json_file, figures, force)
     recording = simulated.recording
-    rows = [
+    rows: list[tuple[str, object]] = [
         ("length, s", f"{recording.imu.t_s[-1] - recording.imu.t_s[0]:.1f}"),
         ("IMU samples", len(recording.imu)),
         ("camera frames", len(recording.arm)),
-        ("occluded frames", int(simulated.occluded.sum())),
     ]
+    for one in both:
+        which = f", {one.recording.side} arm" if len(both) > 1 else ""
+        rows.append((f"occluded frames{which}", int(one.occluded.sum())))
     if markers is not None:
         rows.append(("mocap frames, 15 markers", len(markers.position)))
     print_table(recording.name, ("what", "value"), rows)
@@ -139,12 +159,14 @@ def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
     return {name: changes.pop(name) for name in list(changes) if name in model.model_fields}
 
 
-def _write_calibration(calibration: Any, markers: Any, path: Path, force: bool) -> None:
+def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force: bool) -> None:
     from calib.file import CalibrationFile, write_calibration
 
     from ..runtime.atomic import writing
 
-    file = CalibrationFile().with_arm(calibration)
+    file = CalibrationFile()
+    for calibration in calibrations:
+        file = file.with_arm(calibration)
     if markers is not None:
         file = file.with_table("camera_from_mocap", markers.extrinsics)
     with writing(path, force) as temporary:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
 from .estimates import print_arm, print_camera, print_clock, print_open
-from .load import load_arm
-from .methods import METHODS, baseline_settings, choose, make_methods
+from .load import load_arms
+from .methods import METHODS, baseline_settings, choose, recover_arms
 from .option_groups import with_groups
 from .options import (
     Anatomy,
@@ -34,6 +36,7 @@ from .options import (
 from .output import check_mcap, check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
+from .several_figures import arms_figures, say_arm
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
@@ -71,10 +74,15 @@ def smooth(
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Recover the arm's motion in every gap, with its uncertainty, and write it as MCAP."""
+    """Recover the motion in every gap, with its uncertainty, and write it as MCAP.
+
+    Every arm that has an IMU is recovered, of every person; --side, --body and --imu restrict. Where the
+    names of the IMUs leave open where they are worn, motion settles it, and the notes say how.
+    """
     from calib.motion.estimates import with_given
 
     from ..io import write_recovery
+    from ..result import is_of_arm
     from ..runtime.disk_store import DiskStore
     from .config_file import read_config, with_anatomy, with_processes
     from .limit import limit_sigma
@@ -92,7 +100,7 @@ def smooth(
     if anatomy is not None:
         config = with_anatomy(config, anatomy)
     with DiskStore() as store:  # memory stays flat however long the recording is
-        recording, calibration = load_arm(
+        arms = load_arms(
             recording_file,
             calibration_file,
             imu=imu,
@@ -104,26 +112,45 @@ def smooth(
             remedy=remedy,
             swap_sides=swap_sides,
         )
-        clock = set_up.clock(calibration_file, recording)
-        given = with_strap(calibration, recording) if solve_lever_arms else calibration
+        recordings = [recording for recording, _ in arms]
+        clocks = [set_up.clock(calibration_file, one) for one in recordings]
+        given = [
+            with_strap(calibration, recording) if solve_lever_arms else calibration
+            for recording, calibration in arms
+        ]
         with progress_bar("recovering") as progress:
-            recover = make_methods(names, given, config, settings, progress, store, clock)[names[0]]
-            recovery = recover(recording)
-        recovery = with_given(recovery, calibration)
-        if solve_lever_arms:
-            recovery = with_strap_note(recovery)
-        recovery = limit_sigma(recovery, max_sigma_m)
+            recoveries = recover_arms(recordings, names[0], given, clocks, config, settings, progress, store)
+        results = []
+        for recovery in recoveries:
+            recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+            recovery = with_given(recovery, calibration)
+            if solve_lever_arms:
+                recovery = with_strap_note(recovery)
+            results.append((recording, limit_sigma(recovery, max_sigma_m)))
+        answers = [recovery for _, recovery in results]
         write_recovery(
-            [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
+            answers, output, source=recording_file, force=force, passthrough_images=passthrough_images
         )
         if report is not None:
-            from ..report import write_report
-
-            write_report(recovery, report, recording=recording, force=force)
+            write_page(results, report, force)
         if json_file is not None:
-            write_json(json_file, smooth_figures(recording, recovery), force)
-        print_recovery(recording, recovery)
+            figures = [smooth_figures(recording, recovery) for recording, recovery in results]
+            write_json(json_file, arms_figures(answers, figures), force)
+        for recording, recovery in results:
+            say_arm(recovery, len(results))
+            print_recovery(recording, recovery)
     say_written(output, report, json_file)
+
+
+def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
+    """The report of an arm, or of several on one page."""
+    from ..report import write_arms_report, write_report
+
+    if len(results) > 1:
+        write_arms_report(results, path, force=force)
+    else:
+        ((recording, recovery),) = results
+        write_report(recovery, path, recording=recording, force=force)
 
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .load import camera_frame_of, damage, load_recovery
-from .options import Align, Force, Json, Report, Result, Side, one_side
+from ..errors import UnoccludeError
+from .load import camera_frame_of, damage, load_recoveries
+from .options import Align, Body, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
+from .several_figures import arms_figures, say_arm
 
 if TYPE_CHECKING:
     from ..evaluation import Validation
     from ..evaluation.agreement import Agreement
+    from ..recording import CameraFrame, Truth
+    from ..result import Recovery
 
 _PARTS = ("all", "occluded", "visible")
 #: More gaps than this are not printed; `--json` has them all.
@@ -49,29 +54,68 @@ def validate(
     ] = None,
     align: Align = False,
     side: Side = None,
+    body: Body = None,
     report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Compare a result with a reference: position, orientation, joint angles, consistency of sigma."""
+    """Compare a result with a reference: position, orientation, joint angles, consistency of sigma.
+
+    Of a result with several arms each is compared with its own truth (topics /truth/left, /truth/right); a
+    truth that names no side is of one arm, chosen with --side.
+    """
     from ..evaluation import read_reference, validate
 
     check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
-    recovery = load_recovery(result, one_side(side))
+    recoveries = load_recoveries(result, one_side(side), body)
+    _check_truth_of_several(truth_file, recoveries)
     axes = camera_frame_of(result)
     frame = None if calibration is None else axes
-    truth, alignment = read_reference(
-        truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
-    )
-    validation = validate(recovery, truth, alignment)
+    results = []
+    for recovery in recoveries:
+        truth, alignment = read_reference(
+            truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
+        )
+        results.append((recovery, validate(recovery, truth, alignment), truth))
     if report is not None:
-        from ..report import write_report
+        write_page(results, report, force, axes)
+    validations = []
+    for recovery, validation, _ in results:
+        damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
+        validations.append(replace(validation, notes=(*damaged, *validation.notes)))
+    write_json(json_file, arms_figures(recoveries, [one.to_dict() for one in validations]), force)
+    for recovery, validation in zip(recoveries, validations, strict=True):
+        say_arm(recovery, len(recoveries))
+        print_validation(validation)
 
-        write_report(recovery, report, validation=validation, truth=truth, camera_frame=axes, force=force)
-    damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
-    validation = replace(validation, notes=(*damaged, *validation.notes))
-    write_json(json_file, validation.to_dict(), force)
-    print_validation(validation)
+
+def _check_truth_of_several(truth_file: Path, recoveries: Sequence[Recovery]) -> None:
+    """Refuse one arm's truth for several arms."""
+    if len(recoveries) > 1 and truth_file.suffix.lower() != ".mcap":
+        arms = ", ".join(recovery.arm_label for recovery in recoveries)
+        raise UnoccludeError(
+            f"{truth_file} is the truth of one arm, and the result has several ({arms}); choose the one that"
+            " it belongs to with --side or --body"
+        )
+
+
+def write_page(
+    results: Sequence[tuple[Recovery, Validation, Truth]],
+    path: Path,
+    force: bool,
+    camera_frame: CameraFrame | None = None,
+) -> None:
+    """The report of an arm, or of several on one page."""
+    from ..report import write_arms_report, write_report
+
+    if len(results) == 1:
+        ((recovery, validation, truth),) = results
+        write_report(
+            recovery, path, validation=validation, truth=truth, camera_frame=camera_frame, force=force
+        )
+    else:
+        arms = [(None, recovery, validation, truth) for recovery, validation, truth in results]
+        write_arms_report(arms, path, camera_frame=camera_frame, force=force)
 
 
 def print_validation(validation: Validation) -> None:

@@ -111,14 +111,23 @@ def _overlap(a: FloatArray, b: FloatArray) -> bool:
 def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
     """Read the truth of an MCAP file: the topic `/truth`, else its only topic of poses.
 
+    Topics that name another side or body than the recovery's are another arm's.
+
     Raises
     ------
     RecordingError
         The file holds no pose, or several and none is called `/truth`.
     """
     from ..io import open_recording
+    from ..io.recording.truth_choice import is_of_other_arm
 
-    poses = open_recording(path).poses
+    all_poses = open_recording(path).poses
+    poses = [one for one in all_poses if not is_of_other_arm(one.topic, recovery.side, recovery.body)]
+    if all_poses and not poses:
+        topics = ", ".join(one.topic for one in all_poses)
+        raise RecordingError(
+            f"{path}: no truth is named as that of the {recovery.arm_label}; it has {topics}"
+        )
     named = [stream for stream in poses if stream.topic.rstrip("/").endswith("truth")] or poses
     if not named:
         raise RecordingError(f"{path}: the file holds no pose (PoseInFrame or PoseStamped) to take as truth")

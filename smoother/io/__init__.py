@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from .recording.imu import read_imu as read_imu
     from .recording.read import open_recording as open_recording
     from .recording.read import read_recording as read_recording
-    from .recording.read import select_recording as select_recording
+    from .recording.read import read_recordings as read_recordings
+    from .recording.select import select_recording as select_recording
+    from .recording.select import select_recordings as select_recordings
     from .recording.streams import RecordingFile as RecordingFile
     from .recording.write import write_recording as write_recording
     from .result.read import read_recovery as read_recovery
@@ -44,7 +46,9 @@ _HOMES = {
     "read_imu": ".recording.imu",
     "read_recording": ".recording.read",
     "read_recovery": ".result.read",
-    "select_recording": ".recording.read",
+    "read_recordings": ".recording.read",
+    "select_recording": ".recording.select",
+    "select_recordings": ".recording.select",
     "write_recording": ".recording.write",
     "write_recovery": ".result.write",
     "writing": "..runtime.atomic",

@@ -12,8 +12,9 @@ from ..errors import RecordingError
 from ..measurements.allowance import allowance
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
-from .recording.choose import Selection, named_side, role
 from .recording.read import METADATA, open_recording, select_recording
+from .recording.selection import Selection
+from .recording.stream_names import named_side, role
 from .recording.streams import RecordingFile
 from .result.write import RESULT
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .arms import write_arms_report
 from .page import write_report
 
-__all__ = ["write_report"]
+__all__ = ["write_arms_report", "write_report"]

@@ -38,7 +38,7 @@ def write_comparison(
         f"{len(comparison.rows)} methods, {len(comparison.gaps)} gaps, the {_point(comparison)} held against"
         " the truth.",
         verdict(comparison),
-        _sections(comparison, recording),
+        sections(comparison, recording),
         force=force,
     )
 
@@ -77,7 +77,8 @@ def verdict(comparison: Comparison) -> list[str]:
     return sentences
 
 
-def _sections(comparison: Comparison, recording: Recording) -> Iterator[str]:
+def sections(comparison: Comparison, recording: Recording) -> Iterator[str]:
+    """The sections about one arm, as HTML."""
     columns = (
         *("method", "rms, cm", "95 %, cm", "max, cm", "rms, degrees"),
         *("NEES", "inside 95 %", "seen: rms, cm", "seen: degrees"),

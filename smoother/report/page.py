@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
@@ -30,6 +30,7 @@ from .truth_comparison import compared
 
 _SEEN = '<span class="seen">blue</span> where the camera saw the forearm'
 _RECOVERED = '<span class="recovered">orange</span> where it was hidden and was recovered'
+_REFERENCE = " The dashed line is the reference."
 
 
 def write_report(
@@ -69,14 +70,14 @@ def write_report(
     write_sheet(
         path,
         f"Recovered arm motion: {recovery.name}",
-        _origin(recovery),
+        origin(recovery),
         summary(recovery, validation),
-        _sections(recovery, recording, validation, truth, camera_frame),
+        sections(recovery, recording, validation, truth, camera_frame),
         force=force,
     )
 
 
-def _origin(recovery: Recovery) -> str:
+def origin(recovery: Recovery) -> str:
     """When the recording was made, where its clock says so."""
     if recovery.origin_ns <= 0:
         return "Times count from the recording's own zero."
@@ -84,17 +85,24 @@ def _origin(recovery: Recovery) -> str:
     return f"Times count from {start:%Y-%m-%d %H:%M:%S} UTC."
 
 
-def _sections(
+def sections(
     recovery: Recovery,
     recording: Recording | None,
     validation: Validation | None,
     truth: Truth | None,
     frame: CameraFrame | None,
+    alone: bool = True,
 ) -> Iterator[str]:
+    """The sections about one arm, as HTML; parameters as of `write_report`.
+
+    `alone`: with the player; arms that share a page share one.
+    """
     frame = frame if recording is None else recording.camera_frame or frame
     estimates = found_in(recovery, recording)
     if len(recovery):
         yield listing("For the next recording", advice(recovery, estimates))
+        if alone:
+            yield in_motion([(recovery, truth)], frame)
         yield from _figures(recovery, truth, frame)
     yield headed("Gaps", _GAPS) + tables.gaps(recovery)
     if validation is not None:
@@ -111,6 +119,36 @@ def _sections(
     yield headed("Settings") + tables.settings(recovery.config)
 
 
+def in_motion(arms: Sequence[tuple[Recovery, Truth | None]], frame: CameraFrame | None) -> str:
+    """The section in which the arms move; "" where none has an answer.
+
+    Parameters
+    ----------
+    arms : sequence of (Recovery, Truth or None)
+        In one camera frame and on one clock.
+    frame : CameraFrame, optional
+        The directions of the camera's axes.
+    """
+    reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
+    what = "The recovered arm" if len(arms) == 1 else "The recovered arms"
+    joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
+    return player(
+        "The arm in motion" if len(arms) == 1 else "The arms in motion",
+        Html(
+            f"{what}, {_SEEN}, {_RECOVERED}; grey is the camera's own skeleton (dotted where it"
+            " only guessed), the square is the sensor, the ellipse two standard deviations of where the"
+            f" {joint} is.{reference} Axes are the camera's{_directions(frame)}. On paper: the whole path,"
+            " and the arm at some instants."
+        ),
+        arms,
+        frame,
+    )
+
+
+def _directions(frame: CameraFrame | None) -> str:
+    return ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""
+
+
 def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None) -> Iterator[str]:
     decimated = ""
     if len(recovery) > MOST_POINTS:
@@ -118,19 +156,7 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             f" The recording is long: of its {len(recovery)} samples about {MOST_POINTS} are drawn,"
             " closer together in the gaps."
         )
-    reference = " The dashed line is the reference." if truth is not None else ""
-    directions = ": left, right and away are as seen from it" if frame not in (None, CameraFrame.ZUP) else ""
-    yield player(
-        "The arm in motion",
-        Html(
-            f"The recovered arm, {_SEEN}, {_RECOVERED}; grey is the camera's own skeleton (dotted where it"
-            " only guessed), the square is the sensor, the ellipse two standard deviations of where the"
-            f" {'wrist' if 'wrist' in recovery.joints else 'sensor'} is.{reference} Axes are the"
-            f" camera's{directions}. On paper: the whole path, and the arm at some instants."
-        ),
-        [(recovery, truth)],
-        frame,
-    )
+    reference = _REFERENCE if truth is not None else ""
     recovery = recovery.rows(decimate(recovery.occluded))
     yield _figure(
         "The path, flat",

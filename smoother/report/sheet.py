@@ -138,6 +138,11 @@ def label(text: object) -> str:
     return escape(str(text), quote=False)
 
 
+def qualified(section: str, mark: str) -> str:
+    """A section whose figures' ids end in a mark: the same section may stand on the page for several arms."""
+    return re.sub(r'(?<=["#])figure-[a-z0-9-]+', lambda match: f"{match[0]}-{mark}", section)
+
+
 def picture(heading: str, caption: str, png: bytes) -> str:
     """A heading, a caption and an image."""
     from base64 import b64encode

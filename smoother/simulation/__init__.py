@@ -1,6 +1,7 @@
 """Recordings of our own making: a simulated arm or point with a depth camera, an IMU and truth."""
 
 from .arm import SimulatedArm, simulate_arm
+from .both_arms import simulate_both_arms
 from .config import ArmSimulation, PointSimulation, Preset, SensorErrors
 from .mocap import MarkerCapture, MocapSimulation, capture
 from .people import PeopleSimulation, SimulatedPeople, simulate_people
@@ -18,6 +19,7 @@ __all__ = [
     "SimulatedPeople",
     "capture",
     "simulate_arm",
+    "simulate_both_arms",
     "simulate_people",
     "simulate_point",
 ]

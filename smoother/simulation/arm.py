@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..recording import BoolArray, FloatArray, ImuStream, Recording, Truth
-from .body import draw_measures
+from .body import Measures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
 from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
 from .inertial import ideal_imu, measure
-from .motion import ArmMotion, MotionModel, draw_stage, draw_wobble
-from .protocol import perform
+from .motion import ArmMotion, MotionModel, Stage, draw_stage, draw_wobble
+from .protocol import Performance, perform
 from .upper_arm import UpperArmMotion, draw_upper_mount, measure_upper_arm
 
 #: What the true calibration claims to be good to, m.
@@ -86,13 +86,51 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
     simulated : SimulatedArm
     """
     config = config or ArmSimulation()
-    # Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
-    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)
-    )
+    body_rng, *streams = random_streams(seed)
     measures = draw_measures(body_rng)
     stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
     performance = perform(config, body_rng)
+    return record_arm(config, f"simulated arm, seed {seed}", measures, stage, performance, streams)
+
+
+def random_streams(seed: int | list[int]) -> list[np.random.Generator]:
+    """Separate streams, so that an error switched on leaves the motion and the other sensor as they were.
+
+    Of the body, then those of `record_arm`.
+    """
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
+
+
+def record_arm(
+    config: ArmSimulation,
+    name: str,
+    measures: Measures,
+    stage: Stage,
+    performance: Performance,
+    streams: list[np.random.Generator],
+) -> SimulatedArm:
+    """What camera and IMUs make of an arm that performs something.
+
+    Parameters
+    ----------
+    config : ArmSimulation
+        Sensors and errors; the protocol says where occlusions come from.
+    name : str
+        Of the recording.
+    measures : Measures
+        Of the arm.
+    stage : Stage
+        Where the person stands.
+    performance : Performance
+        What the arm does.
+    streams : list of numpy.random.Generator
+        Of IMU, camera noise, gaps, stamps, strap, upper-arm IMU and its tissue.
+
+    Returns
+    -------
+    simulated : SimulatedArm
+    """
+    imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
     motion = ArmMotion(performance, measures, stage, wobble, config.side)
 
@@ -160,7 +198,7 @@ def simulate_arm(config: ArmSimulation | None = None, seed: int = 0) -> Simulate
         side=config.side,
         camera_frame=config.camera_frame,
         truth=true_motion(motion, imu.t_s),
-        name=f"simulated arm, seed {seed}",
+        name=name,
         upper_imu=upper_imu,
     )
     return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion)

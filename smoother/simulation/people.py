@@ -239,16 +239,16 @@ def _motions(
             performance = replace(
                 performance,
                 t_s=performance.t_s[:n],
-                posture=_varied(performance.posture[:n], performance.t_s[:n], rng),
+                posture=varied(performance.posture[:n], performance.t_s[:n], rng),
                 sway=mirrored,
             )
             wobble = draw_wobble(performance, arm.wobble_deg, rng)
-            motions[body, side] = ArmMotion(performance, _mounted(measures, rng), place, wobble, side)
+            motions[body, side] = ArmMotion(performance, mounted_anew(measures, rng), place, wobble, side)
             durations.append(min(performance.duration_s, float(performance.t_s[-1]) - 0.4))
     return motions, min(durations), stage.gravity
 
 
-def _varied(posture: FloatArray, t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+def varied(posture: FloatArray, t_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """The same movements by another person: other sizes, and now earlier, now later by `ASTRAY_S` rms."""
     size = 1 + rng.normal(0, 0.1, posture.shape[1])
     astray = ASTRAY_S * band_noise(t_s, 0.03, 0.3, 1, rng)[:, 0]
@@ -257,7 +257,7 @@ def _varied(posture: FloatArray, t_s: FloatArray, rng: np.random.Generator) -> F
     return np.asarray(mean + size * (moved - mean))
 
 
-def _mounted(measures: Measures, rng: np.random.Generator) -> Measures:
+def mounted_anew(measures: Measures, rng: np.random.Generator) -> Measures:
     """The same person's other arm: the strap is put on anew."""
     other = draw_measures(rng)
     return replace(

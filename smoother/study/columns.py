@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,6 +53,8 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("clock_offset_sigma_s", "double", "s", "one standard deviation of it"),
     ("notes", "int64", "", "what the result says of itself: number of sentences"),
     ("note_texts", "list", "", "the sentences"),
+    ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
+    ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
     ("seconds", "double", "s", "time it took, reading and writing included"),
     ("host", "string", "", "machine that did it"),
     ("finished", "timestamp", "", "when it was done, UTC"),
@@ -97,6 +101,38 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
         "notes": len(notes),
         "note_texts": notes,
     }
+
+
+#: How the figures of several arms become those of their recording; others are the largest.
+_SUMMED = ("samples", "answered", "gaps", "occluded_s")
+
+
+def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
+    """The columns that tell of a recording's arms: of several the worst, or their sum, and each by itself."""
+    arms = [figures_of(recording, recovery) for recording, recovery in results]
+    if len(arms) == 1:
+        return arms[0] | {"arms": 1}
+    together = dict(arms[0])
+    for name, value in arms[0].items():
+        values = [arm[name] for arm in arms if arm[name] is not None]
+        if name in _SUMMED:
+            together[name] = sum(values)
+        elif isinstance(value, int | float) or value is None:
+            together[name] = max(values, default=None)
+    texts = list(dict.fromkeys(note for arm in arms for note in arm["note_texts"]))
+    # a clock belongs to one arm's IMU: those of several stand with the arms
+    together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
+    together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
+    together["side"] = ", ".join(recovery.arm_label.replace(" arm", "") for _, recovery in results)
+    each = [{"body": recovery.body, **arm} for (_, recovery), arm in zip(results, arms, strict=True)]
+    return together | {"arm_figures": json.dumps(each)}
+
+
+def arms_of(row: Row) -> list[Row]:
+    """The figures of each arm of a row; those of the row itself where it has one arm."""
+    if not row.get("arm_figures"):
+        return [row]
+    return [row | arm for arm in json.loads(row["arm_figures"])]
 
 
 def _number(value: float) -> float | None:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..config import Config
-from ..io.recording.choose import Selection
+from ..io.recording.selection import Selection
 
 _BLOCK = 1 << 20
 

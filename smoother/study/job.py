@@ -14,8 +14,9 @@ from pathlib import Path
 from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging
+from ..result import is_of_arm
 from ..runtime.store import Store
-from .columns import DONE, FAILED, Row, figures_of
+from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
 
@@ -189,20 +190,23 @@ def _recover_in(
     from calib.motion.estimates import with_given
 
     from ..io import write_recovery
-    from ..io.recording.read_arm import read_arm
-    from ..smoothing import smooth
+    from ..io.recording.read_arm import read_arms
+    from ..several_arms import smooth_arms
 
-    recording, calibration = read_arm(
-        job.source, job.calibration or None, store=store, truth=False, **job.choice.selection
-    )
+    arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **job.choice.selection)
     windows = job.config.windows.model_copy(update={"processes": 1})  # a recording a process
     config = job.config.model_copy(update={"windows": windows})
-    recovery = with_given(smooth(recording, calibration, config, store=store), calibration)
+    recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
+    results = []
+    for recovery in smooth_arms(recordings, calibrations, config, store=store):
+        recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
+        results.append((recording, with_given(recovery, calibration)))
     output = folder.output(job.name)
     staged = folder.staged(str(job.row(DONE, input_hash)["id"]))
     try:
         images = job.choice.passthrough_images
-        write_recovery([recovery], staged, source=job.source, passthrough_images=images)
+        answers = [recovery for _, recovery in results]
+        write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
             DONE,
@@ -212,7 +216,7 @@ def _recover_in(
             output_hash=file_hash(staged),
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
-            **figures_of(recording, recovery),
+            **figures_of_arms(results),
             seconds=time.perf_counter() - began,
         )
         _leave(row, folder)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from smoother import validate as validate
     from smoother import write_recording as write_recording
     from smoother import write_recovery as write_recovery
-    from smoother.io.recording.choose import Selection
+    from smoother.io.recording.selection import Selection
     from smoother.measurements.clock import Clock
     from smoother.runtime.store import Store
     from smoother.smoothing import Progress

@@ -152,7 +152,7 @@ def test_what_cannot_be_done_is_1(capsys, tmp_path, monkeypatch, arguments, sent
 def test_existing_output_is_refused_before_the_work(capsys, tmp_path, good, monkeypatch, option):
     import smoother.cli.smooth as command
 
-    monkeypatch.setattr(command, "load_arm", lambda *_, **__: pytest.fail("the work began"))
+    monkeypatch.setattr(command, "load_arms", lambda *_, **__: pytest.fail("the work began"))
     there = tmp_path / "there"
     there.write_text("mine")
     options = {"-o": tmp_path / "o.mcap", "--report": tmp_path / "r.html", "--json": tmp_path / "j.json"}

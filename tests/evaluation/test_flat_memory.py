@@ -19,7 +19,8 @@ from private_memory import PrivatePeak
 from smoother.runtime.disk_store import DiskStore
 from smoother.recording import ImuStream, JointTracks, Recording
 from smoother.report import write_report
-from smoother.result import Estimates, FrameResiduals, Gap, Recovery
+from smoother.measurements.visibility import Gap
+from smoother.result import Estimates, FrameResiduals, Recovery
 from smoother.measurements.rejection import REASONS
 
 

@@ -26,7 +26,7 @@ from smoother.result import Estimates, Recovery
 @pytest.fixture
 def recovery(monkeypatch: pytest.MonkeyPatch) -> Recovery:
     """Gaps, missing answers, rejected samples; looked at in batches that end anywhere."""
-    monkeypatch.setattr("smoother.result.BATCH_ROWS", 37)
+    monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 37)
     rng = np.random.default_rng(3)
     made = make_recovery(make_recording(40.0), error_m=0.01)
     gaps = (Gap(0.0, 0.31, open_start=True), Gap(5.0, 7.0), Gap(7.5, 7.5125), Gap(22.222, 23.1))
@@ -161,7 +161,7 @@ def test_advice_does_not_depend_on_the_blocks(
     recovery = recovery if kept else replace(recovery, residuals=None)
     said = advice(recovery, found_in(recovery))
     assert any("shoulder in view while" in sentence for sentence in said)
-    monkeypatch.setattr("smoother.result.BATCH_ROWS", 10**6)
+    monkeypatch.setattr("smoother.result.recovery.BATCH_ROWS", 10**6)
     assert advice(recovery, found_in(recovery)) == said
 
 

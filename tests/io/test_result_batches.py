@@ -149,7 +149,8 @@ def test_columns_in_files_give_the_same_bytes(tmp_path: Path, monkeypatch: pytes
 
 
 def test_blocks_go_over_all_samples_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smoother.result.BATCH_ROWS", 7)
+    for module in ("recovery", "frame_residuals"):
+        monkeypatch.setattr(f"smoother.result.{module}.BATCH_ROWS", 7)
     made = recovery(100)
     np.testing.assert_array_equal(np.concatenate([batch.t_s for batch in made.batches()]), made.t_s)
     overlapping = [batch.t_s for batch in made.batches(overlap=1)]

@@ -31,7 +31,7 @@ WORDS = {
 START, READ, WRITE, REST = "start and imports", "read the file", "write the file", "figures and printing"
 PARTS = (START, READ, "calibrate", "first pass", "second pass", "join and assemble", WRITE, REST)
 #: Functions that are a part by themselves, wherever they are called from.
-FUNCTIONS = {READ: ("smoother.cli.load:load_arm",), WRITE: ("smoother.io.result.write:write_recovery",)}
+FUNCTIONS = {READ: ("smoother.cli.load:load_arms",), WRITE: ("smoother.io.result.write:write_recovery",)}
 SMOOTH = "smoother.smoothing:smooth"
 #: GTSAM's own methods that solve: what building a graph costs is not among them, nor what our own algebra
 #: makes of the linearised graph (covariances), which is found among the functions.

@@ -11,10 +11,10 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import JOINTS, FloatArray, JointState
 from ..mcap.stamps import nanoseconds
-from ..recording.choose import named_side, role
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.joint_rows import JointRows
 from ..recording.skeletons import joint_code
+from ..recording.stream_names import named_side, role
 from ..recording.streams import ImuSamples, RecordingFile
 from .head import read_head
 from .pairing import paired

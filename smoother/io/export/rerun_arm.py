@@ -18,7 +18,8 @@ from ...recording import (
     Truth,
     median_rate_hz,
 )
-from ...result import BATCH_ROWS, Recovery
+from ...result import Recovery
+from ...result.frame_residuals import BATCH_ROWS
 from ..result.drawing import CAMERA, CHAIN, GUESSED, RECOVERED, VISIBLE, Color
 
 TIMELINE = "time"

@@ -14,8 +14,8 @@ from calib.panel.images import View, view
 from ...errors import RecordingError
 from ...recording import ImuStream
 from ..mcap.stamps import seconds
-from ..recording.choose import choose_imu
 from ..recording.clean import clean_imu
+from ..recording.imu_choice import choose_imu
 from ..recording.read import open_recording
 from .images import ImageMessage, LensMessage, read_images
 

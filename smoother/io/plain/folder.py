@@ -20,9 +20,9 @@ from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton
 from ..devices.starts import Timed, shifts
 from ..mcap.stamps import nanoseconds
-from ..recording.choose import Selection
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
+from ..recording.selection import Selection
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .columns import read_imu_columns

@@ -2,108 +2,28 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypedDict
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import JOINTS, FloatArray, ImuStream, IntArray, JointState, JointTracks
-from ...runtime.column import batches
 from ...runtime.store import Store
-from ...selfcal.coarse_clock import shifted_agreement
-from .bodies import join_bodies
-from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+from .imu_choice import forearm_imus
+from .motion_agreement import agreement_far_apart, motion_agreement
+from .people import people
+from .selection import StreamChoice
+from .stream_names import is_named, named_side, role, topics_of
+from .streams import ArmFrames, ImuSamples, RecordingFile
+from .truth_choice import choose_truth
 
 if TYPE_CHECKING:
     from ...matching import ImuMatch, Limb
 
-_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
-_BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
-_TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
 #: Correlation that a pair must reach, and its lead over the next, to be taken by motion alone.
 _ENOUGH, _LEAD = 0.4, 0.1
-_MOTION_S = 0.3
-_LAG_S = 1.0
-#: Clocks may be this far apart, s; the correlation of a pair must then reach this.
-_FAR_S = 600.0
+#: Where clocks are far apart the correlation of a pair must reach this.
 _ENOUGH_SHIFTED = 0.6
-_MOTION_FRAMES = 20_000
-#: Where no two joints tell a direction, the one seen most; of equals the first.
-_POINTS = ("wrist", "strap", "hand", "elbow")
-
-
-class Selection(TypedDict, total=False):
-    """What to take of a file that holds several: keywords that readers hand on to `choose`.
-
-    Attributes
-    ----------
-    imu, skeleton : str, optional
-        Topic (or a part of it, or its frame_id).
-    side : str, optional
-        "left" or "right".
-    body : int, optional
-        The camera's number of the body.
-    """
-
-    imu: str | None
-    skeleton: str | None
-    side: str | None
-    body: int | None
-
-
-@dataclass
-class StreamChoice:
-    """What is to be used of a file.
-
-    Attributes
-    ----------
-    imu : ImuSamples
-        On the forearm.
-    arm : ArmFrames
-        The arm that it is on.
-    side : str
-        "left", "right" or "".
-    base : ImuSamples, optional
-        The IMU on the camera.
-    truth : PoseSamples, optional
-        The reference motion.
-    notes : list of str
-        How it was decided, one sentence each.
-    upper : ImuSamples, optional
-        The IMU on the same arm's upper arm.
-    """
-
-    imu: ImuSamples
-    arm: ArmFrames
-    side: str
-    base: ImuSamples | None = None
-    truth: PoseSamples | None = None
-    notes: list[str] = field(default_factory=list)
-    upper: ImuSamples | None = None
-
-
-def role(stream: ImuSamples) -> str:
-    """What a stream's names say it is on: "forearm", "upper_arm", "base" or ""."""
-    for words in (_words(stream.topic), _words(stream.frame_id)):
-        if "upper" in words:
-            return "upper_arm"
-        if any(word in words for word in _FOREARM_WORDS):
-            return "forearm"
-        if any(word in words for word in _BASE_WORDS):
-            return "base"
-    return ""
-
-
-def named_side(*names: str) -> str:
-    """The side that names speak of: "left", "right" or ""."""
-    for name in names:
-        words = _words(name)
-        left, right = "left" in words, "right" in words
-        if left != right:
-            return "left" if left else "right"
-    return ""
 
 
 def choose(
@@ -140,10 +60,10 @@ def choose(
     """
     notes: list[str] = []
     if body is None:
-        arms, notes = join_bodies(file.arms, store)
+        arms, notes = people(file, store)
         file = replace(file, arms=arms)
-    arms = _arms(file, skeleton, side, body)
-    imus = _imus(file, imu)
+    arms = arms_asked_for(file, skeleton, side, body)
+    imus = forearm_imus(file, imu)
     pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
     if not pairs:
         raise RecordingError(
@@ -190,11 +110,20 @@ def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[I
     return None, []
 
 
-def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int | None) -> list[ArmFrames]:
+def arms_asked_for(
+    file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
+) -> list[ArmFrames]:
+    """The tracked arms that fit what was asked for.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message lists those that are there.
+    """
     if not file.arms and not file.frames_without_body:
         raise RecordingError(
             f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
-            f"it has {_topics(file)}; record the body tracking as well."
+            f"it has {topics_of(file)}; record the body tracking as well."
         )
     seen = [arm for arm in file.arms if arm.tracked]
     if not seen:
@@ -221,57 +150,6 @@ def _arms(file: RecordingFile, skeleton: str | None, side: str | None, body: int
             f"{', '.join(arm.label for arm in seen)}."
         )
     return fitting
-
-
-def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
-    """The IMU of that name, of whatever limb, or the only one that there is.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        All streams.
-    name : str, optional
-        Topic (or a part of it, or its frame_id).
-
-    Returns
-    -------
-    ImuSamples
-        As recorded.
-
-    Raises
-    ------
-    RecordingError
-        There is none, none of that name, or no name where there are several; the message lists them.
-    """
-    if name is None and len(file.imus) > 1:
-        listed = ", ".join(stream.topic for stream in file.imus)
-        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
-    if name is None and len(file.imus) == 1:
-        return file.imus[0]
-    return _imus(file, name)[0]
-
-
-def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
-    if not file.imus:
-        raise RecordingError(
-            f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {_topics(file)}; "
-            "record the wrist's IMU as well."
-        )
-    listed = ", ".join(stream.topic for stream in file.imus)
-    if name is not None:
-        exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
-        matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
-        if len(matches) != 1:
-            what = "more than one IMU fits" if matches else "no IMU fits"
-            raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
-        return matches
-    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm")]
-    if not candidates:
-        raise RecordingError(
-            f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
-        )
-    named = [s for s in candidates if role(s) == "forearm" or named_side(s.topic, s.frame_id)]
-    return named or candidates
 
 
 def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:
@@ -305,7 +183,7 @@ def _by_motion(
             "choose with --imu and --side if one is on a forearm all the same."
         )
     scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
-    shifted = [_shifted(imu, arm) for imu, arm in pairs]
+    shifted = [agreement_far_apart(imu, arm) for imu, arm in pairs]
     correlation, shift_s, far = shifted[int(np.argmax([row[0] for row in shifted]))]
     apart = ""
     if far and correlation >= max(_ENOUGH_SHIFTED, float(scores.max())):
@@ -358,141 +236,7 @@ def _matches(
     ]
 
 
-def _shifted(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, bool]:
-    """`shifted_agreement` of an IMU and an arm's first frames."""
-    order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
-    if not len(order):
-        return 0.0, 0.0, False
-    stamp, gyro = _gyro_until(imu, int(arm.stamp_ns[order].max() + 1e9 * _FAR_S))
-    if len(stamp) < 2:
-        return 0.0, 0.0, False
-    zero = int(stamp[0])
-    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, gyro, gyro)
-    t_s = (arm.stamp_ns[order] - zero) / 1e9
-    tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
-    return shifted_agreement(stream, tracks, _LAG_S)
-
-
-def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
-    """How well an IMU's turning agrees with what the camera sees of an arm.
-
-    The rotation over 0.3 s by the gyroscope is correlated with the turn of the elbow-to-wrist
-    direction over the same time (with the way of the point, where only one is tracked), at the
-    best of the time shifts within a second. Of a long recording the arm's first 20,000 frames are taken.
-
-    Parameters
-    ----------
-    imu : ImuSamples
-    arm : ArmFrames
-        As recorded.
-
-    Returns
-    -------
-    float
-        Correlation, -1 to 1; 0 where there is too little to compare.
-    """
-    at, moved = _arm_motion(arm)
-    if len(at) < 20:
-        return 0.0
-    stamp, gyro = _gyro_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
-    if len(stamp) < 20:
-        return 0.0
-    zero = int(stamp[0])
-    t = (stamp - zero) / 1e9
-    steps = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None]
-    turned = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    first = (at - zero) / 1e9
-    best = 0.0
-    for lag in np.arange(-_LAG_S, _LAG_S + 1e-9, 0.04):
-        start, stop = first + lag, first + lag + _MOTION_S
-        inside = (start >= t[0]) & (stop <= t[-1])
-        if inside.sum() < 20:
-            continue
-        turn = np.stack([np.interp(stop, t, c) - np.interp(start, t, c) for c in turned.T], axis=1)
-        angle = np.linalg.norm(turn, axis=1)[inside]
-        shift = moved[inside]
-        if angle.std() > 1e-6 and shift.std() > 1e-9:
-            best = max(best, float(np.corrcoef(angle, shift)[0, 1]))
-    return best
-
-
-def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
-    """Finite samples in the order of their stamps, up to the first after a time (all if stamps run back)."""
-    stamp, gyro = imu.stamp_ns, imu.gyro
-    if (stamp[1:] >= stamp[:-1]).all():
-        stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
-        stamp, gyro = stamp[:stop], gyro[:stop]
-    else:
-        order = np.argsort(stamp, kind="stable")
-        stamp, gyro = stamp[order], gyro[order]
-    finite = np.isfinite(gyro).all(axis=1)
-    return stamp[finite], gyro[finite]
-
-
-def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:
-    """Start times (ns) of steps of 0.3 s, and how far the forearm turned (rad) or moved (m) in them."""
-    tracked = arm.state == JointState.TRACKED
-    for part in batches(len(tracked)):
-        tracked[part] &= np.isfinite(arm.position[part]).all(axis=2)
-    elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
-    both = tracked[:, elbow] & tracked[:, wrist]
-    is_pair = bool(both.sum() >= 20)
-    point = max((JOINTS.index(joint) for joint in _POINTS), key=lambda index: tracked[:, index].sum())
-    rows = np.flatnonzero(both if is_pair else tracked[:, point])
-    rows = rows[np.argsort(arm.stamp_ns[rows], kind="stable")[:_MOTION_FRAMES]]
-    stamp, seen = arm.stamp_ns[rows], arm.position[rows]
-    along = seen[:, point]
-    if is_pair:
-        along = seen[:, wrist] - seen[:, elbow]
-        along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-    if len(stamp) < 2:
-        return np.empty(0), np.empty(0)
-    later = np.searchsorted(stamp, stamp + int(_MOTION_S * 1e9))
-    usable = later < len(stamp)
-    later = np.minimum(later, len(stamp) - 1)
-    step = (stamp[later] - stamp) / 1e9
-    usable &= step < 1.5 * _MOTION_S
-    moved = np.linalg.norm(along[later] - along, axis=1) * _MOTION_S / np.maximum(step, 1e-6)
-    return stamp[usable].astype(float), moved[usable]
-
-
-def choose_truth(file: RecordingFile, side: str) -> tuple[PoseSamples | None, list[str]]:
-    """The poses that are the truth of an arm, or None and why."""
-
-    def other_side(name: str) -> bool:
-        return bool(side) and named_side(name) not in ("", side)
-
-    poses = [poses for poses in file.poses if not other_side(poses.topic)]
-    if len(poses) > 1:
-        named = [p for p in poses if any(word in _words(p.topic) for word in _TRUTH_WORDS)]
-        sided = [p for p in named if named_side(p.topic) == side]
-        poses = sided if len(sided) == 1 else named
-        if len(poses) != 1:
-            return None, [
-                f"Of the poses {', '.join(p.topic for p in file.poses)} none is named as this arm's truth; "
-                "none was taken."
-            ]
-    return (poses[0], []) if poses else (None, [])
-
-
-def is_named(asked: str, topic: str, frame_id: str) -> bool:
-    """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
-    return asked.strip("/").lower() in topic.lower() or asked == frame_id
-
-
-def _words(name: str) -> str:
-    """Lower case with the parts of CamelCase apart."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
-
-
 def _listing(file: RecordingFile) -> str:
     imus = ", ".join(stream.topic for stream in file.imus)
     arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
     return f"IMU {imus} and skeleton {arms}"
-
-
-def _topics(file: RecordingFile) -> str:
-    listed = [f"{topic.name} ({topic.schema or 'no schema'})" for topic in file.topics if topic.count]
-    if len(listed) > 8:
-        listed = [*listed[:8], f"and {len(listed) - 8} more"]
-    return ", ".join(listed) if listed else "no messages"

@@ -7,8 +7,8 @@ import os
 from ...errors import RecordingError
 from ...recording import ImuStream
 from ..mcap.stamps import SECOND_NS, seconds
-from .choose import choose_imu
 from .clean import clean_imu
+from .imu_choice import choose_imu
 from .read import open_recording
 
 

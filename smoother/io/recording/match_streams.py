@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from ...matching import ImuMatch, Limb, limbs_of, match_imus
 from ...recording import FloatArray, ImuStream, JointTracks
 from ...runtime.store import Store
 from ..mcap.stamps import seconds
-from .bodies import join_bodies
-from .choose import is_named, named_side, role
 from .clean import clean_arm, clean_imu
+from .people import people
+from .stream_names import is_named, named_side, role
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
 #: Clocks may be this far apart, s.
@@ -65,7 +66,7 @@ def match_file(
             f"{file.path} shows no arm to match IMUs to (no forearm joint is tracked); "
             "record again with the arms in view of the camera for some seconds."
         )
-    arms, notes = join_bodies(arms, store)
+    arms, notes = people(replace(file, arms=arms), store)
     matches, more = match_streams(file, file.imus, arms, method=method, reach_s=reach_s, store=store)
     return matches, notes + more + _contradicted(file.imus, matches)
 

@@ -11,25 +11,22 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import CameraFrame, ImuStream, IntArray, JointTracks, Recording, Truth
+from ...recording import CameraFrame, Recording
 from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
-from ..mcap.stamps import SECOND_NS, seconds
-from .choose import Selection, choose
-from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
+from .select import select_recording, select_recordings
+from .selection import Selection
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
-from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
 OTHER_SIDE = {"left": "right", "right": "left"}
-#: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
-_SMALL_NS = 1_000_000 * SECOND_NS
 
 AnyDecoder = (
     ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
@@ -164,56 +161,50 @@ def read_recording(
     """
     file = open_recording(path, store=store, truth=truth)
     if swap_sides:
-        for arm in file.arms:
-            arm.side = OTHER_SIDE.get(arm.side, arm.side)
-        file.notes.append("left and right of the skeleton were swapped (--swap left,right)")
+        _swap_sides(file)
     return select_recording(file, prefer_side=prefer_side, store=store, **selection)
 
 
-def select_recording(
-    file: RecordingFile,
+def read_recordings(
+    path: str | os.PathLike[str],
     *,
     prefer_side: str | None = None,
     store: Store | None = None,
+    truth: bool = True,
+    swap_sides: bool = False,
     **selection: Unpack[Selection],
-) -> Recording:
-    """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
-    store = store or Store()
-    choice = choose(file, prefer_side=prefer_side, store=store, **selection)
-    source = str(file.path)
-    notes = [*file.notes, *choice.notes]
-    forearm, dropped = clean_imu(choice.imu, source, store)
-    arm, arm_dropped = clean_arm(choice.arm, source, store)
-    notes += dropped + arm_dropped
-    _check_overlap(forearm, arm, source)
-    base, truth, upper = None, None, None
-    if choice.base is not None:
-        base, dropped = clean_imu(choice.base, source, store)
-        notes += dropped
-    if choice.truth is not None:
-        truth, dropped = clean_poses(choice.truth, store)
-        notes += dropped
-    if choice.upper is not None:
-        upper, dropped = clean_imu(choice.upper, source, store)
-        notes += dropped
-    first = [
-        int(s.stamp_ns[0]) for s in (forearm, arm, base, truth, upper) if s is not None and len(s.stamp_ns)
-    ]
-    origin = min(first) // SECOND_NS * SECOND_NS
-    origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
-    return Recording(
-        imu=_imu_stream(forearm, origin, store),
-        arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
-        side=choice.side,
-        camera_frame=file.camera_frame or arm.camera_frame,
-        gravity_hint=file.gravity_hint,
-        base_imu=None if base is None else _imu_stream(base, origin, store),
-        truth=None if truth is None else _truth(truth, origin, store),
-        origin_ns=origin,
-        name=file.name,
-        notes=tuple(notes),
-        upper_imu=None if upper is None else _imu_stream(upper, origin, store),
-    )
+) -> list[Recording]:
+    """Read every arm that has an IMU from an MCAP file: both arms, of one person or of several.
+
+    A file with one arm gives what `read_recording` gives. What belongs together is settled by option, else
+    by the sides in names, else by motion.
+
+    Parameters
+    ----------
+    path, prefer_side, store, truth, swap_sides, imu, skeleton, side, body
+        As in `read_recording`; the last four restrict.
+
+    Returns
+    -------
+    list of Recording
+        One an arm, at least one, in order of body and side; `body` is set where there are several people.
+        An arm that cannot be used is left out, and `notes` of the others say so.
+
+    Raises
+    ------
+    RecordingError
+        As `read_recording`; no arm can be used.
+    """
+    file = open_recording(path, store=store, truth=truth)
+    if swap_sides:
+        _swap_sides(file)
+    return select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+
+
+def _swap_sides(file: RecordingFile) -> None:
+    for arm in file.arms:
+        arm.side = OTHER_SIDE.get(arm.side, arm.side)
+    file.notes.append("left and right of the skeleton were swapped (--swap left,right)")
 
 
 def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
@@ -259,31 +250,3 @@ def _take_metadata(file: RecordingFile) -> None:
         raise RecordingError(
             f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
         ) from error
-
-
-def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
-    first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
-    last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
-    if last > first:
-        return
-    apart = (first - last) / 1e9
-    raise RecordingError(
-        f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
-        f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
-        "clocks that agree to a second."
-    )
-
-
-def _span(stamp_ns: IntArray) -> str:
-    return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
-
-
-def _imu_stream(stream: ImuSamples, origin: int, store: Store) -> ImuStream:
-    t_s = seconds(stream.stamp_ns, origin, store)
-    return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
-
-
-def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
-    score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
-    t_s = seconds(poses.stamp_ns, origin, store)
-    return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

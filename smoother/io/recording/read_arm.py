@@ -1,15 +1,16 @@
-"""A recording together with the calibration of its arm."""
+"""Recordings together with the calibrations of their arms."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 from ...calibration import ArmCalibration
 from ...measurements.remedy import Remedy
-from .choose import Selection
-from .read import read_recording
+from .read import read_recording, read_recordings
+from .selection import Selection
 
 if TYPE_CHECKING:
     from ...recording import Recording
@@ -60,10 +61,64 @@ def read_arm(
     RecordingError, CalibrationError
         A file cannot be used, or the two do not fit.
     """
-    remedy = remedy or Remedy()
+    ((recording, calibration),) = _read(
+        path,
+        calibration_file,
+        lambda prefer: [
+            read_recording(
+                path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
+            )
+        ],
+        remedy or Remedy(),
+        store,
+    )
+    return recording, calibration
+
+
+def read_arms(
+    path: str | os.PathLike[str],
+    calibration_file: str | os.PathLike[str] | None = None,
+    *,
+    store: Store | None = None,
+    truth: bool = True,
+    remedy: Remedy | None = None,
+    swap_sides: bool = False,
+    **selection: Unpack[Selection],
+) -> list[tuple[Recording, ArmCalibration | None]]:
+    """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`.
+
+    Returns
+    -------
+    list of (Recording, ArmCalibration or None)
+        One an arm. A calibration file that holds only other arms gives none for this one, which a note
+        says.
+
+    Raises
+    ------
+    RecordingError, CalibrationError
+        See `read_arm`.
+    """
+    return _read(
+        path,
+        calibration_file,
+        lambda prefer: read_recordings(
+            path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
+        ),
+        remedy or Remedy(),
+        store,
+    )
+
+
+def _read(
+    path: str | os.PathLike[str],
+    calibration_file: str | os.PathLike[str] | None,
+    read: Callable[[str | None], list[Recording]],
+    remedy: Remedy,
+    store: Store | None,
+) -> list[tuple[Recording, ArmCalibration | None]]:
+    """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
-        recording = read_recording(path, store=store, truth=truth, swap_sides=swap_sides, **selection)
-        return remedy.applied(recording, store), None
+        return [(remedy.applied(recording, store), None) for recording in read(None)]
     from calib.file import read_calibration
     from calib.imu.correction import corrected
     from calib.sigma import sigma_factors_of
@@ -71,13 +126,19 @@ def read_arm(
 
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
-    prefer = sides[0] if len(sides) == 1 else None
-    recording = read_recording(
-        path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
-    )
-    recording = remedy.applied(recording, store)
-    recording = with_gravity(corrected(recording, calibration, store), calibration)
     factors = sigma_factors_of(calibration)
-    if not calibration.arms:  # sensors, clocks, frames: the arm is found from the motion
-        return recording, ArmCalibration(recording.side, sigma_factors=factors) if factors else None
-    return recording, replace(calibration.arm(recording.side), sigma_factors=factors)
+    arms: list[tuple[Recording, ArmCalibration | None]] = []
+    recordings = read(sides[0] if len(sides) == 1 else None)
+    for recording in recordings:
+        recording = remedy.applied(recording, store)
+        recording = with_gravity(corrected(recording, calibration, store), calibration)
+        other_arm = len(recordings) > 1 and not {recording.side, "any"} & set(calibration.arms)
+        if calibration.arms and other_arm:
+            note = f"{calibration_file} holds no {recording.side} arm: this one is found from the motion."
+            recording = replace(recording, notes=(*recording.notes, note))
+        if not calibration.arms or other_arm:  # sensors, clocks, frames: the arm is found from the motion
+            given = ArmCalibration(recording.side, sigma_factors=factors) if factors else None
+        else:
+            given = replace(calibration.arm(recording.side), sigma_factors=factors)
+        arms.append((recording, given))
+    return arms

@@ -115,7 +115,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             file.imus.append(
                 ImuSamples(topic, topic.rpartition("/")[2], stamp, upper.acc, upper.gyro, upper.mag)
             )
-        body = 0
+        body = one.body or 0
         while (body, one.side) in sides:
             body += 1
         sides.add((body, one.side))
@@ -125,6 +125,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         )
         if one.truth is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
+            suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
             truth = one.truth
             stamp = nanoseconds(truth.t_s, one.origin_ns)
             score = None if truth.score.all() else truth.score

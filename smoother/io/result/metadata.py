@@ -55,6 +55,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "config": _lasting(recovery.config),
             "figures": recovery.estimates.plain(),
             **_upper_arm(recovery),
+            **({} if recovery.body is None else {"body": recovery.body}),
         }.items()
     }
 

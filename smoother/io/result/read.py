@@ -102,6 +102,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, _Table], name:
             config=values["config"],
             estimates=Estimates.from_plain(values["figures"]),
             upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
+            body=values.get("body"),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise RecordingError(
@@ -131,10 +132,10 @@ def _rows(stamp: IntArray, table: _Table | None) -> tuple[IntArray, dict[str, ND
     return np.searchsorted(stamp, motion["stamp"]), motion
 
 
-def _motion(count: int, row: IntArray, motion: dict[str, NDArray]) -> dict[str, FloatArray]:
+def _motion(count: int, row: IntArray, motion: dict[str, NDArray]) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation
 
-    arrays: dict[str, FloatArray] = {
+    arrays: dict[str, Any] = {
         "position": np.full((count, 3), np.nan),
         "quaternion": np.full((count, 4), np.nan),
         "velocity": np.full((count, 3), np.nan),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 
-from ...result import Recovery
+from ...result import Recovery, arm_tags
 from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
@@ -43,8 +43,9 @@ def write_recovery(
     the gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
     (FrameTransforms: camera to forearm IMU, and the level `world` to the camera), `/unocclude/camera`
     (the camera's joints on the IMU's clock), `/unocclude/residuals`. With several arms each topic ends
-    in the arm's side. The metadata record `unocclude.result` holds all else as JSON. `read_recovery`
-    gives everything back. The same input gives the same bytes.
+    in the arm's side, with several people in `body_N/SIDE` (`result.arm_tags`). The metadata record
+    `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
+    gives the same bytes.
 
     Parameters
     ----------
@@ -79,8 +80,8 @@ def write_recovery(
     with writing(path, force) as temporary, Output(temporary) as output:
         streams = []
         down = common_down(results, level_down)
-        for number, recovery in enumerate(results):
-            suffix = "" if len(results) == 1 else f"/{_label(results, number)}"
+        for tag, recovery in zip(arm_tags(results), results, strict=True):
+            suffix = "" if len(results) == 1 else f"/{tag}"
             output.metadata(RESULT + suffix, recovery_values(recovery, _version()))
             frame_id = frames.get(recovery.arm.name, CAMERA)
             streams.append(RecoveryStreams(output, recovery, suffix, frame_id, shift, down))
@@ -99,13 +100,6 @@ def write_recovery(
             output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
-
-
-def _label(results: Sequence[Recovery], number: int) -> str:
-    """Side of an arm among several, or its number where sides do not tell them apart."""
-    sides = [recovery.side for recovery in results]
-    side = sides[number]
-    return side if side and sides.count(side) == 1 else f"{side or 'arm'}_{number + 1}"
 
 
 def _version() -> str:

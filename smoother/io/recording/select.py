@@ -1,0 +1,152 @@
+"""Recordings of single arms from all that a file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Unpack
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import ImuStream, IntArray, JointTracks, Recording, Truth, arm_words
+from ...runtime.store import Store
+from ..mcap.stamps import SECOND_NS, seconds
+from .choose import choose
+from .choose_arms import choose_arms, left_out_words
+from .clean import clean_arm, clean_imu, clean_poses
+from .selection import Selection, StreamChoice
+from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+
+#: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
+_SMALL_NS = 1_000_000 * SECOND_NS
+
+
+def select_recording(
+    file: RecordingFile,
+    *,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+    **selection: Unpack[Selection],
+) -> Recording:
+    """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
+    store = store or Store()
+    arm = _CleanArm.of(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
+    return arm.recording(file, _origin_ns([arm]), store)
+
+
+def select_recordings(
+    file: RecordingFile,
+    *,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+    **selection: Unpack[Selection],
+) -> list[Recording]:
+    """Make a recording of every arm with an IMU from all that a file holds; as `read_recordings`."""
+    store = store or Store()
+    choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
+    arms: list[_CleanArm] = []
+    left_out = list(choices.left_out)
+    errors: list[RecordingError] = []
+    for choice in choices.chosen:
+        try:
+            arms.append(_CleanArm.of(choice, file, store))
+        except RecordingError as error:
+            errors.append(error)
+            left_out.append(left_out_words(arm_words(choice.side, choice.body), error))
+    if not arms:
+        raise errors[0]
+    origin = _origin_ns(arms)  # one zero for all
+    recordings = [arm.recording(file, origin, store) for arm in arms]
+    return [replace(one, notes=(*one.notes, *left_out)) for one in recordings]
+
+
+@dataclass(frozen=True)
+class _CleanArm:
+    """The streams of an arm, cleaned, still with their stamps."""
+
+    choice: StreamChoice
+    imu: ImuSamples
+    arm: ArmFrames
+    base: ImuSamples | None
+    truth: PoseSamples | None
+    upper: ImuSamples | None
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, choice: StreamChoice, file: RecordingFile, store: Store) -> _CleanArm:
+        source = str(file.path)
+        notes = [*file.notes, *choice.notes]
+        forearm, dropped = clean_imu(choice.imu, source, store)
+        arm, arm_dropped = clean_arm(choice.arm, source, store)
+        notes += dropped + arm_dropped
+        _check_overlap(forearm, arm, source)
+        base, truth, upper = None, None, None
+        if choice.base is not None:
+            base, dropped = clean_imu(choice.base, source, store)
+            notes += dropped
+        if choice.truth is not None:
+            truth, dropped = clean_poses(choice.truth, store)
+            notes += dropped
+        if choice.upper is not None:
+            upper, dropped = clean_imu(choice.upper, source, store)
+            notes += dropped
+        return cls(choice, forearm, arm, base, truth, upper, tuple(notes))
+
+    @property
+    def first_ns(self) -> list[int]:
+        """First stamp of each stream."""
+        streams = (self.imu, self.arm, self.base, self.truth, self.upper)
+        return [int(s.stamp_ns[0]) for s in streams if s is not None and len(s.stamp_ns)]
+
+    def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
+        arm = self.arm
+        return Recording(
+            imu=_imu_stream(self.imu, origin, store),
+            arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
+            side=self.choice.side,
+            camera_frame=file.camera_frame or arm.camera_frame,
+            gravity_hint=file.gravity_hint,
+            base_imu=None if self.base is None else _imu_stream(self.base, origin, store),
+            truth=None if self.truth is None else _truth(self.truth, origin, store),
+            origin_ns=origin,
+            name=file.name,
+            notes=self.notes,
+            upper_imu=None if self.upper is None else _imu_stream(self.upper, origin, store),
+            body=self.choice.body,
+        )
+
+
+def _origin_ns(arms: Sequence[_CleanArm]) -> int:
+    """What the times of these arms count from, ns."""
+    first = [stamp for arm in arms for stamp in arm.first_ns]
+    origin = min(first) // SECOND_NS * SECOND_NS
+    return 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
+
+
+def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
+    first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
+    last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
+    if last > first:
+        return
+    apart = (first - last) / 1e9
+    raise RecordingError(
+        f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
+        f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
+        "clocks that agree to a second."
+    )
+
+
+def _span(stamp_ns: IntArray) -> str:
+    return f"{stamp_ns[0] / 1e9:.3f} .. {stamp_ns[-1] / 1e9:.3f} s"
+
+
+def _imu_stream(stream: ImuSamples, origin: int, store: Store) -> ImuStream:
+    t_s = seconds(stream.stamp_ns, origin, store)
+    return ImuStream(stream.topic, t_s, stream.acc, stream.gyro, stream.mag)
+
+
+def _truth(poses: PoseSamples, origin: int, store: Store) -> Truth:
+    score = np.ones(len(poses.stamp_ns), bool) if poses.score is None else poses.score
+    t_s = seconds(poses.stamp_ns, origin, store)
+    return Truth(t_s, poses.position, poses.quaternion, score, dict(poses.joints))

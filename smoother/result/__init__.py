@@ -1,0 +1,10 @@
+"""The recovered motion: what `smooth` and every baseline return."""
+
+from __future__ import annotations
+
+from .estimates import Estimates
+from .frame_residuals import FrameResiduals
+from .recoveries import Recoveries, arm_tags, is_of_arm
+from .recovery import Recovery
+
+__all__ = ["Estimates", "FrameResiduals", "Recoveries", "Recovery", "arm_tags", "is_of_arm"]

@@ -1,0 +1,158 @@
+"""What a method estimated besides the motion, and its verdict; as plain values and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from ..recording import JOINTS
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What a method found besides the motion; None where it states nothing.
+
+    Attributes
+    ----------
+    camera_sigma_m, camera_effective_sigma_m : dict of str to float, m an axis, optional
+        Noise of a joint's sample; of a white noise with the same long-run variance.
+    joint_bias_m : dict of str to tuple of float, m, optional
+        Constant errors of the camera's joints (x, y, z in {K}), free of their common part.
+    joint_bias_sigma_m : float, m an axis, optional
+        How large such an error is in this recording.
+    accelerometer_bias, gyroscope_bias : tuple of float, m/s^2 and rad/s, optional
+        Mean over the recording, in {A}.
+    magnetometer_blocks, magnetometer_blocks_used : int, optional
+        Means of the magnetic field over some seconds, and how many took part.
+    magnetometer_sigma_deg : float, degrees, optional
+        How well the field's direction is believed to be known.
+    magnetic_field_direction : tuple of float, optional
+        Unit vector in {K}.
+    given : tuple of str
+        What of the arm was given beforehand: lever arms by joint, `upper_arm`, `R_F_A`.
+    max_sigma_m : float, m, optional
+        Samples less certain than this on an axis are marked as not to be used.
+    sigma_factors : tuple of float, optional
+        By gap what its sigma of positions was multiplied by, as a calibration asks for.
+    trusted : bool, optional
+        Nothing says that the set-up was wrong or the answer impossible.
+    reasons : tuple of str
+        Why it is not trusted.
+    cautions : tuple of str
+        What to take care of where it is trusted.
+    cause : str, optional
+        The likeliest cause where it is not trusted, and what to do; the first of the reasons.
+    remedies : tuple of str
+        Options that undo the cause ("--mirror x"); of several either one may be meant.
+    further : dict
+        What else a file or a baseline states, by name.
+    """
+
+    camera_sigma_m: dict[str, float] | None = None
+    camera_effective_sigma_m: dict[str, float] | None = None
+    joint_bias_m: dict[str, tuple[float, ...]] | None = None
+    joint_bias_sigma_m: float | None = None
+    accelerometer_bias: tuple[float, ...] | None = None
+    gyroscope_bias: tuple[float, ...] | None = None
+    magnetometer_blocks: int | None = None
+    magnetometer_blocks_used: int | None = None
+    magnetometer_sigma_deg: float | None = None
+    magnetic_field_direction: tuple[float, ...] | None = None
+    given: tuple[str, ...] = ()
+    max_sigma_m: float | None = None
+    sigma_factors: tuple[float, ...] = ()
+    trusted: bool | None = None
+    reasons: tuple[str, ...] = ()
+    cautions: tuple[str, ...] = ()
+    cause: str | None = None
+    remedies: tuple[str, ...] = ()
+    further: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence to act on; "" where nobody judged."""
+        if self.trusted is None:
+            return ""
+        if not self.trusted and self.cause:
+            return f"Not to be trusted: {self.cause}."
+        if not self.trusted:
+            return f"Not to be trusted: {'; '.join(self.reasons)}."
+        return f"Usable with care: {'; '.join(self.cautions)}." if self.cautions else "Usable."
+
+    def plain(self) -> dict[str, object]:
+        """Plain values by name, as files and `--json` state them; what is not stated is left out."""
+
+        def listed(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {name: listed(item) for name, item in value.items()}
+            return list(value) if isinstance(value, tuple) else value
+
+        stated = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "further"}
+        plain = {name: listed(value) for name, value in stated.items() if value is not None and value != ()}
+        return plain | dict(self.further)
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> Estimates:
+        """From plain values; unknown names, or values of another kind, stay in `further`."""
+        stated: dict[str, Any] = {}
+        further: dict[str, object] = {}
+        for name, value in values.items():
+            kind = _KINDS.get(name)
+            if kind is None or (checked := kind(value)) is None:
+                further[name] = value
+            else:
+                stated[name] = checked
+        return cls(**stated, further=further)
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _vector(value: object) -> tuple[float, ...] | None:
+    is_vector = isinstance(value, list | tuple) and [_number(item) is None for item in value] == [False] * 3
+    return tuple(value) if is_vector else None  # type: ignore[arg-type]
+
+
+def _numbers(value: object) -> tuple[float, ...] | None:
+    is_numbers = isinstance(value, list | tuple) and all(_number(item) is not None for item in value)
+    return tuple(value) if is_numbers else None  # type: ignore[arg-type]
+
+
+def _names(value: object) -> tuple[str, ...] | None:
+    is_names = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
+    return tuple(value) if is_names else None  # type: ignore[arg-type]
+
+
+def _by_joint(kind: Callable[[object], Any]) -> Callable[[object], dict[str, Any] | None]:
+    def checked(value: object) -> dict[str, Any] | None:
+        if not isinstance(value, Mapping):
+            return None
+        by_joint = {name: kind(item) for name, item in value.items() if name in JOINTS}
+        return None if len(by_joint) < len(value) or None in by_joint.values() else by_joint
+
+    return checked
+
+
+#: How a plain value becomes an estimate: None where it is of another kind.
+_KINDS: dict[str, Callable[[object], Any]] = {
+    "camera_sigma_m": _by_joint(_number),
+    "camera_effective_sigma_m": _by_joint(_number),
+    "joint_bias_m": _by_joint(_vector),
+    "joint_bias_sigma_m": _number,
+    "accelerometer_bias": _vector,
+    "gyroscope_bias": _vector,
+    "magnetometer_blocks": _number,
+    "magnetometer_blocks_used": _number,
+    "magnetometer_sigma_deg": _number,
+    "magnetic_field_direction": _vector,
+    "given": _names,
+    "max_sigma_m": _number,
+    "sigma_factors": _numbers,
+    "trusted": lambda value: value if isinstance(value, bool) else None,
+    "reasons": _names,
+    "cautions": _names,
+    "cause": lambda value: value if isinstance(value, str) else None,
+    "remedies": _names,
+}

@@ -1,0 +1,147 @@
+"""Several arms of one recording: `smooth_arms(recordings) -> Recoveries`, an arm at a time by `smooth`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from .calibration import ArmCalibration
+from .config import Config
+from .errors import RecordingError, UnoccludeError
+from .measurements.clock import Clock
+from .recording import Recording
+from .result import Recoveries, Recovery
+from .runtime.pool import WORTH_FRAMES, Pool
+from .runtime.store import Store
+from .smoothing import Progress, smooth
+
+
+@dataclass(frozen=True)
+class ArmJob:
+    """An arm to recover.
+
+    Attributes
+    ----------
+    recording : Recording
+    calibration : ArmCalibration, optional
+    config : Config
+    clock : Clock, optional
+        As `smooth` takes them.
+    """
+
+    recording: Recording
+    calibration: ArmCalibration | None
+    config: Config
+    clock: Clock | None
+
+
+def smooth_arms(
+    recordings: Sequence[Recording],
+    calibrations: Sequence[ArmCalibration | None] | None = None,
+    config: Config | None = None,
+    progress: Progress | None = None,
+    store: Store | None = None,
+    processes: int | None = None,
+    clocks: Sequence[Clock | None] | None = None,
+) -> Recoveries:
+    """Recover several arms, each as `smooth` recovers it alone.
+
+    Every arm has its own IMU, clock and shoulder; nothing of one arm's answer goes into another's, so each
+    is what `smooth` gives for it. Short recordings are worked on side by side, an arm a process; a long one
+    keeps all processes busy by its sections, arm after arm. The answer depends on neither.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        One an arm, as `read_recordings` gives them.
+    calibrations : sequence of ArmCalibration or None, optional
+        Of the arms, in the same order.
+    config, progress, store, processes
+        As `smooth` takes them.
+    clocks : sequence of Clock or None, optional
+        As measured, of the arms in the same order.
+
+    Returns
+    -------
+    Recoveries
+        In the order of the recordings, by side or number. An arm that cannot be recovered is left out, which
+        `left_out` and the other arms' notes say.
+
+    Raises
+    ------
+    UnoccludeError
+        No arm can be recovered: the first one's sentence.
+    """
+    if not recordings:
+        raise RecordingError("there is no arm to recover: give at least one recording")
+    config = config or Config()
+    none = [None] * len(recordings)
+    given = zip(recordings, calibrations or none, clocks or none, strict=True)
+    jobs = [ArmJob(recording, calibration, config, clock) for recording, calibration, clock in given]
+    count = config.windows.processes if processes is None else processes
+    beside = min(count or os.cpu_count() or 1, len(jobs))
+    if beside > 1 and max(len(recording.arm) for recording in recordings) <= WORTH_FRAMES:
+        answers = _side_by_side(jobs, beside, progress)
+    else:
+        answers = _in_turn(jobs, count, progress, store)
+    return together(recordings, answers)
+
+
+def _side_by_side(
+    jobs: Sequence[ArmJob], processes: int, progress: Progress | None
+) -> list[Recovery | UnoccludeError]:
+    """An arm a process: none has enough frames to keep several busy."""
+    answers = []
+    with Pool(processes, sum(len(job.recording.arm) for job in jobs)) as workers:
+        for number, answer in enumerate(workers.map(recover_arm, jobs), start=1):
+            answers.append(answer)
+            if progress is not None:
+                progress(number / len(jobs), "recovering")
+    return answers
+
+
+def _in_turn(
+    jobs: Sequence[ArmJob], processes: int, progress: Progress | None, store: Store | None
+) -> list[Recovery | UnoccludeError]:
+    answers = []
+    for number, job in enumerate(jobs):
+
+        def share(done: float, word: str, number: int = number) -> None:
+            if progress is not None:
+                progress((number + done) / len(jobs), word)
+
+        answers.append(recover_arm(job, share, store, processes))
+    return answers
+
+
+def recover_arm(
+    job: ArmJob, progress: Progress | None = None, store: Store | None = None, processes: int = 1
+) -> Recovery | UnoccludeError:
+    """The recovery of an arm, or why there is none."""
+    try:
+        return smooth(job.recording, job.calibration, job.config, progress, store, processes, job.clock)
+    except UnoccludeError as error:
+        return error
+
+
+def together(recordings: Sequence[Recording], answers: Sequence[Recovery | UnoccludeError]) -> Recoveries:
+    """The arms that were recovered; the others are named in their notes.
+
+    Raises
+    ------
+    UnoccludeError
+        There is none.
+    """
+    errors = [answer for answer in answers if isinstance(answer, UnoccludeError)]
+    if len(errors) == len(answers):
+        raise errors[0]
+    left_out = tuple(
+        f"The {recording.arm_label} was left out: {str(answer).rstrip('.')}."
+        for recording, answer in zip(recordings, answers, strict=True)
+        if isinstance(answer, UnoccludeError)
+    )
+    arms = [answer for answer in answers if isinstance(answer, Recovery)]
+    if left_out:
+        arms = [replace(arm, notes=(*arm.notes, *left_out)) for arm in arms]
+    return Recoveries(tuple(arms), left_out)
