@@ -187,6 +187,22 @@ class Truth:
         return len(self.t_s)
 
 
+@dataclass(frozen=True)
+class TrunkSensors:
+    """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder.
+
+    Attributes
+    ----------
+    imu : ImuStream
+        On the breastbone or the back, on a clock of its own, in its own axes {D}.
+    other_arm : JointTracks, optional
+        The other arm, whose shoulder counts; None where the skeleton has none.
+    """
+
+    imu: ImuStream
+    other_arm: JointTracks | None = None
+
+
 @dataclass(frozen=True, repr=False)
 class Recording:
     """One arm, the IMU on its forearm, and what else was recorded with them.
@@ -217,6 +233,8 @@ class Recording:
         How well `gravity_hint` is known, an axis; to some degrees where None.
     upper_imu : ImuStream, optional
         An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
+    trunk : TrunkSensors, optional
+        An IMU on the same person's trunk.
     """
 
     imu: ImuStream
@@ -231,6 +249,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     gravity_sigma_rad: float | None = None
     upper_imu: ImuStream | None = None
+    trunk: TrunkSensors | None = None
 
     def __repr__(self) -> str:
         length_s = float(self.imu.t_s[-1] - self.imu.t_s[0]) if len(self.imu) else 0.0
@@ -238,7 +257,8 @@ class Recording:
         return (
             f"Recording({self.name!r}: {side}{length_s:.1f} s, IMU {self.imu.rate_hz:.1f} Hz,"
             f" camera {self.arm.rate_hz:.1f} Hz with {', '.join(self.arm.present) or 'no joint'}"
-            f"{'' if self.upper_imu is None else ', an IMU on the upper arm'})"
+            f"{'' if self.upper_imu is None else ', an IMU on the upper arm'}"
+            f"{'' if self.trunk is None else ', one on the trunk'})"
         )
 
     @classmethod

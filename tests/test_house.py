@@ -17,7 +17,7 @@ STACK = (
     ("recording", "calibration", "config", "linalg", "units"),
     ("runtime",),
     ("measurements",),
-    ("result", "upper_motion", "joint_angles", "shoulder_angles", "matching"),
+    ("result", "upper_motion", "trunk_motion", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),
     ("selfcal",),

@@ -88,6 +88,7 @@ def merge(
         config=task.config.model_dump(exclude={"windows": {"processes"}}),
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
         upper=upper.motion(recording, model, coarse_clock),
+        trunk=None,  # beside the arm: `with_trunk`
     )
     return magnetometer.noted(recovery)
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
+_TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
 _TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
 #: Correlation that a pair must reach, and its lead over the next, to be taken by motion alone.
 _ENOUGH, _LEAD = 0.4, 0.1
@@ -85,8 +86,10 @@ class StreamChoice:
 
 
 def role(stream: ImuSamples) -> str:
-    """What a stream's names say it is on: "forearm", "upper_arm", "base" or ""."""
+    """What a stream's names say it is on: "forearm", "upper_arm", "trunk", "base" or ""."""
     for words in (_words(stream.topic), _words(stream.frame_id)):
+        if any(word in words for word in _TRUNK_WORDS):
+            return "trunk"
         if "upper" in words:
             return "upper_arm"
         if any(word in words for word in _FOREARM_WORDS):
@@ -265,7 +268,7 @@ def _imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
             what = "more than one IMU fits" if matches else "no IMU fits"
             raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
         return matches
-    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm")]
+    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm", "trunk")]
     if not candidates:
         raise RecordingError(
             f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."

@@ -23,6 +23,7 @@ from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from .trunk import trunk_of
 
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
@@ -201,6 +202,8 @@ def select_recording(
     ]
     origin = min(first) // SECOND_NS * SECOND_NS
     origin = 0 if max(abs(stamp) for stamp in first) < _SMALL_NS else origin
+    trunk, trunk_notes = trunk_of(file, choice, origin, store)
+    notes += trunk_notes
     return Recording(
         imu=_imu_stream(forearm, origin, store),
         arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
@@ -213,6 +216,7 @@ def select_recording(
         name=file.name,
         notes=tuple(notes),
         upper_imu=None if upper is None else _imu_stream(upper, origin, store),
+        trunk=trunk,
     )
 
 

@@ -55,6 +55,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "config": _lasting(recovery.config),
             "figures": recovery.estimates.plain(),
             **_upper_arm(recovery),
+            **_trunk(recovery),
         }.items()
     }
 
@@ -66,6 +67,15 @@ def _upper_arm(recovery: Recovery) -> dict[str, object]:
         return {}
     names = ("name", "clock_offset_s", "mount_sigma_rad")
     return {"upper_arm": {name: getattr(upper, name) for name in names}}
+
+
+def _trunk(recovery: Recovery) -> dict[str, object]:
+    """What an IMU on the trunk adds; nothing without one."""
+    trunk = recovery.trunk
+    if trunk is None:
+        return {}
+    names = ("name", "clock_offset_s", "mount_sigma_rad", "R_T_D")
+    return {"trunk": {name: getattr(trunk, name) for name in names}}
 
 
 def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:
