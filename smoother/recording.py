@@ -192,6 +192,22 @@ def arm_words(side: str, body: int | None) -> str:
     return f"{side + ' ' if side else ''}arm{'' if body is None else f' of body {body}'}"
 
 
+@dataclass(frozen=True)
+class TrunkSensors:
+    """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder.
+
+    Attributes
+    ----------
+    imu : ImuStream
+        On the breastbone or the back, on a clock of its own, in its own axes {D}.
+    other_arm : JointTracks, optional
+        The other arm, whose shoulder counts; None where the skeleton has none.
+    """
+
+    imu: ImuStream
+    other_arm: JointTracks | None = None
+
+
 @dataclass(frozen=True, repr=False)
 class Recording:
     """One arm, the IMU on its forearm, and what else was recorded with them.
@@ -224,6 +240,8 @@ class Recording:
         An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
     body : int, optional
         The camera's number of the person, where several are told apart.
+    trunk : TrunkSensors, optional
+        An IMU on the same person's trunk.
     """
 
     imu: ImuStream
@@ -239,6 +257,7 @@ class Recording:
     gravity_sigma_rad: float | None = None
     upper_imu: ImuStream | None = None
     body: int | None = None
+    trunk: TrunkSensors | None = None
 
     @property
     def arm_label(self) -> str:

@@ -24,6 +24,7 @@ def recording_text(recording: Recording) -> str:
     more = {
         "a magnetometer": imu.mag is not None,
         "an IMU on the upper arm": recording.upper_imu is not None,
+        "one on the trunk": recording.trunk is not None,
         "an IMU on the camera": recording.base_imu is not None,
         "truth": recording.truth is not None,
     }

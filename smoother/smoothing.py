@@ -21,6 +21,7 @@ from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
 from .recovery.sigma_factor import with_sigma_factors
 from .recovery.task import Task
+from .recovery.trunk import with_trunk
 from .recovery.trust import judged
 from .result import Recovery
 from .runtime.pool import Pool
@@ -89,6 +90,7 @@ def smooth(
 
     # 1. Clocks: bring the camera's stamps to where the fine search finds the rest.
     report(0.0, "calibrating")
+    as_recorded = recording
     timeline = Timeline.of(recording)
     recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
     clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
@@ -120,6 +122,8 @@ def smooth(
         # 6. One trajectory at the IMU's own stamps.
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
         recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    #    The thorax by an IMU on the trunk, where there is one.
+    recovery = with_trunk(recovery, as_recorded, store)
     # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")

@@ -17,7 +17,7 @@ STACK = (
     ("recording", "recording_view", "calibration", "config", "linalg", "sketch", "units"),
     ("runtime",),
     ("measurements",),
-    ("result", "result_view", "upper_motion", "joint_angles", "shoulder_angles", "matching"),
+    ("result", "result_view", "upper_motion", "trunk_motion", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),
     ("selfcal",),

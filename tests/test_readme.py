@@ -61,13 +61,16 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     from smoother import read_recording, smooth
     from smoother.config import Config
     from smoother.io.export.csv import csv_columns
+    from smoother.trunk_motion import TrunkMotion
     from smoother.upper_motion import UpperMotion
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     recording = read_recording(ROOT / "data" / "demo.mcap")
     recovery = smooth(recording, None, Config.model_validate({"windows": {"processes": 1}}))
     own = (recovery.position, recovery.quaternion, recovery.pose_covariance)
-    recovery = replace(recovery, upper=UpperMotion(*own, np.zeros(3)))  # as if with a second IMU
+    # as if with an IMU on the upper arm and one on the trunk
+    trunk = TrunkMotion(recovery.quaternion, recovery.pose_covariance[:, 3:, 3:], np.eye(3), np.zeros(3))
+    recovery = replace(recovery, upper=UpperMotion(*own, np.zeros(3)), trunk=trunk)
     write_recovery(recovery, tmp_path / "out.mcap")
     with open(tmp_path / "out.mcap", "rb") as file:
         channels = make_reader(file).get_summary().channels.values()

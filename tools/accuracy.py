@@ -2,7 +2,8 @@
 
 `broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
 `--gap-s 5 10 20 30` tables gaps of those lengths in random motion; `--imus 2` then sets one IMU and two
-(wrist and upper arm) side by side on the same arms.
+(wrist and upper arm) side by side on the same arms. `short` looks for gaps of 0.5 to 5 s in which two are
+worse; `trunk` scores the shoulder's angles relative to an IMU on the trunk.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from chain_accuracy import compare_imus
+from chain_accuracy import compare_imus, compare_short_gaps
 from coverage import PRESETS, coverage
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 from shared import datasets, rms
+from trunk_accuracy import compare_trunk
 
 from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
@@ -334,13 +336,22 @@ def main() -> None:
     four = commands.add_parser("coverage", help=coverage.__doc__)
     four.add_argument("sources", nargs="+", choices=(*PRESETS, "broad", "utd"))
     four.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
-    for each in (one, two, three, four):
+    five = commands.add_parser("short", help=compare_short_gaps.__doc__)
+    five.add_argument("--presets", nargs="+", default=["white", "realistic"], choices=PRESETS)
+    five.add_argument("--calibrated", action="store_true", help="give the true calibration")
+    five.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting")
+    six = commands.add_parser("trunk", help=compare_trunk.__doc__)
+    six.add_argument("--preset", default="realistic", choices=PRESETS)
+    six.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting")
+    for each in (one, two, three, four, five, six):
         each.add_argument(
             "--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them"
         )
         each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
     options = parser.parse_args()
-    {"broad": broad, "arm": arm, "utd": utd, "coverage": coverage}[options.command](options)
+    command = {"broad": broad, "arm": arm, "utd": utd, "coverage": coverage, "short": compare_short_gaps}
+    command["trunk"] = compare_trunk
+    command[options.command](options)
 
 
 def _seeds(text: str) -> range:

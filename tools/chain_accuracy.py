@@ -1,4 +1,7 @@
-"""One and two IMUs on the same simulated arms: `python tools/accuracy.py arm --imus 2 --gap-s 3 10 30 60`."""
+"""One and two IMUs on the same simulated arms: `python tools/accuracy.py arm --imus 2 --gap-s 3 10 30 60`.
+
+`python tools/accuracy.py short --seeds 20` looks for gaps of 0.5 to 5 s in which two IMUs are worse than one.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,11 @@ from smoother.smoothing import smooth
 
 #: What is seen between two gaps, about, and before one at the end, s.
 BETWEEN_GAPS_S, BEFORE_END_S = 8.0, 45.0
+#: Gaps that one IMU still holds well, s; a recording has some of each, and is so long, s.
+SHORT_GAPS_S = (0.5, 1.0, 2.0, 3.0, 5.0)
+SHORT_RECORDING_S = 60.0
+#: How much larger the error with two IMUs may be.
+NEVER_WORSE = 1.02
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,49 @@ def compare_imus(options: argparse.Namespace) -> None:
         print(f"    two against one: error {two / one:.2f}, time {spent[2] / spent[1]:.2f}", flush=True)
 
 
+def compare_short_gaps(options: argparse.Namespace) -> None:
+    """Gaps of 0.5 to 5 s with one IMU and with two: nowhere is the error to be larger than 1.02 times."""
+    changes = dict(pair.split("=", 1) for pair in options.set)
+    config = read_config(options.config)
+    settings = {
+        "imus": "wrist,upper-arm",
+        "protocol": "random",
+        "duration_s": SHORT_RECORDING_S,
+        "occlusion_lengths_s": SHORT_GAPS_S,
+    } | changes
+    for preset in options.presets:
+        gaps: dict[tuple[float, int], list[ChainErrors]] = {}
+        spent = {1: 0.0, 2: 0.0}
+        for seed in options.seeds:
+            simulated = simulate_arm(ArmSimulation.preset(preset, **settings), seed=seed)
+            whole = replace(simulated.recording, truth=None)
+            for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
+                recovery, seconds = _timed(recording, simulated, options, config)
+                spent[imus] += seconds
+                for gap, errors in _scored_gaps(recovery, simulated, recovery.gaps):
+                    length_s = min(SHORT_GAPS_S, key=lambda s: abs(s - gap.length_s))
+                    gaps.setdefault((length_s, imus), []).append(errors)
+                    gaps.setdefault((np.inf, imus), []).append(errors)
+        print(f"preset {preset} {changes}, seeds {options.seeds.start} to {options.seeds.stop - 1}")
+        print("  gap      gaps   one, cm   two, cm   ratio   squared error / sigma^2, one and two")
+        for length_s in (*SHORT_GAPS_S, np.inf):
+            one, two = (gaps.get((length_s, imus), []) for imus in (1, 2))
+            if one and two:
+                print(_short_line(length_s, one, two), flush=True)
+        print(f"  time, two against one: {spent[2] / spent[1]:.2f}", flush=True)
+
+
+def _short_line(length_s: float, one: list[ChainErrors], two: list[ChainErrors]) -> str:
+    first, second = (_rms(np.concatenate([gap.distance_m for gap in gaps])) for gaps in (one, two))
+    squares = [np.nanmean(np.concatenate([gap.squared_sigmas for gap in gaps])) / 3 for gaps in (one, two)]
+    name = "all" if np.isinf(length_s) else f"{length_s:g} s"
+    verdict = "" if second <= NEVER_WORSE * first else "  two are worse"
+    return (
+        f"  {name:6} {len(one):6}   {100 * first:7.3f}   {100 * second:7.3f}   {second / first:5.3f}"
+        f"   {squares[0]:.2f} {squares[1]:.2f}{verdict}"
+    )
+
+
 def _settings(length_s: float, at_end: bool) -> dict[str, Any]:
     if at_end:
         return {
@@ -85,29 +136,40 @@ def _timed(
     return recovery, time.process_time() - began
 
 
-def _gaps(
-    recovery: Recovery, simulated: SimulatedArm, length_s: float, at_end: bool
-) -> Iterator[ChainErrors]:
+def _gaps(recovery: Recovery, simulated: SimulatedArm, length_s: float, at_end: bool) -> list[ChainErrors]:
     """Of each gap of about that length; of the recording's end as much, answered or not."""
+    end_s = float(recovery.t_s[-1])
+    if at_end:
+        wanted: tuple[Gap, ...] = (Gap(end_s - length_s, end_s + 1.0, open_end=True),)
+    else:  # the preset makes gaps of some frames besides
+        wanted = tuple(gap for gap in recovery.gaps if gap.length_s >= 0.5 * length_s)
+    return [errors for _, errors in _scored_gaps(recovery, simulated, wanted)]
+
+
+def _scored_gaps(
+    recovery: Recovery, simulated: SimulatedArm, gaps: tuple[Gap, ...]
+) -> Iterator[tuple[Gap, ChainErrors]]:
+    """Gaps and their errors; of one that is open at the end all samples, answered or not."""
     truth = simulated.recording.truth
     assert truth is not None
     errors = sample_errors(recovery, truth)
-    end_s = float(recovery.t_s[-1])
-    wanted = (Gap(end_s - length_s, end_s + 1.0, open_end=True),) if at_end else recovery.gaps
-    for gap in wanted:
+    for gap in gaps:
         inside = (recovery.t_s > gap.start_s) & (recovery.t_s < gap.end_s)
-        rows = np.flatnonzero(inside if at_end else inside & errors.scored)
-        if gap.length_s < 0.5 * length_s or not len(rows):
-            continue  # a gap of some frames that the preset makes besides
+        rows = np.flatnonzero(inside if gap.open_end else inside & errors.scored)
+        if not len(rows):
+            continue
         answer, true = (
             joints["wrist"][rows] - joints["shoulder"][rows] for joints in (recovery.joints, truth.joints)
         )
-        yield ChainErrors(
-            errors.distance_m[rows],
-            errors.squared_sigmas[rows],
-            np.linalg.norm(answer - true, axis=1),
-            errors.angle_deg[rows],
-            _heading(recovery.rows(rows), simulated),
+        yield (
+            gap,
+            ChainErrors(
+                errors.distance_m[rows],
+                errors.squared_sigmas[rows],
+                np.linalg.norm(answer - true, axis=1),
+                errors.angle_deg[rows],
+                _heading(recovery.rows(rows), simulated),
+            ),
         )
 
 

@@ -41,13 +41,19 @@ def corrected(recording: Recording, calibration: CalibrationFile, store: Store |
     if upper is not None:
         upper, more = _corrected(upper, calibration, store)
         notes += more
+    trunk = recording.trunk
+    if trunk is not None:
+        on_trunk, more = _corrected(trunk.imu, calibration, store)
+        trunk = replace(trunk, imu=on_trunk)
+        notes += more
     known = sensors_in(calibration)
     if known and not notes:
         notes.append(
             f"{calibration.source} corrects {', '.join(sorted(known))}; the recording's IMU is"
             f" {recording.imu.name} and was taken as it is"
         )
-    return replace(recording, imu=imu, base_imu=base, upper_imu=upper, notes=(*recording.notes, *notes))
+    notes = [*recording.notes, *notes]
+    return replace(recording, imu=imu, base_imu=base, upper_imu=upper, trunk=trunk, notes=tuple(notes))
 
 
 def corrected_streams(streams: Sequence[ImuStream], file: CalibrationFile) -> tuple[list[ImuStream], bool]:

@@ -51,6 +51,7 @@ def print_arm(about: RecordingInfo) -> None:
         rows += [
             ("taken", f"{about.imu}, {about.side or 'no side'} arm of {about.skeleton}"),
             *([("on the upper arm", about.upper_imu)] if about.upper_imu else []),
+            *([("on the trunk", about.trunk_imu)] if about.trunk_imu else []),
             ("joints", ", ".join(about.joints) or "none tracked"),
             ("camera frame", about.camera_frame or "not stated"),
             ("both recorded, s", about.duration_s),

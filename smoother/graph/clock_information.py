@@ -59,6 +59,8 @@ def offset_information(
             else:
                 factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
         extended.push_back(factor)
+    if bound == 0.0:  # the camera saw nothing, or the arm was still
+        return scatter
     try:
         marginal = extended.marginal([D(0)])
     except RuntimeError as error:

@@ -61,6 +61,8 @@ class RecordingInfo:
         What would be taken; empty where that is not settled.
     upper_imu : str
         The one on the same upper arm that would take part; empty without one.
+    trunk_imu : str
+        The one on the trunk; empty without one.
     joints : list of str
         Of the skeleton that would be taken.
     imu_rate_hz, camera_rate_hz : float, optional
@@ -113,6 +115,7 @@ class RecordingInfo:
     ready: bool = False
     result: bool = False
     upper_imu: str = ""
+    trunk_imu: str = ""
     notes: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
@@ -190,6 +193,7 @@ def _take(info: RecordingInfo, recording: Recording) -> None:
     arm, imu = recording.arm, recording.imu
     info.imu, info.skeleton, info.side = imu.name, arm.name, recording.side
     info.upper_imu = "" if recording.upper_imu is None else recording.upper_imu.name
+    info.trunk_imu = "" if recording.trunk is None else recording.trunk.imu.name
     info.joints = list(arm.present)
     info.imu_rate_hz, info.camera_rate_hz = _finite(imu.rate_hz), _finite(arm.rate_hz)
     info.camera_frame = None if recording.camera_frame is None else str(recording.camera_frame)

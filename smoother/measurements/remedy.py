@@ -72,17 +72,21 @@ class Remedy:
         if not self.options:
             return recording
         store = store or Store()
-        imu, arm = recording.imu, recording.arm
+        imu, arm, trunk = recording.imu, recording.arm, recording.trunk
         for sensor in self.negate:
             imu = _negated(imu, sensor, store)
         if self.mirror:
             arm = replace(arm, position=_mirrored(arm.position, AXES.index(self.mirror), store))
+            if trunk is not None and trunk.other_arm is not None:
+                position = _mirrored(trunk.other_arm.position, AXES.index(self.mirror), store)
+                trunk = replace(trunk, other_arm=replace(trunk.other_arm, position=position))
         if self.swap:
             arm = _swapped(arm, self.swap, store)
         return replace(
             recording,
             imu=imu,
             arm=arm,
+            trunk=trunk,
             camera_frame=self.camera_frame or recording.camera_frame,
             notes=(*recording.notes, *self._notes()),
         )

@@ -89,6 +89,7 @@ def merge(
         estimates=_estimates(model, np.mean(columns.bias, axis=0)),
         upper=upper.motion(recording, model, coarse_clock),
         body=recording.body,
+        trunk=None,  # beside the arm: `with_trunk`
     )
     return magnetometer.noted(recovery)
 

@@ -116,7 +116,7 @@ def _contradicted(residuals: FrameResiduals) -> BoolArray:
 
 
 def _open_gaps(gaps: tuple[Gap, ...], two_imus: bool) -> list[str]:
-    why = ", by both IMUs: its sigma says how far" if two_imus else ", and soon not to be trusted"
+    why = f", by {'both IMUs' if two_imus else 'one IMU'}: its sigma says how far"
     return [
         f"the gap from {gap.start_s:.1f} s to {gap.end_s:.1f} s is open at its"
         f" {'start' if gap.open_start else 'end'}: it is recovered from one side{why}"

@@ -13,6 +13,7 @@ from ..calibration import ArmCalibration
 from ..errors import UnoccludeError
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks, arm_words
+from ..trunk_motion import TrunkMotion
 from ..upper_motion import UpperMotion
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
@@ -74,6 +75,8 @@ class Recovery:
         What was found besides the motion.
     upper : UpperMotion, optional
         Of an IMU on the upper arm, at the same samples.
+    trunk : TrunkMotion, optional
+        Of an IMU on the trunk, at the same samples.
     body : int, optional
         The camera's number of the person, where several are told apart.
     """
@@ -102,6 +105,7 @@ class Recovery:
     config: dict[str, object] = field(default_factory=dict)
     estimates: Estimates = field(default_factory=Estimates)
     upper: UpperMotion | None = None
+    trunk: TrunkMotion | None = None
     body: int | None = None
 
     @property
@@ -141,6 +145,7 @@ class Recovery:
             joints={joint: part(values) for joint, values in self.joints.items()},
             joint_covariance={joint: part(values) for joint, values in self.joint_covariance.items()},
             upper=None if self.upper is None else self.upper.rows(rows),
+            trunk=None if self.trunk is None else self.trunk.rows(rows),
         )
 
     def batches(self, overlap: int = 0) -> Iterator[Recovery]:
@@ -193,7 +198,8 @@ class Recovery:
         dict with `t_s` (N,), `occluded` (N,), `imu` (N, 3), `imu_quaternion` (N, 4; qw, qx, qy,
         qz), `velocity` (N, 3), `sigma` (N, 3), `sigma_deg` (N,), and for each joint found its
         position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame. With an
-        IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`.
+        IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`;
+        with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`.
         """
         arrays: dict[str, FloatArray | BoolArray] = {
             "t_s": self.t_s,
@@ -210,6 +216,8 @@ class Recovery:
         if self.upper is not None:
             arrays |= {"upper_imu": self.upper.position, "upper_imu_quaternion": self.upper.quaternion}
             arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
+        if self.trunk is not None:
+            arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
         return arrays
 
     def to_table(self) -> pyarrow.Table:

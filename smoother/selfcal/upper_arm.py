@@ -34,6 +34,9 @@ HELD_S = 0.02
 ROUNDS = 3
 #: How far elbow and shoulder are from constant in {B}, m an axis: no less and no more than this.
 LEAST_TISSUE_M, MOST_TISSUE_M = 0.003, 0.04
+#: Tissue turns the IMU against the bone, so that elbow and shoulder, on both sides of it, are off in opposite
+#: directions at the same time: as independent errors of sqrt(2) times the size they turn the bone as far.
+OPPOSITE = float(np.sqrt(2.0))
 #: Where shoulder and elbow scatter by more, an axis, the IMU is on another limb: the right one shows 0.016 at
 #: most on simulated arms, the forearm's or another person's 0.060.
 WRONG_LIMB_M = 0.05
@@ -201,4 +204,4 @@ def _on_forearm_clock(t_upper: FloatArray, upper: Clock, forearm: Clock, store: 
 def _tissue(model: SelfCalibration) -> float:
     """From the part of the residuals that lasts: soft tissue, and what the camera adds of that kind."""
     lasting = [noise.memory_m for noise in model.joint_noise.values()]
-    return float(np.clip(max(lasting, default=0.0), LEAST_TISSUE_M, MOST_TISSUE_M))
+    return OPPOSITE * float(np.clip(max(lasting, default=0.0), LEAST_TISSUE_M, MOST_TISSUE_M))

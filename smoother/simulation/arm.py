@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, Length, LeverArm
-from ..recording import BoolArray, FloatArray, ImuStream, Recording, Truth
+from ..recording import BoolArray, FloatArray, ImuStream, Recording, TrunkSensors, Truth
 from .body import Measures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
@@ -17,6 +18,8 @@ from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion, MotionModel, Stage, draw_stage, draw_wobble
 from .protocol import Performance, perform
+from .trunk import TrunkTurn
+from .trunk_imu import TrunkImuMotion, draw_trunk_axes, measure_trunk
 from .upper_arm import UpperArmMotion, draw_upper_mount, measure_upper_arm
 
 #: What the true calibration claims to be good to, m.
@@ -46,6 +49,8 @@ class SimulatedArm:
         The motion itself, for further sensors.
     upper_motion : UpperArmMotion or None
         Of the upper-arm IMU, where there is one.
+    trunk_motion : TrunkImuMotion or None
+        Of the trunk's IMU, where there is one.
     """
 
     recording: Recording
@@ -55,6 +60,7 @@ class SimulatedArm:
     occluded: BoolArray
     motion: MotionModel
     upper_motion: UpperArmMotion | None = None
+    trunk_motion: TrunkImuMotion | None = None
 
 
 def true_motion(motion: MotionModel, t_s: FloatArray) -> Truth:
@@ -132,12 +138,14 @@ def record_arm(
     """
     imu_rng, noise_rng, gap_rng, stamp_rng, wobble_rng, upper_rng, upper_wobble_rng = streams
     wobble = draw_wobble(performance, config.wobble_deg, wobble_rng)
-    motion = ArmMotion(performance, measures, stage, wobble, config.side)
+    (trunk_rng,) = upper_rng.spawn(1)  # leaves what `upper_rng` draws as it is
+    turn = TrunkTurn(performance, config.trunk_turn_deg, trunk_rng)
+    motion = ArmMotion(performance, measures, stage, wobble, config.side, turn)
 
     ideal = ideal_imu(motion, performance.duration_s, config.imu_rate_hz, stage.gravity)
     imu, parameters = measure(ideal, config, imu_rng)
     upper_motion, upper_imu = None, None
-    if config.imus == "wrist,upper-arm":
+    if "upper-arm" in config.imus:
         upper_wobble = draw_wobble(performance, config.upper_wobble_deg, upper_wobble_rng)
         mount = draw_upper_mount(measures, config.side, upper_rng)
         upper_motion = UpperArmMotion(motion, mount, performance.t_s, upper_wobble)
@@ -165,7 +173,18 @@ def record_arm(
     lose_forearm(footage, hidden, true, config, gap_rng)
     parameters |= deceive(footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng)
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
+    same_stamps = deepcopy(stamp_rng)
     tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
+    trunk_motion, trunk = None, None
+    if "trunk" in config.imus:
+        trunk_motion = TrunkImuMotion(stage.R_K_T, stage.origin_K, turn, draw_trunk_axes(trunk_rng))
+        trunk_imu, trunk_parameters = measure_trunk(
+            trunk_motion, performance.duration_s, stage.gravity, config, trunk_rng
+        )
+        parameters |= trunk_parameters
+        other = film(times, {"shoulder": motion.other_arm(times)["shoulder"]})
+        add_noise(other, config, trunk_rng)
+        trunk = TrunkSensors(trunk_imu, deliver(other, "simulated", config, same_stamps)[0])
 
     lever_arms = {
         joint: LeverArm(measures.lever_arm(joint), np.full(3, LEVER_ARM_SIGMA_M))
@@ -200,5 +219,8 @@ def record_arm(
         truth=true_motion(motion, imu.t_s),
         name=name,
         upper_imu=upper_imu,
+        trunk=trunk,
     )
-    return SimulatedArm(recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion)
+    return SimulatedArm(
+        recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion, trunk_motion
+    )

@@ -146,7 +146,15 @@ class ArmSimulation(SensorErrors):
         default=0.0, ge=0, description="rms of the strap's rotation on the forearm, degrees"
     )
 
-    imus: Literal["wrist", "wrist,upper-arm"] = Field(default="wrist", description="where an IMU is worn")
+    imus: Literal["wrist", "wrist,upper-arm", "wrist,upper-arm,trunk"] = Field(
+        default="wrist", description="where an IMU is worn; with `trunk` the camera sees both shoulders"
+    )
+    trunk_turn_deg: float = Field(
+        default=0.0, ge=0, description="rms of the trunk's turning and leaning, degrees; 0 = still"
+    )
+    trunk_clock_s: float = Field(
+        default=0.0, description="the trunk IMU's clock is ahead of the wrist's by this, s"
+    )
     upper_wobble_deg: float = Field(
         default=0.0,
         ge=0,

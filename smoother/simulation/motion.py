@@ -16,6 +16,7 @@ from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, Measures, ar
 from .path import KNOT_RATE_HZ, band_noise
 from .posture import reference
 from .protocol import Performance
+from .trunk import TrunkTurn
 
 #: Axes of a level Kinect to those of other level cameras.
 LEVEL_FROM_KINECT = {
@@ -102,9 +103,16 @@ class ArmMotion:
     """An arm that performs a protocol before the camera."""
 
     def __init__(
-        self, performance: Performance, measures: Measures, stage: Stage, wobble: FloatArray, side: str
+        self,
+        performance: Performance,
+        measures: Measures,
+        stage: Stage,
+        wobble: FloatArray,
+        side: str,
+        trunk: TrunkTurn | None = None,
     ) -> None:
         self.measures, self.stage = measures, stage
+        self.trunk = trunk or TrunkTurn(performance, 0.0, np.random.default_rng(0))
         # A left arm is the mirror image of a right one; z of its {F} is then mirrored twice (x cross y).
         self._mirror = np.diag([-1.0 if side == "left" else 1.0, 1.0, 1.0])
         self._flip = np.diag([1.0, 1.0, -1.0 if side == "left" else 1.0])
@@ -116,7 +124,7 @@ class ArmMotion:
         table = self._spline(t_s)
         _, elbow, _, _ = self._chain(t_s)
         R_T_U = (reference() * Rotation.from_rotvec(table[:, SHOULDER])).as_matrix()
-        return self._to_camera(elbow), self.stage.R_K_T @ self._mirror @ R_T_U @ self._flip
+        return self._to_camera(elbow, t_s), self._trunk(t_s) @ self._mirror @ R_T_U @ self._flip
 
     def _chain(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Shoulder, elbow (N, 3) and `R_T_F` (N, 3, 3) in {T}, and the strap's rotation vector (N, 3)."""
@@ -131,8 +139,13 @@ class ArmMotion:
             table[:, POSTURE_SIZE + 3 :],
         )
 
-    def _to_camera(self, points_T: FloatArray) -> FloatArray:
-        return np.asarray(points_T @ self.stage.R_K_T.T + self.stage.origin_K)
+    def _to_camera(self, points_T: FloatArray, t_s: FloatArray) -> FloatArray:
+        moved = self.trunk.moved(points_T, t_s)
+        return np.asarray(moved @ self.stage.R_K_T.T + self.stage.origin_K)
+
+    def _trunk(self, t_s: FloatArray) -> FloatArray:
+        """`R_K_T` of the trunk as it is turned: (3, 3) of one that stands still, else (N, 3, 3)."""
+        return self.stage.R_K_T if self.trunk.is_still else self.stage.R_K_T @ self.trunk.at(t_s)
 
     def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `MotionModel.imu_pose`."""
@@ -142,8 +155,8 @@ class ArmMotion:
         in_forearm = strap @ self.measures.imu_in_forearm
         in_forearm[:, 1] -= self.measures.along_forearm["elbow"]
         position = elbow + np.einsum("nij,nj->ni", R_T_F, in_forearm)
-        R_K_A = self.stage.R_K_T @ R_T_F @ strap @ self.measures.R_F_A
-        return R_K_A, self._to_camera(position)
+        R_K_A = self._trunk(t_s) @ R_T_F @ strap @ self.measures.R_F_A
+        return R_K_A, self._to_camera(position, t_s)
 
     def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
         """See `MotionModel.joints`."""
@@ -152,7 +165,7 @@ class ArmMotion:
         positions = {"shoulder": shoulder, "elbow": elbow}
         for joint in ("wrist", "hand"):
             positions[joint] = elbow + (along[joint] - along["elbow"]) * direction
-        return {joint: self._to_camera(position) for joint, position in positions.items()}
+        return {joint: self._to_camera(position, t_s) for joint, position in positions.items()}
 
     def bone_axes(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Elbow's flexion axis, from the medial to the lateral epicondyle, (N, 3), and `R_K_F` (N, 3, 3)."""
@@ -161,7 +174,8 @@ class ArmMotion:
         turn = np.asarray(self._spline(t_s)[:, PRONATION])
         axis_F = np.stack([np.sin(turn), np.zeros_like(turn), np.cos(turn)], axis=1) @ self._flip
         lateral = np.einsum("nij,nj->ni", R_T_F, axis_F)
-        return lateral @ self.stage.R_K_T.T, np.asarray(self.stage.R_K_T @ R_T_F)
+        R_K_T = self._trunk(t_s)
+        return (R_K_T @ lateral[:, :, None])[:, :, 0], np.asarray(R_K_T @ R_T_F)
 
     def other_arm(self, t_s: FloatArray) -> dict[str, FloatArray]:
         """The joints of the other arm, which hangs and sways with the trunk: (N, 3) by joint, m in {K}."""
@@ -174,18 +188,19 @@ class ArmMotion:
             "wrist": self.measures.upper_arm + self.measures.forearm,
             "hand": self.measures.upper_arm + self.measures.forearm + self.measures.hand,
         }
-        return {joint: self._to_camera(rest + sway + length * down) for joint, length in reach.items()}
+        return {joint: self._to_camera(rest + sway + length * down, t_s) for joint, length in reach.items()}
 
     def hidden(self, t_s: FloatArray) -> BoolArray:
         """(N,) True where the body stands between the camera and the wrist or the hand."""
         # The body sways with the shoulder.
         sway = self._spline(t_s)[:, POSTURE_SIZE : POSTURE_SIZE + 3] @ self._mirror
         R_T_K = self.stage.R_K_T.T
-        eye = -R_T_K @ self.stage.origin_K - sway
+        camera = np.tile(-R_T_K @ self.stage.origin_K, (len(t_s), 1))
+        eye = self.trunk.back(camera, t_s) - sway
         joints = self.joints(t_s)
         hidden = np.zeros(len(t_s), dtype=bool)
         for joint in ("wrist", "hand"):
-            position_T = (joints[joint] - self.stage.origin_K) @ R_T_K.T - sway
+            position_T = self.trunk.back((joints[joint] - self.stage.origin_K) @ R_T_K.T, t_s) - sway
             for part in BODY:
                 hidden |= part.hides(position_T, eye)
         return hidden

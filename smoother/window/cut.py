@@ -109,7 +109,8 @@ def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
     for gap in (gap for gap in prepared.gaps if gap.end_s > t0 and gap.start_s < t1):
         visible.append((last, gap.start_s))
         last = gap.end_s
-    visible.append((last, t1))
+    if last < t1:  # else a gap reaches the end, and no border lies behind it
+        visible.append((last, t1))
     borders = [t0]
     for a, b in visible:
         keep = min(KEEP_S, 0.5 * (b - a))

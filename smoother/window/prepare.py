@@ -17,8 +17,9 @@ from .nodes import GAP_NODE_S, GAP_NODE_UPPER_S, decimate, group_frames, insert_
 from .problem import States
 from .upper_runs import forearm_in_gaps, prepare_upper, takes_part
 
-#: Beyond so much time from the last visible frame there is no answer, s; with an upper-arm IMU there is one.
-REACH_S = 10.0
+#: Beyond so much time from the last visible frame there is no answer, s: a window has no border in a gap, and
+#: what it takes grows with its length squared.
+REACH_S = 180.0
 
 
 def prepare(
@@ -60,8 +61,7 @@ def prepare(
         return None
     first_s, last_s = frame_t_imu[measured][[0, -1]].tolist()
     with_upper = takes_part(segment, calibration)
-    reach_s = np.inf if with_upper else REACH_S
-    start_s, end_s = max(segment.start_s, first_s - reach_s), min(segment.end_s, last_s + reach_s)
+    start_s, end_s = max(segment.start_s, first_s - REACH_S), min(segment.end_s, last_s + REACH_S)
     core_start_s, core_end_s = max(start_s, segment.core_start_s), min(end_s, segment.core_end_s)
     if core_end_s - core_start_s < 0.1:
         return None

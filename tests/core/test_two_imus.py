@@ -117,6 +117,22 @@ def test_every_sample_of_a_gap_at_the_end_is_answered() -> None:
     assert error_m(recovery, made) < 0.01
     sigma = recovery.worst_sigma_m
     assert sigma[-200:-20].max() < 0.02 < 0.2  # it does not grow with the time
+    # one IMU answers to the end as well, and says that it is less certain
+    one = smooth(replace(blind(made), upper_imu=None), processes=1)
+    truth = made.recording.truth
+    assert truth is not None and one.answered.all()
+    assert one.worst_sigma_m[-20:].min() > 1.5 * sigma[-20:].max()
+    off = (one.position - truth.position)[one.occluded]
+    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(one.pose_covariance[one.occluded, :3, :3]), off)
+    assert squares.mean() / 3.0 < 1.5 and error_m(one, made) < 0.05  # 1 cm as measured
+
+
+def test_a_wrist_that_is_hidden_for_a_minute() -> None:
+    made = simulated(duration_s=85.0, occlusion_lengths_s=(60.0,), occlusion_every_s=68.0)
+    recovery = smooth(blind(made), processes=1)
+    assert max(gap.length_s for gap in recovery.gaps) > 59.0
+    assert recovery.answered.all() and error_m(recovery, made) < 0.008  # 0.3 cm as measured
+    assert recovery.worst_sigma_m[recovery.occluded].max() < 0.02
 
 
 def test_a_hidden_shoulder_loses_the_room_but_not_the_arm() -> None:

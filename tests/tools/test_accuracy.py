@@ -42,3 +42,27 @@ def test_the_table_of_long_gaps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         assert min(float(each) for each in gaps) <= float(rms) <= float(worst)
     assert printed.count("largest rms / sigma of a gap") == 2
     assert len(re.findall(r"50 %: \d+ %   95 %: \d+ %", printed)) == 4  # position and orientation
+
+
+def test_short_gaps_with_one_imu_and_two(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    settings = "short --presets white --seeds 0:1 --set duration_s=16"
+    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
+    accuracy.main()
+    printed = capsys.readouterr().out
+    rows = re.findall(r"^  (\S+(?: s)?) +(\d+) +(\S+) +(\S+) +(\S+)   (\S+) (\S+)", printed, re.MULTILINE)
+    (every,) = [row for row in rows if row[0] == "all"]
+    assert int(every[1]) == sum(int(row[1]) for row in rows if row[0] != "all") > 0
+    assert float(every[4]) == pytest.approx(float(every[3]) / float(every[2]), rel=0.01)
+    for row in rows:
+        assert ("two are worse" in printed) == any(float(row[4]) > 1.02 for row in rows)
+
+
+def test_angles_relative_to_the_trunk(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    settings = "trunk --preset white --seeds 1:2 --set duration_s=20"
+    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
+    accuracy.main()
+    printed = capsys.readouterr().out
+    pattern = r"shoulder_(\w+)_trunk +rms +(\S+) deg, without the trunk's IMU +(\S+) deg"
+    found = {kind: (float(a), float(b)) for kind, a, b in re.findall(pattern, printed)}
+    assert set(found) == {"plane", "elevation", "rotation"}
+    assert found["elevation"][0] < 0.8 * found["elevation"][1]

@@ -122,6 +122,14 @@ def test_borders_lie_in_visible_time(steps: list[tuple[float, float]], length_s:
         assert b - border >= away
 
 
+def test_no_border_behind_a_gap_that_reaches_the_end() -> None:
+    """A window of the gap's last moment alone would hold no sample of the camera."""
+    gaps = (Gap(3.0, 4.0), Gap(15.0, END_S, open_end=True))
+    borders = cut_times(replace(PREPARED, gaps=gaps), 8.0)
+    assert borders[-1] == END_S and (np.diff(borders) > 0).all()
+    assert borders[-2] < 15.0
+
+
 @given(gap_lengths, lengths)
 def test_windows_are_as_long_as_the_gaps_allow(steps: list[tuple[float, float]], length_s: float) -> None:
     gaps = gaps_of(steps)

@@ -16,10 +16,12 @@ from smoother.recording import JOINTS, BoolArray, FloatArray
 from smoother.simulation import SimulatedArm
 from smoother.window.cut import PreparedSegment
 from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, GROUPED_S
-from smoother.window.prepare import REACH_S, prepare, reach
+from smoother.window.prepare import prepare, reach
 
 SIGMA_M = np.full(len(JOINTS), 0.01)
 MARGIN_S = 2.5
+#: Shorter than the real one, so that a short recording reaches beyond it.
+REACH_S = 10.0
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +136,9 @@ def test_reach_goes_beyond_a_gap_at_either_end() -> None:
 
 @pytest.mark.parametrize("side", ["start", "end"])
 def test_far_from_any_visible_frame_there_are_no_nodes(
-    made: SimulatedArm, segment: Segment, clock: Clock, side: str
+    made: SimulatedArm, segment: Segment, clock: Clock, side: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("smoother.window.prepare.REACH_S", REACH_S)
     t = segment.frame_t_imu(clock)
     visible = t > 30.0 if side == "start" else t < 10.0
     one_sided = ready(hidden(segment, ~visible), made, clock)
@@ -155,7 +158,10 @@ def test_far_from_any_visible_frame_there_are_no_nodes(
     assert not one_sided.start.v[beyond].any()
 
 
-def test_too_little_seen_is_no_segment(made: SimulatedArm, segment: Segment, clock: Clock) -> None:
+def test_too_little_seen_is_no_segment(
+    made: SimulatedArm, segment: Segment, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smoother.window.prepare.REACH_S", REACH_S)
     number = np.arange(len(segment.frame_t_camera))
     for shown in (0, 1):
         few = hidden(segment, (number < 300) | (number >= 300 + shown))

@@ -11,7 +11,8 @@ from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...recording import FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
-from ...shoulder_angles import shoulder_angles
+from ...shoulder_angles import shoulder_angles, trunk_angles
+from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
@@ -120,6 +121,8 @@ def column_groups(recovery: Recovery) -> list[ColumnGroup]:
         groups.append((["elbow_flexion_sigma_deg"], flexion_sigma, "deg", "one standard deviation"))
     if recovery.upper is not None:
         groups += _upper_arm(recovery, recovery.upper)
+    if recovery.trunk is not None:
+        groups += _trunk(recovery, recovery.trunk)
     return [
         ColumnGroup(names, np.where(np.isfinite(values), values, np.nan).reshape(count, -1), *said)
         for names, values, *said in groups
@@ -148,6 +151,28 @@ def _upper_arm(recovery: Recovery, upper: UpperMotion) -> list[tuple[list[str], 
     ]
     for name, values in angles.items():
         groups.append(([f"{name}_deg"], values, "deg", f"{name.removeprefix('shoulder_')} {about}"))
+        groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))
+    return groups
+
+
+def _trunk(recovery: Recovery, trunk: TrunkMotion) -> list[tuple[list[str], FloatArray, str, str]]:
+    """Columns of an IMU on the trunk, and of the shoulder's angles relative to it."""
+    groups = [
+        (
+            [f"trunk_q{part}" for part in "wxyz"],
+            trunk.quaternion,
+            "1",
+            "rotation thorax axes (ISB) to camera, quaternion",
+        ),
+        (["trunk_sigma_deg"], trunk.sigma_deg, "deg", "as sigma_deg, of the thorax"),
+    ]
+    if recovery.upper is None:
+        return groups
+    angles, sigmas = trunk_angles(recovery)
+    for name, values in angles.items():
+        kind = name.removeprefix("shoulder_").removesuffix("_trunk")
+        about = f"{kind} of the shoulder (ISB), relative to the trunk by its IMU"
+        groups.append(([f"{name}_deg"], values, "deg", about))
         groups.append(([f"{name}_sigma_deg"], sigmas[name], "deg", "one standard deviation"))
     return groups
 

@@ -33,7 +33,7 @@ class WornImus:
 
     def __init__(self, file: RecordingFile, store: Store | None = None) -> None:
         self._file, self._store = file, store
-        self._imus = [imu for imu in file.imus if role(imu) != "base"]
+        self._imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
         self._matches: dict[tuple[str, int], dict[str, ImuMatch]] = {}
         bodies = {(arm.topic, arm.body) for arm in file.arms if arm.tracked}
         #: With one IMU there is nothing to tell people apart by.

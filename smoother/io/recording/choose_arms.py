@@ -101,7 +101,7 @@ def _candidates(file: RecordingFile, arms: Sequence[ArmFrames]) -> list[ImuSampl
     named = forearm_imus(file, None)
     if len(_bodies(arms)) < 2:
         return named
-    return [imu for imu in file.imus if role(imu) not in ("base", "upper_arm")]
+    return [imu for imu in file.imus if role(imu) not in ("base", "upper_arm", "trunk")]
 
 
 def _sides_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
@@ -143,7 +143,7 @@ def _by_motion(
     """A choice for every arm on whose forearm an IMU is, by one assignment of all IMUs to all limbs."""
     from .match_streams import match_streams  # what it imports is not needed where names settle it
 
-    imus = [imu for imu in file.imus if role(imu) != "base"]
+    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
 
     def may_be(row: int, limb: Limb) -> bool:
         named, worn_on = role(imus[row]), named_side(imus[row].topic, imus[row].frame_id)

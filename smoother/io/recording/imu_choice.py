@@ -56,7 +56,7 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
             what = "more than one IMU fits" if matches else "no IMU fits"
             raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
         return matches
-    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm")]
+    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm", "trunk")]
     if not candidates:
         raise RecordingError(
             f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."

@@ -17,6 +17,7 @@ from .choose_arms import choose_arms, left_out_words
 from .clean import clean_arm, clean_imu, clean_poses
 from .selection import Selection, StreamChoice
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
+from .trunk import trunk_of
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
@@ -101,6 +102,7 @@ class _CleanArm:
 
     def recording(self, file: RecordingFile, origin: int, store: Store) -> Recording:
         arm = self.arm
+        trunk, trunk_notes = trunk_of(file, self.choice, origin, store)
         return Recording(
             imu=_imu_stream(self.imu, origin, store),
             arm=JointTracks(arm.topic, seconds(arm.stamp_ns, origin, store), arm.position, arm.state),
@@ -111,9 +113,10 @@ class _CleanArm:
             truth=None if self.truth is None else _truth(self.truth, origin, store),
             origin_ns=origin,
             name=file.name,
-            notes=self.notes,
+            notes=(*self.notes, *trunk_notes),
             upper_imu=None if self.upper is None else _imu_stream(self.upper, origin, store),
             body=self.choice.body,
+            trunk=trunk,
         )
 
 

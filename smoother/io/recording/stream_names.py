@@ -8,11 +8,14 @@ from .streams import ImuSamples, RecordingFile
 
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
+_TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
 
 
 def role(stream: ImuSamples) -> str:
-    """What a stream's names say it is on: "forearm", "upper_arm", "base" or ""."""
+    """What a stream's names say it is on: "forearm", "upper_arm", "trunk", "base" or ""."""
     for name in (words(stream.topic), words(stream.frame_id)):
+        if any(word in name for word in _TRUNK_WORDS):
+            return "trunk"
         if "upper" in name:
             return "upper_arm"
         if any(word in name for word in _FOREARM_WORDS):

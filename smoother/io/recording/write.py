@@ -90,6 +90,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
     topics: set[str] = set()
     sides: set[tuple[int, str]] = set()
+    others: dict[tuple[int, str], tuple[JointTracks, int]] = {}
     for one in recordings:
         file.notes += [note for note in one.notes if note not in file.notes]
         topic = _free(imu_topic(one.imu.name, one.side), topics)
@@ -123,6 +124,14 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
         file.arms.append(
             ArmFrames("/skeleton", CAMERA, body, one.side, stamp, one.arm.position, one.arm.state)
         )
+        if one.trunk is not None and "/imu/trunk" not in topics:
+            topics.add("/imu/trunk")
+            trunk = one.trunk.imu
+            stamp = nanoseconds(trunk.t_s, one.origin_ns)
+            file.imus.append(ImuSamples("/imu/trunk", "trunk", stamp, trunk.acc, trunk.gyro))
+            other_side = {"left": "right", "right": "left"}.get(one.side, "")
+            if one.trunk.other_arm is not None and other_side:
+                others[body, other_side] = (one.trunk.other_arm, one.origin_ns)
         if one.truth is not None:
             suffix = f"/{one.side or len(sides)}" if len(recordings) > 1 else ""
             suffix = suffix if one.body is None else f"/body_{one.body}{suffix}"
@@ -133,6 +142,10 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             file.poses.append(
                 PoseSamples(topic, CAMERA, stamp, truth.position, truth.quaternion, score, truth.joints)
             )
+    for (body, side), (arm, origin_ns) in others.items():
+        if (body, side) not in sides:  # else it is there as an arm of its own
+            stamp = nanoseconds(arm.t_s, origin_ns)
+            file.arms.append(ArmFrames("/skeleton", CAMERA, body, side, stamp, arm.position, arm.state))
     return file
 
 

@@ -56,6 +56,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             "figures": recovery.estimates.plain(),
             **_upper_arm(recovery),
             **({} if recovery.body is None else {"body": recovery.body}),
+            **_trunk(recovery),
         }.items()
     }
 
@@ -67,6 +68,15 @@ def _upper_arm(recovery: Recovery) -> dict[str, object]:
         return {}
     names = ("name", "clock_offset_s", "mount_sigma_rad")
     return {"upper_arm": {name: getattr(upper, name) for name in names}}
+
+
+def _trunk(recovery: Recovery) -> dict[str, object]:
+    """What an IMU on the trunk adds; nothing without one."""
+    trunk = recovery.trunk
+    if trunk is None:
+        return {}
+    names = ("name", "clock_offset_s", "mount_sigma_rad", "R_T_D")
+    return {"trunk": {name: getattr(trunk, name) for name in names}}
 
 
 def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...measurements.rejection import Reason
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import Estimates, FrameResiduals, Recovery
+from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.container import Container
 from ..mcap.messages import Topic, TopicMessages
@@ -103,6 +104,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, _Table], name:
             estimates=Estimates.from_plain(values["figures"]),
             upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
             body=values.get("body"),
+            trunk=_trunk(stamp, tables.get(f"{RESULT_PREFIX}trunk{suffix}"), values.get("trunk")),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise RecordingError(
@@ -118,6 +120,21 @@ def _upper(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None)
     arrays = _motion(len(stamp), *_rows(stamp, table))
     return UpperMotion(
         **{name: arrays[name] for name in ("position", "quaternion", "pose_covariance")},
+        mount_sigma_rad=np.array(values["mount_sigma_rad"], float),
+        clock_offset_s=values["clock_offset_s"],
+        name=values["name"],
+    )
+
+
+def _trunk(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None) -> TrunkMotion | None:
+    """The thorax's orientation at the samples (n,)."""
+    if values is None:
+        return None
+    arrays = _motion(len(stamp), *_rows(stamp, table))
+    return TrunkMotion(
+        arrays["quaternion"],
+        arrays["pose_covariance"][:, 3:, 3:],
+        R_T_D=np.array(values["R_T_D"], float),
         mount_sigma_rad=np.array(values["mount_sigma_rad"], float),
         clock_offset_s=values["clock_offset_s"],
         name=values["name"],
@@ -295,6 +312,7 @@ class _CameraTable(_Table):
 _TABLES: dict[str, type[_Table]] = {
     "forearm": _OdometryTable,
     "upper_arm": _OdometryTable,
+    "trunk": _OdometryTable,
     "skeleton": _SkeletonTable,
     "residuals": _ResidualTable,
     "camera": _CameraTable,

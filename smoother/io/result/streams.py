@@ -82,6 +82,7 @@ class RecoveryStreams:
             self._skeleton(part),
             *self._odometry(part),
             *self._upper_arm(part),
+            *self._trunk(part),
             *self._camera(part),
             *self._residuals(part_residuals),
             *self._drawn(part, nearest, inside),
@@ -123,6 +124,23 @@ class RecoveryStreams:
             velocity=np.full_like(r.velocity, np.nan),
         )
         yield from self._odometry(upper, "upper_arm", self.body.replace("forearm", "upper_arm"))
+
+    def _trunk(self, r: Recovery) -> Iterator[Outgoing]:
+        """The thorax's orientation, drawn at the arm's shoulder."""
+        if r.trunk is None:
+            return
+        known = np.asarray(np.isfinite(r.trunk.quaternion).all(axis=1))
+        covariance = np.zeros((len(r), 6, 6))
+        covariance[:, 3:, 3:] = r.trunk.covariance
+        at = np.nan_to_num(r.joints["shoulder"]) if "shoulder" in r.joints else np.zeros((len(r), 3))
+        thorax = replace(
+            r,
+            position=np.where(known[:, None], at, np.nan),
+            quaternion=r.trunk.quaternion,
+            pose_covariance=covariance,
+            velocity=np.full_like(r.velocity, np.nan),
+        )
+        yield from self._odometry(thorax, "trunk", self.body.replace("forearm_imu", "thorax"))
 
     def _odometry(self, r: Recovery, topic: str = "forearm", body: str | None = None) -> Iterator[Outgoing]:
         from scipy.spatial.transform import Rotation

@@ -1,0 +1,180 @@
+"""The thorax's orientation by an IMU on the trunk, at the samples of a recovery.
+
+Beside the graph, not in it: the arm is the same with and without. The IMU's inertial filter gives the
+orientation up to a heading that drifts slowly; the line of both shoulders, where the camera sees them, gives
+the heading (`selfcal.trunk_mount`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..linalg import unit
+from ..measurements.attitude import inertial_attitude
+from ..measurements.inertial import InertialSignal
+from ..measurements.segment import without_spikes
+from ..measurements.timestamps import dejitter, split_at_pauses
+from ..recording import FloatArray, ImuStream, IntArray, JointTracks, Recording, TrunkSensors
+from ..result import Recovery
+from ..runtime.store import Store
+from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
+from ..trunk_motion import TrunkMotion
+from .blending import between_quaternions
+
+#: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.
+SECTION_S, CONTEXT_S, BLEND_S = 60.0, 15.0, 1.0
+#: The ends of a run of samples are held so much longer, s: clocks known to some milliseconds end apart.
+HELD_S = 0.05
+#: Sections that the mounting is found on, evenly spread, and frames with both shoulders that one needs.
+EXCERPTS, FEWEST_FRAMES = 5, 60
+#: The inertial filter runs no faster than this, Hz; a shorter run of samples is not worth one.
+FILTER_RATE_HZ, FEWEST_SAMPLES = 120.0, 40
+#: Frames of both arms that are so near are the same one, s; shoulders lie so far apart, m.
+SAME_FRAME_S, WIDTH_M = 0.005, (0.15, 0.6)
+#: The vertical by the inertial filter and by the recovered direction of gravity, rad.
+VERTICAL_RAD = np.radians(1.0)
+#: Constant error of a shoulder, m an axis, where the recording does not show how large such errors are.
+JOINT_BIAS_M = 0.01
+#: A line of shoulders that departs by more than this, rms, does not move as the IMU does, rad.
+WRONG_LIMB_RAD = np.radians(15.0)
+
+
+def with_trunk(recovery: Recovery, recording: Recording, store: Store) -> Recovery:
+    """The recovery with the thorax's orientation, or with a note on why there is none.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    recording : Recording
+        As it was read; the recovery as it is where that has no IMU on the trunk.
+    store : Store
+        Where the columns live.
+    """
+    trunk = recording.trunk
+    if trunk is None:
+        return recovery
+    motion, note = _motion(trunk, recovery, recording, store)
+    return replace(recovery, trunk=motion, notes=(*recovery.notes, note))
+
+
+def _motion(
+    trunk: TrunkSensors, recovery: Recovery, recording: Recording, store: Store
+) -> tuple[TrunkMotion | None, str]:
+    name = trunk.imu.name
+    if not np.isfinite(recovery.gravity_direction).all() or not len(recovery):
+        return None, f"{name} was left out: the direction of gravity is not known"
+    if trunk.other_arm is None or recording.side not in ("left", "right"):
+        return None, f"{name} was left out: its heading needs both shoulders, and the skeleton shows one arm"
+    up_K = -unit(recovery.gravity_direction)
+    data = _TrunkData(trunk.imu, trunk.other_arm, recovery, recording)
+    starts = np.arange(float(recovery.t_s[0]), float(recovery.t_s[-1]), SECTION_S)
+    enough = [start for start in starts if data.frames(start, start + SECTION_S) >= FEWEST_FRAMES]
+    chosen = {enough[int(k)] for k in np.linspace(0, len(enough) - 1, EXCERPTS)} if enough else set()
+    lines = [line for start in sorted(chosen) for line in data.lines(start, 0.0)]
+    if not lines:
+        return None, f"{name} was left out: the camera hardly saw both shoulders with its samples"
+    mount = mount_trunk(lines, up_K, recovery.estimates.joint_bias_sigma_m or JOINT_BIAS_M)
+    if mount.line_sigma_rad > WRONG_LIMB_RAD:
+        return None, (
+            f"{name} was left out: the line of shoulders departs from its motion by"
+            f" {np.degrees(mount.line_sigma_rad):.0f} degrees; look whether it was on the trunk"
+        )
+    quaternion, covariance = store.array((len(recovery), 4)), store.array((len(recovery), 3, 3))
+    for start in starts:
+        for line in data.lines(start, mount.offset_s):
+            _fill(quaternion, covariance, recovery.t_s, start, line, mount, up_K)
+    offset_s = recovery.clock_offset_s + mount.offset_s
+    motion = TrunkMotion(quaternion, covariance, mount.R_T_D, mount.sigma_rad, offset_s, name)
+    return motion, f"{name} is used on the trunk; its usual posture counts as upright"
+
+
+class _TrunkData:
+    """What IMU and camera say of the trunk, a section at a time."""
+
+    def __init__(self, imu: ImuStream, other: JointTracks, recovery: Recovery, recording: Recording) -> None:
+        self._imu, self._other, self._recovery, self._recording = imu, other, recovery, recording
+
+    def frames(self, start_s: float, end_s: float) -> int:
+        """Frames with both shoulders between two times of the forearm IMU's clock."""
+        return len(self._both(start_s, end_s)[0])
+
+    def lines(self, start_s: float, offset_s: float) -> list[ShoulderLine]:
+        """Of a section and what is around it, one a run of the trunk IMU's samples."""
+        first_s, last_s = start_s - CONTEXT_S, start_s + SECTION_S + CONTEXT_S
+        reach_s = 2.0 * float(OFFSETS_S[-1])
+        rows = slice(*np.searchsorted(self._imu.t_s, [first_s - reach_s, last_s + reach_s]).tolist())
+        own = self._imu.select(rows)
+        own = ImuStream(own.name, np.array(own.t_s), np.array(own.acc), np.array(own.gyro))
+        t, in_K, width = self._both(first_s, last_s)
+        lines = []
+        for run in split_at_pauses(own):
+            if run.stop - run.start < FEWEST_SAMPLES:
+                continue
+            samples = without_spikes(own.select(run))
+            signal = InertialSignal(replace(samples, t_s=dejitter(samples.t_s)))
+            attitude = inertial_attitude(signal, min(samples.rate_hz, FILTER_RATE_HZ))
+            inside = (t + offset_s >= signal.start_s) & (t + offset_s <= signal.end_s)
+            if inside.sum() >= FEWEST_FRAMES // 2:
+                width_m = float(np.median(width[inside]))
+                lines.append(
+                    ShoulderLine(t[inside], in_K[inside], width_m, attitude, signal.start_s, signal.end_s)
+                )
+        return lines
+
+    def _both(self, start_s: float, end_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Frames (n,) on the forearm IMU's clock, the line from left to right (n, 3), its length (n,) m."""
+        arm_t = self._recovery.arm.t_s
+        rows = slice(*np.searchsorted(arm_t, [start_s, end_s]).tolist())
+        arm, stamp = self._recording.arm.select(rows), np.array(self._recording.arm.t_s[rows])
+        if not len(stamp):
+            return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
+        near = np.searchsorted(self._other.t_s, [stamp[0] - 0.1, stamp[-1] + 0.1])
+        other = self._other.select(slice(*near.tolist()))
+        if not len(other):
+            return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
+        nearest = _nearest(other.t_s, stamp)
+        line = np.asarray(arm.joint("shoulder")) - np.asarray(other.joint("shoulder"))[nearest]
+        line = line if self._recording.side == "right" else -line
+        width = np.linalg.norm(line, axis=1)
+        with np.errstate(invalid="ignore"):
+            good = (width > WIDTH_M[0]) & (width < WIDTH_M[1])
+        good &= arm.tracked("shoulder") & other.tracked("shoulder")[nearest]
+        good &= np.abs(other.t_s[nearest] - stamp) < SAME_FRAME_S
+        return np.array(arm_t[rows])[good], unit(line[good]), width[good]
+
+
+def _fill(
+    quaternion: FloatArray,
+    covariance: FloatArray,
+    t_s: FloatArray,
+    start_s: float,
+    line: ShoulderLine,
+    mount: TrunkMount,
+    up_K: FloatArray,
+) -> None:
+    """The thorax at the samples of a section, blended with the section before over its beginning."""
+    begin, end = line.start_s - mount.offset_s - HELD_S, line.end_s - mount.offset_s + HELD_S
+    begin, end = max(start_s, begin), min(end, start_s + SECTION_S + BLEND_S)
+    rows = slice(*np.searchsorted(t_s, [begin, end]).tolist())
+    t = np.array(t_s[rows])
+    if not len(t):
+        return
+    heading = line.heading(mount.along_D, up_K, mount.offset_s, mount.line_sigma_rad)
+    at = t + mount.offset_s
+    turned = heading.at(at) * line.attitude.at(at) * Rotation.from_matrix(mount.R_T_D.T)
+    share = np.clip((t - start_s) / BLEND_S, 0.0, 1.0)
+    before = np.array(quaternion[rows])
+    quaternion[rows] = between_quaternions(before, turned.as_quat(scalar_first=True), share)
+    about_up = np.interp(at, heading.t, heading.variance)[:, None, None] * np.outer(up_K, up_K)
+    covariance[rows] = VERTICAL_RAD**2 * np.eye(3) + about_up
+
+
+def _nearest(t: FloatArray, at: FloatArray) -> IntArray:
+    """Index of the nearest of the increasing times (n,) to each time (k,)."""
+    after = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(t) - 1)
+    return np.asarray(np.where(np.abs(t[before] - at) < np.abs(t[after] - at), before, after))
