@@ -154,7 +154,7 @@ def test_messages_before_their_channel_are_counted(path: Path):
     assert [row for row in rows if row[0] == "/b"] == [r for r in everything if r[0] == "/b"][
         5 : 5 + len(rows)
     ][: sum(row[0] == "/b" for row in rows)]
-    assert any("5 messages that come before" in note for note in container.notes)
+    assert any("5 messages of channels that no record" in note for note in container.notes)
 
 
 def test_a_chunk_that_is_there_twice_is_read_once(path: Path):

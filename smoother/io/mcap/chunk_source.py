@@ -34,6 +34,8 @@ class ChunkSource:
         Metadata records met so far, by name; later ones win.
     place : int, bytes
         Of the chunk at hand in the file.
+    attachments : int
+        Attachment records met so far.
     is_checked : bool
         The chunk at hand has a checksum, and it is right.
 
@@ -52,6 +54,7 @@ class ChunkSource:
     def __init__(self, path: Path, log: DamageLog, definitions: Definitions, unverified: bool):
         self.metadata: dict[str, dict[str, str]] = {}
         self.place = 0
+        self.attachments = 0
         self.is_checked = False
         self._path = path
         self._log = log
@@ -107,7 +110,9 @@ class ChunkSource:
                     self.is_checked = False
                     yield bytes(gathered), []
                     gathered, last_start = bytearray(), 0
-                if opcode == Opcode.METADATA:
+                if opcode == Opcode.ATTACHMENT:
+                    self.attachments += 1
+                elif opcode == Opcode.METADATA:
                     self._metadata(file, start, length)
                 elif opcode == Opcode.CHUNK:
                     waiting += self._chunk(file, record, size)
@@ -188,9 +193,12 @@ class ChunkSource:
         what = f"the chunk at byte {offset} fails its checksum and was left out"
         if self._unverified:
             what = f"the chunk at byte {offset} fails its checksum; its messages are not verified"
-        loss = self._left_out(file, record, what, (first, last))
+        self._left_out(file, record, what, (first, last))
         self._definitions.take_unverified(data)
-        return [data] if self._unverified else loss
+        if not self._unverified:
+            return []
+        self._log.losses[-1].is_kept = True
+        return [data]
 
     def _knows_others(self) -> bool:
         """Whether other chunks of the file are of a compression that is read."""

@@ -26,6 +26,9 @@ from .messages import ChunkMessages, McapMessage, Topic, TopicMessages
 from .records import HEAD, MAGIC, MESSAGE, find
 from .summary import Summary, read_summary
 
+#: Log times beyond this, ns, do not fit what times are counted in.
+_LATEST = np.uint64(np.iinfo(np.int64).max - 1)
+
 
 class Container:
     """A file to be read once, front to back.
@@ -69,6 +72,16 @@ class Container:
         self.notes, self.losses = self._log.notes, self._log.losses
         self.missing: dict[str, int] = {}
         self._read = np.zeros(1 << 16, np.int64)  # messages by position in `topics`
+
+    @property
+    def attachments(self) -> int:
+        """Attachments met so far; they are not read."""
+        return self._source.attachments
+
+    @property
+    def definitions(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
+        """Schemas and channels met so far, by their numbers."""
+        return self._definitions.schemas, self._definitions.channels
 
     def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
@@ -144,6 +157,13 @@ class Container:
             (definitions.define(d.opcode, chunk[d.start : d.stop], source.is_checked), d.start)
             for d in records.definitions
         ]
+        late = heads["log"] > _LATEST
+        if late.any():
+            heads["log"][late] = _LATEST
+            what = (
+                f"{int(late.sum())} messages state a log time beyond the year 2262, which counts as its end"
+            )
+            log.lost(Loss(what, source.place, source.place))
         channel = heads["channel"]
         if (definitions.number[channel] < 0).any():
             definitions.define_lost(np.unique(channel))
@@ -157,7 +177,7 @@ class Container:
         if (number < 0).any():
             known = number >= 0
             times = heads["log"][~known]
-            what = f"{len(times)} messages that come before any record of their channel were dropped"
+            what = f"{len(times)} messages of channels that no record before them describes were dropped"
             log.lost(Loss(what, source.place, source.place, int(times.min()), int(times.max())))
             heads, place, number = heads[known], place[known], number[known]
         if len(heads):

@@ -25,6 +25,8 @@ class Definitions:
         Channels met so far.
     number : ndarray of int, shape (65536,)
         By channel, its position in `topics`; -1 where it is not known.
+    schemas, channels : dict
+        Records met so far, by their numbers.
 
     Parameters
     ----------
@@ -44,7 +46,8 @@ class Definitions:
         self.number = np.full(1 << 16, -1, np.int64)
         self.summary = Summary()
         self._log = log
-        self._schemas: dict[int, Schema] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
         self._others = dict(schemas or {}), dict(channels or {})
 
     def define(self, opcode: int, content: bytes, is_checked: bool) -> int | None:
@@ -66,7 +69,7 @@ class Definitions:
                 its = self.summary.schemas.get(schema.id)
                 if its is not None and its.name != schema.name and self.summary.is_checked and not is_checked:
                     schema = its
-                self._schemas[schema.id] = schema
+                self.schemas[schema.id] = schema
                 return None
             channel = Channel.read(stream)
         except BROKEN:
@@ -79,7 +82,7 @@ class Definitions:
                 channel = twin
         if self.number[channel.id] >= 0:
             return None
-        self._take(channel, self._schemas)
+        self._take(channel, self.schemas)
         return int(channel.id)
 
     def define_lost(self, numbers: NDArray[np.uint16]) -> None:
@@ -88,7 +91,7 @@ class Definitions:
         for number in numbers.tolist():
             for schemas, channels in others:
                 if self.number[number] < 0 and number in channels:
-                    self._take(channels[number], {**schemas, **self._schemas})
+                    self._take(channels[number], {**schemas, **self.schemas})
                     name = plain_name(channels[number].topic)
                     self._log.note(f"the record of channel {name} is missing and was taken from elsewhere")
 
@@ -125,6 +128,7 @@ class Definitions:
         return f"channel {channel}"
 
     def _take(self, channel: Channel, schemas: dict[int, Schema]) -> None:
+        self.channels[channel.id] = channel
         its = schemas.get(channel.schema_id) or self.summary.schemas.get(channel.schema_id)
         name, encoding, data = (its.name, its.encoding, its.data) if its else ("", "", b"")
         topic = Topic(channel.topic, name, encoding, data, channel.message_encoding, dict(channel.metadata))

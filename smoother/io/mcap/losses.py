@@ -29,6 +29,8 @@ class Loss:
         Log times that it lies between; None where nothing tells.
     counts : dict of str to int
         Messages lost by topic, as far as indexes tell.
+    is_kept : bool
+        They were read all the same, and cannot be vouched for.
     """
 
     what: str
@@ -37,6 +39,7 @@ class Loss:
     first_ns: int | None = None
     last_ns: int | None = None
     counts: dict[str, int] = field(default_factory=dict)
+    is_kept: bool = False
 
     def sentence(self, zero_ns: int | None) -> str:
         """One clause for a note; times count from `zero_ns`."""
@@ -64,7 +67,7 @@ class DamageLog:
     is_cut : bool
         The file ends in the middle of a record.
     first_ns : int, ns, optional
-        Smallest log time so far.
+        Of the first messages; notes count from it.
     """
 
     def __init__(self, name: str):
@@ -95,7 +98,7 @@ class DamageLog:
         for loss in self._open:
             loss.last_ns = max(first, loss.first_ns or 0)
         self._open.clear()
-        self.first_ns = first if self.first_ns is None else min(self.first_ns, first)
+        self.first_ns = first if self.first_ns is None else self.first_ns
         self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
 
     def finish(self) -> None:

@@ -15,6 +15,7 @@ from ...recording import CameraFrame, ImuStream, IntArray, JointTracks, Recordin
 from ...runtime.store import Store
 from ..mcap.container import Container
 from ..mcap.messages import Topic
+from ..mcap.repair_container import repair_notes
 from ..mcap.stamps import SECOND_NS, seconds
 from .choose import Selection, choose
 from .clean import clean_arm, clean_imu, clean_poses
@@ -249,6 +250,7 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("gravity"):
             file.gravity_hint = unit(np.array(json.loads(record["gravity"]), float).reshape(3))
         file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
+        file.notes += repair_notes(file.metadata)
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
             if poses.topic in scores:
