@@ -22,6 +22,7 @@ from .clean import clean_arm, clean_imu, clean_poses
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
+from .outlying import drop_outlying
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 
@@ -31,6 +32,9 @@ METADATA = "unocclude.recording"
 OTHER_SIDE = {"left": "right", "right": "left"}
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
+
+#: Of the notes in a file's metadata so many are repeated, and so much of each.
+_MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
 AnyDecoder = (
     ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
@@ -91,10 +95,12 @@ def open_recording(
             break
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
+    file.damage = list(container.notes)
     file.topics = [
         TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    drop_outlying(file, store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
         file.notes.append(
@@ -179,7 +185,11 @@ def select_recording(
     **selection: Unpack[Selection],
 ) -> Recording:
     """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
-    store = store or Store()
+    with file.damage_told():
+        return _selected(file, store or Store(), prefer_side, selection)
+
+
+def _selected(file: RecordingFile, store: Store, prefer_side: str | None, selection: Selection) -> Recording:
     choice = choose(file, prefer_side=prefer_side, store=store, **selection)
     source = str(file.path)
     notes = [*file.notes, *choice.notes]
@@ -248,16 +258,20 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("camera_frame"):
             file.camera_frame = CameraFrame(record["camera_frame"])
         if record.get("gravity"):
-            file.gravity_hint = unit(np.array(json.loads(record["gravity"]), float).reshape(3))
-        file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
+            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
+            file.gravity_hint = unit(gravity)
+            if not (np.isfinite(gravity).all() and np.isfinite(file.gravity_hint).all()):
+                raise ValueError("gravity is no direction")
+        notes = json.loads(record.get("notes", "[]"))
+        file.notes += [str(note)[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
             if poses.topic in scores:
                 poses.score = np.zeros(len(poses.stamp_ns), bool)
-                for start, stop in scores[poses.topic]:
+                for start, stop in scores[poses.topic][: len(poses.stamp_ns)]:
                     poses.score[start:stop] = True
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise RecordingError(
             f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
         ) from error

@@ -63,7 +63,7 @@ class SkeletonDecoder:
 
     def _arms(self, index: IntArray, block: Block, layout: MessageLayout) -> list[tuple[NDArray, ...]]:
         """What messages of one layout say of each side."""
-        body, count = layout.integer(block, "body"), len(block)
+        body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
         for i in range(layout.counts.get("joints", 0)):
             code = joint_code(layout.texts.get(f"joints.{i}.name", ""))
@@ -74,7 +74,9 @@ class SkeletonDecoder:
                 shape = (count, len(JOINTS))
                 sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
-            state[:, joint] = layout.integer(block, f"joints.{i}.state")
+            said = layout.integer(block, f"joints.{i}.state")
+            known = (said >= JointState.NOT_TRACKED) & (said <= JointState.TRACKED)
+            state[:, joint] = np.where(known, said, JointState.NOT_TRACKED)
             position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
