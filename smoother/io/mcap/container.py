@@ -218,6 +218,13 @@ class Container:
         self.missing = {
             name: count - read.get(name, 0) for name, count in stated.items() if count > read.get(name, 0)
         }
+        more = [
+            f"{count - stated[name]} of {plain_name(name)}"
+            for name, count in read.items()
+            if 0 < stated.get(name, 0) < count
+        ]
+        if more:
+            self._log.note(f"messages are there beyond the file's own count: {', '.join(more[:8])}")
         if self.missing:
             missing = [
                 f"{count} of {stated[name]} of {plain_name(name)}" for name, count in self.missing.items()
