@@ -84,7 +84,8 @@ class Answer:
         lines = {
             line for line in self.out.splitlines() if line.startswith(("note:", "cannot be", "not ready"))
         }
-        return lines | {str(note) for note in self.figures.get("notes", [])}
+        files = [note for file in self.figures.get("files", []) for note in file["notes"]]
+        return lines | {str(note) for note in [*self.figures.get("notes", []), *files]}
 
 
 def run_case(case: Case, folder: Path) -> Answer:

@@ -129,9 +129,14 @@ def listed(counts: dict[str, int]) -> str:
     return "messages: " + ", ".join(texts)
 
 
+def printable(text: str) -> str:
+    """A text that came from a file without what controls a terminal."""
+    return text if text.isprintable() else "".join(letter for letter in text if letter.isprintable())
+
+
 def plain_name(name: str) -> str:
     """A name that came from a file, fit for a message: no control characters, at most 80 letters."""
     if len(name) <= _LONGEST_NAME and name.isprintable():
         return name
-    clean = "".join(letter for letter in name[: 4 * _LONGEST_NAME] if letter.isprintable())
+    clean = printable(name[: 4 * _LONGEST_NAME])
     return clean if len(clean) <= _LONGEST_NAME else clean[: _LONGEST_NAME - 2] + ".."

@@ -17,7 +17,7 @@ from ...errors import RecordingError
 from ...recording import IntArray
 from ...runtime.atomic import writing
 from .container import Container
-from .losses import Loss
+from .losses import Loss, printable
 from .merge import Output
 from .messages import ChunkMessages, Topic
 
@@ -134,7 +134,7 @@ def repair_notes(metadata: dict[str, dict[str, str]]) -> list[str]:
         notes = ["of what was lost nothing can be read."]
     if not isinstance(notes, list):
         notes = [notes]
-    return [f"The file was repaired: {str(note)[:1000]}" for note in notes[:20]]
+    return [f"The file was repaired: {printable(str(note)[:1000])}" for note in notes[:20]]
 
 
 def _told(report: RepairReport, before: dict[str, str]) -> dict[str, str]:

@@ -82,7 +82,7 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
         file.gravity_hint = unit(np.array(camera.gravity))
-        if not np.isfinite(file.gravity_hint).all() or not np.isfinite(camera.gravity).all():
+        if not (np.isfinite(camera.gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
             raise RecordingError(
                 f"{folder / 'recording.toml'}: [camera] gravity is zero or no numbers; give the direction of"
                 " down."

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import BoolArray, FloatArray, IntArray, JointState
+from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
 from ...units import STANDARD_GRAVITY
@@ -17,6 +17,9 @@ from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
+#: Elbow and wrist are farther apart than this, m an axis.
+_ONE_POINT_M = 1e-3
+_ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 #: No depth camera sees a person farther away, m an axis.
 _FARTHEST_M = 20.0
 #: Median rest |acc| to the unit that it looks like.
@@ -122,8 +125,27 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
             "and count as not tracked."
         )
         state[far] = JointState.NOT_TRACKED
+    notes += _drop_points(position, state, arm.label, source)
     position = _without(position, state == JointState.NOT_TRACKED, store)
     return replace(arm, stamp_ns=kept(arm.stamp_ns, keep, store), position=position, state=state), notes
+
+
+def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> list[str]:
+    """Joints of frames in which elbow and wrist lie in one point become not tracked; a note says how many."""
+    claimed = (state[:, _ELBOW] != JointState.NOT_TRACKED) & (state[:, _WRIST] != JointState.NOT_TRACKED)
+    same = np.zeros(len(state), bool)
+    for part in batches(len(state)):
+        apart = abs(position[part, _ELBOW] - position[part, _WRIST]).max(axis=1)
+        same[part] = claimed[part] & (apart < _ONE_POINT_M)
+    if not same.any():
+        return []
+    if same.sum() > _LIMIT * claimed.sum():
+        raise RecordingError(
+            f"{source}: elbow and wrist of {label} coincide in {same.sum()} of {claimed.sum()} frames,"
+            " which is too many to drop; check the body tracking."
+        )
+    state[same] = JointState.NOT_TRACKED
+    return [f"{label}: elbow and wrist coincide in {same.sum()} frames, which count as not tracked."]
 
 
 def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:

@@ -136,7 +136,7 @@ class JsonStream(JsonDecoder):
         if not self._count:
             return None
         stamp, values = self._stamps.done(), self._values.done()
-        name = self.topic.name
+        name = self.topic.label
         if self.kind == "field":
             return FieldSamples(name, self.frame_id, stamp, values)
         if self.kind == "pose":
@@ -155,7 +155,7 @@ class JsonSkeleton(JsonDecoder):
         """All arms; asked for once."""
         if not self._count:
             return []
-        return self._rows.arms(self._stamps.done(), self.topic.name, self.frame_id, None)
+        return self._rows.arms(self._stamps.done(), self.topic.label, self.frame_id, None)
 
 
 def stamp_ns(message: Mapping[str, Any]) -> int:

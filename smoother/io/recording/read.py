@@ -14,6 +14,7 @@ from ...linalg import unit
 from ...recording import CameraFrame, ImuStream, IntArray, JointTracks, Recording, Truth
 from ...runtime.store import Store
 from ..mcap.container import Container
+from ..mcap.losses import plain_name, printable
 from ..mcap.messages import Topic
 from ..mcap.repair_container import repair_notes
 from ..mcap.stamps import SECOND_NS, seconds
@@ -33,6 +34,8 @@ OTHER_SIDE = {"left": "right", "right": "left"}
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
 
+#: A stream that is there for a smaller share of the other's time is spoken of; pauses of the IMU, ns.
+_COVERS, _PAUSE_NS = 0.9, 500_000_000
 #: Of the notes in a file's metadata so many are repeated, and so much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
@@ -97,7 +100,8 @@ def open_recording(
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
     file.damage = list(container.notes)
     file.topics = [
-        TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
+        TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
+        for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
     drop_outlying(file, store)
@@ -197,6 +201,7 @@ def _selected(file: RecordingFile, store: Store, prefer_side: str | None, select
     arm, arm_dropped = clean_arm(choice.arm, source, store)
     notes += dropped + arm_dropped
     _check_overlap(forearm, arm, source)
+    notes += _coverage(forearm, arm)
     base, truth, upper = None, None, None
     if choice.base is not None:
         base, dropped = clean_imu(choice.base, source, store)
@@ -232,7 +237,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
     for decoder in decoders:
         if decoder.grouper.broken:
             file.notes.append(
-                f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
+                f"{decoder.topic.label}: {decoder.grouper.broken} messages are damaged and were dropped."
             )
         if isinstance(decoder, SKELETONS):
             arms = decoder.arms()
@@ -260,10 +265,10 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("gravity"):
             gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
             file.gravity_hint = unit(gravity)
-            if not (np.isfinite(gravity).all() and np.isfinite(file.gravity_hint).all()):
+            if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
                 raise ValueError("gravity is no direction")
         notes = json.loads(record.get("notes", "[]"))
-        file.notes += [str(note)[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES]]
+        file.notes += [printable(str(note)[:_LONGEST_NOTE]) for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
@@ -288,6 +293,25 @@ def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
         f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
         "clocks that agree to a second."
     )
+
+
+def _coverage(imu: ImuSamples, arm: ArmFrames) -> list[str]:
+    """A sentence where one stream is there for much less of the time than the other."""
+    (imu_first, imu_last), (first, last) = (
+        (int(stamp[0]), int(stamp[-1])) for stamp in (imu.stamp_ns, arm.stamp_ns)
+    )
+    shared_s = (min(imu_last, last) - max(imu_first, first)) / 1e9
+    steps = np.diff(imu.stamp_ns)
+    paused_s = float(steps[steps > _PAUSE_NS].sum()) / 1e9
+    imu_s, camera_s = (imu_last - imu_first) / 1e9 - paused_s, (last - first) / 1e9
+    sentences = []
+    if imu_s < _COVERS * camera_s or shared_s < _COVERS * camera_s:
+        there = min(imu_s, shared_s)
+        sentences.append(f"{imu.topic}: there are samples for {there:.1f} of the camera's {camera_s:.1f} s.")
+    if shared_s < _COVERS * ((imu_last - imu_first) / 1e9):
+        total = (imu_last - imu_first) / 1e9
+        sentences.append(f"{arm.label}: there are frames for {shared_s:.1f} of the IMU's {total:.1f} s.")
+    return sentences
 
 
 def _span(stamp_ns: IntArray) -> str:

@@ -83,7 +83,7 @@ class SkeletonDecoder:
     def found(self) -> tuple[IntArray, list[ArmFrames]]:
         """Stamps of all messages, ns, and all arms; asked for once."""
         stamp_ns = self._stamps.done()
-        return stamp_ns, self._rows.arms(stamp_ns, self.topic.name, self.frame_id, self.camera_frame)
+        return stamp_ns, self._rows.arms(stamp_ns, self.topic.label, self.frame_id, self.camera_frame)
 
     def arms(self) -> list[ArmFrames]:
         """All arms found; asked for once."""
@@ -157,7 +157,7 @@ class MarkerDecoder:
         if has.any() and not has.all():
             delay = np.interp(np.arange(len(log)), np.flatnonzero(has), (log - stamp)[has].astype(float))
             stamp = np.where(has, stamp, log - delay.astype(np.int64))
-        return self._rows.arms(stamp, self.topic.name, self.frame_id, CameraFrame.OPTICAL)
+        return self._rows.arms(stamp, self.topic.label, self.frame_id, CameraFrame.OPTICAL)
 
 
 def skeleton_decoder(topic: Topic, store: Store | None = None) -> SkeletonDecoder | MarkerDecoder | None:
