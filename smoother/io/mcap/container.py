@@ -182,7 +182,8 @@ class Container:
             heads, place, number = heads[known], place[known], number[known]
         if len(heads):
             log.met(heads["log"])
-            self._read += np.bincount(number, minlength=len(self._read))
+            counts = np.bincount(number)
+            self._read[: len(counts)] += counts
         if records.damaged:
             what = f"{records.damaged} bytes of the chunk at byte {source.place} are damaged"
             log.lost(Loss(f"{what} and were passed over", source.place, source.place))

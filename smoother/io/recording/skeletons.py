@@ -75,8 +75,9 @@ class SkeletonDecoder:
                 sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
             said = layout.integer(block, f"joints.{i}.state")
-            known = (said >= JointState.NOT_TRACKED) & (said <= JointState.TRACKED)
-            state[:, joint] = np.where(known, said, JointState.NOT_TRACKED)
+            if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
+                said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
+            state[:, joint] = said
             position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
