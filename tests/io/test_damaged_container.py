@@ -222,3 +222,17 @@ def test_names_are_fit_for_a_message():
     assert plain_name("/imu/wrist") == "/imu/wrist"
     assert plain_name("/a\x1b[31m\nb") == "/a[31mb"
     assert len(plain_name("x" * 10**6)) == 80
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_message_that_is_there_twice_is_told(path: Path, chunked: bool):
+    """The file's own count is read also where bytes that were put in have moved it."""
+    whole = written(chunked=chunked)
+    everything, _ = read(path, whole)
+    kind = Opcode.CHUNK if chunked else Opcode.MESSAGE
+    first, second = places(whole, kind)[4:6]
+    rows, container = read(path, whole[:second] + whole[first:second] + whole[second:])
+    assert len(rows) == COUNT + (not chunked) and set(rows) == set(everything)
+    assert any(("twice" if chunked else "beyond the file's own count") in note for note in container.notes)
+    rows, container = read(path, whole[:second] + whole[second + 30 :])
+    assert len(rows) < COUNT and sum(container.missing.values()) == COUNT - len(rows)

@@ -18,6 +18,8 @@ from .records import HEAD, MAGIC
 _FOOTER = struct.Struct("<BQQQI")
 #: A summary holds no more bytes than this; chunk indexes take about a hundred bytes a megabyte.
 _LONGEST = 1 << 25
+#: What the record begins with that stands before a summary; it is looked for in the last bytes of a file.
+_DATA_END, _NEAR = HEAD.pack(Opcode.DATA_END, 4), 1 << 22
 #: What reading a damaged record raises.
 BROKEN = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowError, MemoryError, EOFError)
 
@@ -70,16 +72,33 @@ def read_summary(file: IO[bytes], size: int) -> Summary:
     opcode, length, start, _, crc = _FOOTER.unpack_from(end)
     summary.is_there = end[-len(MAGIC) :] == MAGIC or (opcode == Opcode.FOOTER and length == 20)
     stop = size - tail
-    if not summary.is_there or not len(MAGIC) <= start < stop or stop - start > _LONGEST:
+    if not summary.is_there:
         return summary
-    file.seek(start)
-    content = file.read(stop - start)
-    summary.is_sound = _take(summary, content)
-    if crc:
-        summary.is_checked = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(content)) == crc
-        summary.is_sound &= summary.is_checked
+    content, is_checked = b"", False
+    for number in range(2):
+        if is_checked or (number and not crc):
+            break
+        place = _behind_data(file, stop) if number else start  # bytes put in or taken out move it
+        if not len(MAGIC) <= place < stop or stop - place > _LONGEST:
+            continue
+        file.seek(place)
+        candidate = file.read(stop - place)
+        is_checked = bool(crc) and zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(candidate)) == crc
+        content = candidate if is_checked or not content else content
+    if not content:
+        return summary
+    summary.is_checked = is_checked
+    summary.is_sound = _take(summary, content) and (is_checked or not crc)
     summary.chunks.sort(key=lambda index: index.chunk_start_offset)
     return summary
+
+
+def _behind_data(file: IO[bytes], stop: int) -> int:
+    """Where the last record that ends the data ends; 0 where there is none near the file's end."""
+    first = max(stop - _NEAR, 0)
+    file.seek(first)
+    place = file.read(stop - first).rfind(_DATA_END)
+    return first + place + len(_DATA_END) + 4 if place >= 0 else 0
 
 
 def _take(summary: Summary, content: bytes) -> bool:
