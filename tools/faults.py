@@ -241,7 +241,9 @@ def main() -> int:
         worst = [o for o in outcomes if o.end in ENDS[3:]]
         listed = "".join(f"- {o.end}: {o.case.family}, {o.case.name}: {o.text}\n" for o in worst[:40])
         where = f"\nNot as it should be:\n\n{listed}" if worst else ""
-        made = f"`python tools/faults.py --seed {options.seed}` gave\n\n{text}\n{where}"
+        made = (
+            f"`python tools/faults.py --seed {options.seed} --every {options.every}` gave\n\n{text}\n{where}"
+        )
         options.write.write_text(f"{head}{begin}{made}{end}{tail}", encoding="utf-8")
     return int(any(outcome.end in ENDS[3:] for outcome in outcomes))
 
