@@ -48,7 +48,7 @@ TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clo
 MERGED = {"arm": 3, "imu": 3, "forearm": 1}
 
 #: Lengths of an arm and places on it are shorter than this, m; a sensor's biases smaller than those.
-LONGEST_M = 2.0
+LONGEST_M = 4.0
 LARGEST_ACC_BIAS, LARGEST_GYRO_BIAS = 10.0, 5.0
 
 #: What to say instead of pydantic's own words, by its name of the error.

@@ -19,7 +19,7 @@ from smoother.errors import CalibrationError
 
 HEAD = 'format = "unocclude calibration"\nversion = 1\n'
 
-number = st.floats(-1.9, 1.9)  # metres, and beyond two of them nothing is on an arm
+number = st.floats(-1.9, 1.9)  # metres
 positive = st.floats(1e-9, 1.9)
 vector = st.lists(number, min_size=3, max_size=3).map(np.array)
 sigmas = st.lists(positive, min_size=3, max_size=3).map(np.array)
