@@ -47,6 +47,10 @@ TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clo
 #: held poses by side. A table below that depth, or any other, replaces the one of its name.
 MERGED = {"arm": 3, "imu": 3, "forearm": 1}
 
+#: Lengths of an arm and places on it are shorter than this, m; a sensor's biases smaller than those.
+LONGEST_M = 4.0
+LARGEST_ACC_BIAS, LARGEST_GYRO_BIAS = 10.0, 5.0
+
 #: What to say instead of pydantic's own words, by its name of the error.
 _SAID = {
     "extra_forbidden": "this key is not known",
@@ -71,6 +75,13 @@ class _LeverArmSection(_Section):
     position_m: _Vector
     sigma_m: _Sigmas
 
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        for name, values in (("position_m", self.position_m), ("sigma_m", self.sigma_m)):
+            if max(map(abs, values)) > LONGEST_M:
+                raise ValueError(f"{name} is beyond {LONGEST_M:g} m, which looks like mm; give it in m")
+        return self
+
 
 class _ArmSection(_Section):
     upper_arm_m: float | None = Field(default=None, gt=0)
@@ -84,6 +95,15 @@ class _ArmSection(_Section):
     def _consistent(self) -> Self:
         if (self.upper_arm_m is None) != (self.upper_arm_sigma_m is None):
             raise ValueError("upper_arm_m and upper_arm_sigma_m must be given together")
+        limits = (
+            ("upper_arm_m", [self.upper_arm_m], LONGEST_M, "m"),
+            ("upper_arm_sigma_m", [self.upper_arm_sigma_m], LONGEST_M, "m"),
+            ("accelerometer_bias", self.accelerometer_bias, LARGEST_ACC_BIAS, "m/s^2"),
+            ("gyroscope_bias", self.gyroscope_bias, LARGEST_GYRO_BIAS, "rad/s"),
+        )
+        for name, values, most, unit in limits:
+            if any(abs(value) > most for value in values or [] if value is not None):
+                raise ValueError(f"{name} is beyond {most:g} {unit}; check its unit")
         if self.R_F_A is not None and abs(np.linalg.norm(self.R_F_A) - 1) > 1e-3:
             raise ValueError("R_F_A must be a unit quaternion [qw, qx, qy, qz]")
         return self
@@ -246,7 +266,7 @@ def _load(path: Path) -> dict[str, Any]:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
     if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
         raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')

@@ -360,6 +360,8 @@ class Recording:
         for joint, values in (states or {}).items():
             state[:, JOINTS.index(joint)] = _rows(values, (len(frame_t),), f"the state of {joint}", name)
         hint = None if gravity_hint is None else _rows(gravity_hint, (3,), "gravity_hint", name, finite=True)
+        if hint is not None and not 1e-6 < np.linalg.norm(hint) < 1e6:
+            raise RecordingError(f"{name}: gravity_hint is no direction; give the direction of down")
         arm = JointTracks("camera", frame_t, position, state)
         if upper_imu is not None:
             count = (len(_times(upper_imu.t_s, "the upper arm's t_s", name)), 3)

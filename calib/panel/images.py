@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
+from ..image_size import stated_size
 from ..intrinsics import Intrinsics
 
 
@@ -85,6 +86,12 @@ def _read(path: str | os.PathLike[str]) -> NDArray:
             packed = np.frombuffer(file.read(), np.uint8)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
+    try:
+        stated_size(bytes(packed[: 1 << 20]), others=True)
+    except ValueError as error:
+        raise CalibrationError(
+            f"{path} is not an image that can be read ({error}); PNG is expected."
+        ) from error
     image = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED) if len(packed) else None
     if image is None:
         raise CalibrationError(f"{path} is not an image that can be read; PNG is expected.")

@@ -29,6 +29,7 @@ from . import (
     imports,
     info,
     match,
+    repair,
     simulate,
     smooth,
     validate,
@@ -95,6 +96,7 @@ _add(app, demo.demo, "demo")
 _add(app, info.info, "info session.mcap")
 _add(app, check.check, "check session.mcap --json check.json")
 _add(app, match.match, "match session.mcap --json matches.json")
+_add(app, repair.repair, "repair broken.mcap -o whole.mcap --json lost.json")
 _add(app, smooth.smooth, "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html")
 _add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml")
 _add(app, compare.compare, "compare session.mcap --truth trial.c3d --markers map.toml --report c.html")

@@ -25,12 +25,12 @@ def read_config(path: Path | None) -> Config:
         return Config()
     try:
         return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except UnicodeDecodeError as error:
-        raise UnoccludeError(f"{path}: not a TOML file (it is no UTF-8 text)") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UnoccludeError(f"{path}: not a TOML file: {error}") from error
     except ValidationError as error:
         raise UnoccludeError(f"{path}: {describe(error)}") from error
+    except UnicodeDecodeError as error:
+        raise UnoccludeError(f"{path}: not a TOML file (it is no UTF-8 text)") from error
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+        raise UnoccludeError(f"{path}: not a TOML file: {error}") from error
 
 
 def describe(error: ValidationError) -> str:

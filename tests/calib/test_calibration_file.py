@@ -19,8 +19,8 @@ from smoother.errors import CalibrationError
 
 HEAD = 'format = "unocclude calibration"\nversion = 1\n'
 
-number = st.floats(-1e3, 1e3)
-positive = st.floats(1e-9, 1e3)
+number = st.floats(-1.9, 1.9)  # metres
+positive = st.floats(1e-9, 1.9)
 vector = st.lists(number, min_size=3, max_size=3).map(np.array)
 sigmas = st.lists(positive, min_size=3, max_size=3).map(np.array)
 rotation = (

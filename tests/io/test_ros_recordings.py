@@ -215,7 +215,7 @@ def test_deleting_markers_are_not_joints(tmp_path: Path) -> None:
             bag.imu("/wrist", ns, "w", np.array([0, 0, 9.8]), np.zeros(3), ns)
             markers = [ros.marker(ns, 0, np.zeros(3), action=3)]
             if i < 25:
-                markers += [ros.marker(ns, joint, np.full(3, 1.0)) for joint in RIGHT.values()]
+                markers += [ros.marker(ns, joint, np.full(3, 1.0 + 0.1 * joint)) for joint in RIGHT.values()]
             bag.write(
                 "/markers", "visualization_msgs/msg/MarkerArray", ros.marker_array(), {"markers": markers}, ns
             )

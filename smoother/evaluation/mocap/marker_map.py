@@ -87,7 +87,7 @@ def read_marker_map(path: Path | str) -> MarkerMap:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise RecordingError(f"{path} is not TOML: {error}") from error
     _known(document, ("markers", PLATE, "plate"), path, "the file")
     named = document.get("markers")

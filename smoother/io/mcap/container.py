@@ -1,37 +1,33 @@
 """An MCAP file read front to back in flat memory.
 
-The index at a file's end is not used, so that a file that was cut off gives all that it still has; the mcap
-package gives nothing of a chunk that is cut. Messages stay columns: 0.05 s where the package takes 0.75 s.
+Messages are read in the order in which they lie, so that a file that was cut off gives all that it still
+has; the mcap package gives nothing of a chunk that is cut. Behind a damage reading resumes at the next
+records that make sense (`top_level`); what was lost is counted. What the file says of itself at its end
+(`summary`) serves for channels whose own records are lost, and to tell how many messages are missing.
+Messages stay columns: 0.05 s where the package takes 0.75 s.
 """
 
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections.abc import Callable, Iterator, Sequence
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import IntArray
+from .chunk_source import ChunkSource
+from .definitions import Definitions
+from .losses import DamageLog, Loss, plain_name
 from .messages import ChunkMessages, McapMessage, Topic, TopicMessages
-from .records import CHUNK, HEAD, MAGIC, MESSAGE, find
+from .records import HEAD, MAGIC, MESSAGE, find
+from .summary import Summary, read_summary
 
-#: Messages outside chunks are gathered to chunks of this size.
-_GATHER = 1 << 20
-#: A chunk that states a larger size is damaged.
-_CHUNK_LIMIT = 1 << 31
-#: Chunks that state a size up to this are unpacked at once.
-_AT_ONCE = 1 << 28
+#: Log times beyond this, ns, do not fit what times are counted in.
+_LATEST = np.uint64(np.iinfo(np.int64).max - 1)
 
 
 class Container:
@@ -46,17 +42,46 @@ class Container:
     metadata : dict of str to dict of str to str
         Metadata records met so far, by name; later ones win.
     notes : list of str
-        What was wrong with the file, one sentence each.
+        What was wrong with the file, one sentence each; complete once it has been read to its end.
+    losses : list of Loss
+        What gave nothing, in the file's order.
+    missing : dict of str to int
+        Messages by topic that the file's own count has and that are not there; known at the end.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    unverified : bool
+        Take messages of chunks that fail their checksum as well; they are among the losses all the same.
+    definitions : tuple of dict, optional
+        Schemas and channels by number for messages that come before the records of their channels.
     """
 
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        unverified: bool = False,
+        definitions: tuple[dict[int, Schema], dict[int, Channel]] | None = None,
+    ):
         self.path = Path(path)
-        self.topics: list[Topic] = []
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.notes: list[str] = []
-        self._numbers = np.full(1 << 16, -1, np.int64)  # by channel: position in `topics`
-        self._schemas: dict[int, Schema] = {}
-        self._cut = False
+        self._log = DamageLog(self.path.name)
+        self._definitions = Definitions(self._log, *(definitions or ()))
+        self._source = ChunkSource(self.path, self._log, self._definitions, unverified)
+        self.topics, self.metadata = self._definitions.topics, self._source.metadata
+        self.notes, self.losses = self._log.notes, self._log.losses
+        self.missing: dict[str, int] = {}
+        self._read = np.zeros(1 << 16, np.int64)  # messages by position in `topics`
+
+    @property
+    def attachments(self) -> int:
+        """Attachments met so far; they are not read."""
+        return self._source.attachments
+
+    @property
+    def definitions(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
+        """Schemas and channels met so far, by their numbers."""
+        return self._definitions.schemas, self._definitions.channels
 
     def by_topic(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[int, TopicMessages]]:
         """Yield the messages of wanted topics a chunk at a time, by position of the topic in `topics`.
@@ -124,201 +149,110 @@ class Container:
         self, chunk: bytes, index: Sequence[bytes]
     ) -> tuple[NDArray, IntArray, IntArray, IntArray]:
         """Heads of a chunk's messages, where their payloads start and stop, the positions of their topics."""
-        records = find(chunk, index)
-        self._cut |= records.is_cut
+        log, definitions, source = self._log, self._definitions, self._source
+        records = find(chunk, index, not log.is_cut)
+        log.is_cut |= records.is_cut
         place, heads = records.place, records.heads
-        defined = [(self._define(d.opcode, chunk[d.start : d.stop]), d.start) for d in records.definitions]
-        number = self._numbers[heads["channel"]]
-        for channel, start in defined:  # messages before their channel's record are not known to be of it
-            if channel is not None:
-                number[(heads["channel"] == channel) & (place < start)] = -1
+        defined = [
+            (definitions.define(d.opcode, chunk[d.start : d.stop], source.is_checked), d.start)
+            for d in records.definitions
+        ]
+        late = heads["log"] > _LATEST
+        if late.any():
+            heads["log"][late] = _LATEST
+            what = (
+                f"{int(late.sum())} messages state a log time beyond the year 2262, which counts as its end"
+            )
+            log.lost(Loss(what, source.place, source.place))
+        channel = heads["channel"]
+        if (definitions.number[channel] < 0).any():
+            definitions.define_lost(np.unique(channel))
+        number = definitions.number[channel]
+        for new, start in defined:  # messages before their channel's record are not known to be of it
+            if new is None:
+                continue
+            early = (channel == new) & (place < start)
+            if early.any() and not definitions.is_described(new):
+                number[early] = -1
         if (number < 0).any():
             known = number >= 0
+            times = heads["log"][~known]
+            what = f"{len(times)} messages of channels that no record before them describes were dropped"
+            log.lost(Loss(what, source.place, source.place, int(times.min()), int(times.max())))
             heads, place, number = heads[known], place[known], number[known]
+        if len(heads):
+            log.met(heads["log"])
+            counts = np.bincount(number)
+            self._read[: len(counts)] += counts
+        if records.damaged:
+            what = f"{records.damaged} bytes of the chunk at byte {source.place} are damaged"
+            log.lost(Loss(f"{what} and were passed over", source.place, source.place))
         return heads, place + MESSAGE.itemsize, place + HEAD.size + heads["length"].astype(np.int64), number
-
-    def _define(self, opcode: int, content: bytes) -> int | None:
-        """Take in a schema or a channel; the number of a channel that is new."""
-        stream = ReadDataStream(BytesIO(content))
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self._schemas[schema.id] = schema
-                return None
-            channel = Channel.read(stream)
-        except (McapError, struct.error, UnicodeDecodeError):
-            self._damaged("a schema or channel record is damaged")
-            return None
-        if self._numbers[channel.id] >= 0:
-            return None
-        its = self._schemas.get(channel.schema_id)
-        name, encoding, data = (its.name, its.encoding, its.data) if its else ("", "", b"")
-        topic = Topic(channel.topic, name, encoding, data, channel.message_encoding, dict(channel.metadata))
-        # Recorders that split or restart make a second channel of the same topic.
-        for position, known in enumerate(self.topics):
-            if (known.name, known.schema, known.encoding) == (topic.name, topic.schema, topic.encoding):
-                self._numbers[channel.id] = position
-                break
-        else:
-            self._numbers[channel.id] = len(self.topics)
-            self.topics.append(topic)
-        return int(channel.id)
 
     def _chunks(self) -> Iterator[tuple[bytes, list[bytes]]]:
         """Yield chunks of schema, channel and message records, each with the index records behind it."""
         try:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
-                self._check_magic(file.read(len(MAGIC)))
-                yield from self._records(file, size)
+                magic = file.read(len(MAGIC))
+                self._definitions.summary = read_summary(file, size)
+                self._check_magic(magic, self._definitions.summary)
+                yield from self._source.chunks(file, size)
         except OSError as error:
             raise RecordingError(_unreadable(self.path, error)) from error
-        if self._cut:
-            self._damaged("the file ends in the middle of the recording; everything before the cut was read")
+        self._log.finish()
+        self._compare_counts()
+        if self._log.is_cut:
+            self._log.note("the file ends in the middle of the recording; everything before the cut was read")
 
-    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[bytes, list[bytes]]]:
-        gathered = bytearray()
-        waiting: list[bytes] = []  # a chunk whose index records are being read
-        index: list[bytes] = []
-        while not self._cut:
-            head = file.read(HEAD.size)
-            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
-            rest = size - file.tell()
-            if waiting and opcode == Opcode.MESSAGE_INDEX and length <= rest:
-                index.append(file.read(length))
-                continue
-            if waiting:
-                yield waiting.pop(), index
-                index = []
-            if self._cut or opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                break
-            if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-                content = file.read(min(length, rest))
-                if len(content) < length:
-                    self._cut = True
-                elif opcode == Opcode.METADATA:
-                    self._metadata(content)
-                else:
-                    gathered += head + content
-                if len(gathered) > _GATHER:
-                    yield bytes(gathered), []
-                    gathered.clear()
-            elif opcode == Opcode.CHUNK and length < _CHUNK_LIMIT:
-                if gathered:
-                    yield bytes(gathered), []
-                    gathered.clear()
-                waiting.append(self._unpack(file, min(length, rest), length))
-            elif length > rest or not head[HEAD.size - 1 :]:
-                self._cut = True
-            else:
-                file.seek(length, os.SEEK_CUR)
-        if waiting:
-            yield waiting.pop(), []
-        if gathered:
-            yield bytes(gathered), []
-
-    def _unpack(self, file: IO[bytes], there: int, length: int) -> bytes:
-        """A chunk's records; of a chunk that is cut off or damaged, those before the place.
-
-        Parameters
-        ----------
-        there : int
-            So much of the chunk's length is in the file.
-        """
-        offset = file.tell()
-        content = memoryview(file.read(there))
-        self._cut |= len(content) < length
-        size, crc, letters = CHUNK.unpack_from(content)[2:] if len(content) >= CHUNK.size else (0, 0, 0)
-        start = CHUNK.size + letters
-        if len(content) < start + 8:  # cut off before its records, maybe within the name of its compression
-            if not self._cut:
-                self._damaged(f"the chunk at byte {offset} is damaged and was left out")
-            return b""
-        compression = bytes(content[CHUNK.size : start]).decode("ascii", "replace")
-        packed = content[start + 8 :]
-        data = _at_once(compression, packed, size) or _decompress(compression, packed, self.path)
-        if len(data) < size and not self._cut:
-            self._damaged(f"the chunk at byte {offset} is damaged; {len(data)} of its {size} bytes were read")
-        elif crc and len(data) == size and zlib.crc32(data) != crc:
-            self._damaged(f"the chunk at byte {offset} fails its checksum and was left out")
-            return b""
-        return data
-
-    def _metadata(self, content: bytes) -> None:
-        try:
-            record = Metadata.read(ReadDataStream(BytesIO(content)))
-        except (McapError, struct.error, UnicodeDecodeError):
-            self._damaged("a metadata record is damaged")
+    def _compare_counts(self) -> None:
+        """Compare what was read with the file's own count."""
+        if not self._definitions.summary.is_sound:
             return
-        self.metadata[record.name] = dict(record.metadata)
+        stated: dict[str, int] = {}
+        for channel, count in self._definitions.summary.counts.items():
+            name = self._definitions.name_of(channel)
+            stated[name] = stated.get(name, 0) + count
+        read: dict[str, int] = {}
+        for topic, count in zip(self.topics, self._read.tolist(), strict=False):
+            read[topic.name] = read.get(topic.name, 0) + count
+        self.missing = {
+            name: count - read.get(name, 0) for name, count in stated.items() if count > read.get(name, 0)
+        }
+        more = [
+            f"{count - stated[name]} of {plain_name(name)}"
+            for name, count in read.items()
+            if 0 < stated.get(name, 0) < count
+        ]
+        if more:
+            self._log.note(f"messages are there beyond the file's own count: {', '.join(more[:8])}")
+        if self.missing:
+            missing = [
+                f"{count} of {stated[name]} of {plain_name(name)}" for name, count in self.missing.items()
+            ]
+            more = [f"{len(missing) - 8} topics more"] if len(missing) > 8 else []
+            self._log.note(
+                f"by the file's own count messages are missing: {', '.join([*missing[:8], *more])}"
+            )
 
-    def _damaged(self, what: str) -> None:
-        sentence = f"{self.path.name}: {what}."
-        if sentence not in self.notes:
-            self.notes.append(sentence)
-
-    def _check_magic(self, magic: bytes) -> None:
+    def _check_magic(self, magic: bytes, summary: Summary) -> None:
         if not magic:
             raise RecordingError(f"{self.path} is empty (0 bytes); record or copy it again.")
-        if magic != MAGIC:
+        if magic == MAGIC:
+            return
+        alike = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
+        if not summary.is_there and alike < len(MAGIC) - 2:
             raise RecordingError(
                 f"{self.path} is not an MCAP file; convert a ROS bag with `mcap convert`, and plain files "
                 "with `unocclude import csv`."
             )
+        self._log.note("the first bytes are damaged")
 
 
 def _by_number(number: IntArray) -> list[tuple[int, IntArray]]:
     """The numbers that occur, in the order in which they first do, and where each does."""
     there = [(int(k), np.flatnonzero(number == k)) for k in np.flatnonzero(np.bincount(number))]
     return sorted(there, key=lambda each: int(each[1][0]))
-
-
-def _at_once(compression: str, packed: memoryview, size: int) -> bytes | None:
-    """A zstd chunk that states its own size, as the chunk does: twice as fast; None for others."""
-    if compression != "zstd" or not 0 < size < _AT_ONCE:
-        return None
-    import zstandard
-
-    try:
-        if zstandard.get_frame_parameters(packed).content_size != size:
-            return None
-        return zstandard.ZstdDecompressor().decompress(packed)
-    except zstandard.ZstdError:
-        return None
-
-
-def _decompress(compression: str, packed: memoryview, path: Path) -> bytes:
-    """All that can be had of a chunk, bit by bit, up to its end or to where it is broken."""
-    make, failures = _decompressor(compression, path)
-    if make is None:
-        return bytes(packed)
-    try:
-        return bytes(make().decompress(packed))
-    except failures:
-        pass
-    # Damaged: feed it little by little, keep what comes out before the damage.
-    out, again = bytearray(), make()
-    try:
-        for start in range(0, len(packed), 4096):
-            out += again.decompress(packed[start : start + 4096])
-    except failures:
-        pass
-    return bytes(out)
-
-
-def _decompressor(compression: str, path: Path) -> tuple[Any, tuple[type[Exception], ...]]:
-    """What makes a decompressor (None for plain chunks), and what it raises on damaged data."""
-    if compression == "":
-        return None, ()
-    if compression == "zstd":
-        import zstandard
-
-        return zstandard.ZstdDecompressor().decompressobj, (zstandard.ZstdError,)
-    if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-        return LZ4FrameDecompressor, (RuntimeError, EOFError)
-    raise RecordingError(f"{path} is compressed with {compression!r}; rewrite it with `mcap compress`.")
 
 
 def _unreadable(path: Path, error: OSError) -> str:

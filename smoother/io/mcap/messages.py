@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...recording import IntArray
+from .losses import plain_name
 
 
 @dataclass
@@ -43,6 +44,11 @@ class Topic:
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
+
+    @property
+    def label(self) -> str:
+        """Its name, fit for a message: no control characters, at most 80 letters."""
+        return plain_name(self.name)
 
     def note(self, log_ns: NDArray[np.uint64]) -> None:
         """Count messages (n,), at least one."""

@@ -37,6 +37,12 @@ MESSAGE = np.dtype(
 _SHORTEST = MESSAGE.itemsize - HEAD.size
 #: More gaps than this between the messages of an index are not looked into one by one.
 _MOST_GAPS = 64
+#: A chunk with more records of kinds that do not belong into one is damaged.
+_MOST_FOREIGN = 100_000
+#: Least length of the records that belong into a chunk.
+_LEAST_INSIDE = {Opcode.SCHEMA: 14, Opcode.CHANNEL: 16, Opcode.MESSAGE: _SHORTEST}
+#: A damaged chunk is searched by so many bytes at a time.
+_AT_A_TIME = 1 << 20
 
 
 class Definition(NamedTuple):
@@ -60,15 +66,18 @@ class RecordPlaces(NamedTuple):
         Schemas and channels, in order.
     is_cut : bool
         The last record goes beyond the end.
+    damaged : int, bytes
+        That make no sense and were passed over.
     """
 
     place: IntArray
     heads: NDArray
     definitions: list[Definition]
     is_cut: bool
+    damaged: int = 0
 
 
-def find(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces:
+def find(chunk: bytes, index: Sequence[bytes], is_whole: bool = False) -> RecordPlaces:
     """All messages, schemas and channels of a chunk.
 
     Parameters
@@ -77,8 +86,11 @@ def find(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces:
         Its records.
     index : sequence of bytes
         Contents of the message index records behind it.
+    is_whole : bool
+        Nothing is cut off: a record that goes beyond the end has a damaged length, and what makes sense
+        behind it is read.
     """
-    return _indexed(chunk, index) or _walked(chunk, 0, len(chunk))
+    return _indexed(chunk, index) or _walked(chunk, 0, len(chunk), is_whole)
 
 
 def _indexed(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
@@ -109,24 +121,73 @@ def _indexed(chunk: bytes, index: Sequence[bytes]) -> RecordPlaces | None:
     return RecordPlaces(place, heads, definitions, False)
 
 
-def _walked(chunk: bytes, start: int, stop: int) -> RecordPlaces:
+def _walked(chunk: bytes, start: int, stop: int, is_whole: bool = False) -> RecordPlaces:
     places: list[int] = []
     definitions: list[Definition] = []
-    is_cut, position = False, start
+    is_cut, position, damaged, foreign = False, start, 0, 0
     head, message, last, add = HEAD.unpack_from, int(Opcode.MESSAGE), stop - HEAD.size, places.append
     while position <= last:
         opcode, length = head(chunk, position)
         end = position + HEAD.size + length
-        if end > stop:
+        if end > stop and not is_whole:
             is_cut = True
             break
+        if end > stop or not opcode:
+            resume = _resume(chunk, position + 1, stop)
+            damaged += resume - position
+            position = resume
+            continue
         if opcode == message and length >= _SHORTEST:
             add(position)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             definitions.append(Definition(opcode, position + HEAD.size, end))
+        else:
+            foreign += 1
+            if foreign > _MOST_FOREIGN:
+                damaged += stop - position
+                break
         position = end
     place = np.array(places, np.int64)
-    return RecordPlaces(place, _heads(chunk, place), definitions, is_cut)
+    return RecordPlaces(place, _heads(chunk, place), definitions, is_cut, damaged)
+
+
+def _resume(chunk: bytes, start: int, stop: int) -> int:
+    """Where the next records that make sense begin: several in a row, or one that ends the chunk."""
+    block, tried = np.frombuffer(chunk, np.uint8), 0
+    for first in range(start, stop, _AT_A_TIME):
+        part = block[first : min(first + _AT_A_TIME + HEAD.size, stop)]
+        for place in candidates(part, Opcode.CHUNK).tolist():
+            if _make_sense(chunk, first + place, stop):
+                return first + place
+            tried += 1
+            if tried > _MOST_FOREIGN:
+                return stop
+    return stop
+
+
+def _make_sense(chunk: bytes, position: int, stop: int) -> bool:
+    """Whether three records of a chunk begin here, or fewer that reach its end."""
+    for _ in range(3):
+        if position + HEAD.size > stop:
+            return position == stop
+        opcode, length = HEAD.unpack_from(chunk, position)
+        least = _LEAST_INSIDE.get(opcode)
+        if least is None or length < least or position + HEAD.size + length > stop:
+            return False
+        position += HEAD.size + length
+    return True
+
+
+def candidates(block: NDArray[np.uint8], kinds: int) -> IntArray:
+    """Places (n,) in bytes where a record of the first kinds may begin: opcodes below, lengths below 2^40."""
+    if len(block) < HEAD.size:
+        return np.empty(0, np.int64)
+    last = len(block) - HEAD.size + 1
+    opcode = block[:last]
+    may = (opcode > 0) & (opcode < kinds)
+    for place in (6, 7, 8):
+        may &= block[place : place + last] == 0
+    return np.flatnonzero(may)
 
 
 def _heads(chunk: bytes, place: IntArray) -> NDArray:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.image_size import stated_size
 from calib.intrinsics import Intrinsics
 
 from ...errors import RecordingError
@@ -210,7 +211,9 @@ def _uncompressed(data: bytes) -> NDArray:
 
     # ROS' compressedDepth puts twelve bytes of its own before the PNG.
     start = data.find(b"\x89PNG", 0, 64)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8)[max(start, 0) :], cv2.IMREAD_UNCHANGED)
+    packed = data[max(start, 0) :]
+    stated_size(packed)
+    image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise ValueError("neither PNG nor JPEG")
+        raise ValueError("it is damaged")
     return np.asarray(image)

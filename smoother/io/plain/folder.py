@@ -82,9 +82,10 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
         file.gravity_hint = unit(np.array(camera.gravity))
-        if np.isnan(file.gravity_hint).any():
+        if not (np.isfinite(camera.gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
             raise RecordingError(
-                f"{folder / 'recording.toml'}: [camera] gravity is zero; give the direction of down."
+                f"{folder / 'recording.toml'}: [camera] gravity is zero or no numbers; give the direction of"
+                " down."
             )
     plain = {name: section for name, section in description.imu.items() if section.is_plain}
     has_skeleton = camera is not None and camera.skeleton is not None  # IMUs alone can still be calibrated
@@ -117,8 +118,6 @@ def _describe(folder: Path) -> _Description:
         raise RecordingError(
             f"{path} does not exist ({there}); `unocclude import csv --help` shows one."
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise RecordingError(f"{path} is not readable TOML: {error}.") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -127,6 +126,8 @@ def _describe(folder: Path) -> _Description:
             f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
         )
         raise RecordingError(f"{path}: {where} {what}; mend it.") from error
+    except (ValueError, RecursionError, OSError) as error:  # also a number of thousands of digits
+        raise RecordingError(f"{path} is not readable TOML: {error}.") from error
 
 
 def _add_columns(

@@ -8,16 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import BoolArray, FloatArray, IntArray, JointState
+from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
 from ...units import STANDARD_GRAVITY
 from .streams import ArmFrames, ImuSamples, PoseSamples
+from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
-#: 2000 deg/s is the widest range of common gyroscopes: 35 rad/s.
-_GYRO_LIMIT = 35.0
+#: Elbow and wrist are farther apart than this, m an axis.
+_ONE_POINT_M = 1e-3
+_ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
+#: No depth camera sees a person farther away, m an axis.
+_FARTHEST_M = 20.0
 #: Median rest |acc| to the unit that it looks like.
 _ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
 
@@ -65,19 +69,24 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     """
     store = store or Store()
     finite = _finite(stream.acc) & _finite(stream.gyro)
-    keep, notes = _keep(stream.stamp_ns, finite, stream.topic, source, "samples")
+    causes = unusable_samples(stream.stamp_ns, stream.acc, stream.gyro)
+    usable = finite.copy()
+    for cause in (FROZEN, ZERO):
+        if cause in causes:
+            usable &= ~causes[cause]
+    _check_units(stream, usable, source)  # values beyond any range may tell of a unit
+    keep, notes = _keep(stream.stamp_ns, finite, causes, stream.topic, source, "samples")
     cleaned = replace(
         stream,
-        stamp_ns=_kept(stream.stamp_ns, keep, store),
-        acc=_kept(stream.acc, keep, store),
-        gyro=_kept(stream.gyro, keep, store),
-        mag=None if stream.mag is None else _kept(stream.mag, keep, store),
+        stamp_ns=kept(stream.stamp_ns, keep, store),
+        acc=kept(stream.acc, keep, store),
+        gyro=kept(stream.gyro, keep, store),
+        mag=None if stream.mag is None else kept(stream.mag, keep, store),
     )
     if len(cleaned.stamp_ns) < 2:
         raise RecordingError(
             f"{source}: {stream.topic} has {len(cleaned.stamp_ns)} usable samples; record it again."
         )
-    _check_units(cleaned, source)
     return cleaned, notes
 
 
@@ -87,12 +96,14 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
     Parameters, returns, raises : as `clean_imu`.
     """
     store = store or Store()
-    keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), arm.label, source, "frames")
-    position, state = _kept(arm.position, keep, store), arm.state[keep]
+    keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")
+    position, state = kept(arm.position, keep, store), arm.state[keep]
     claimed = state != JointState.NOT_TRACKED
-    there = np.empty(claimed.shape, bool)
+    there, far = np.empty(claimed.shape, bool), np.zeros(claimed.shape, bool)
     for part in batches(len(position)):
         there[part] = np.isfinite(position[part]).all(axis=2)
+        with np.errstate(invalid="ignore"):
+            far[part] = claimed[part] & (abs(position[part]) > _FARTHEST_M).any(axis=2) & there[part]
     broken = claimed & ~there
     if broken.any():
         if broken.sum() > _LIMIT * claimed.sum():
@@ -102,9 +113,39 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
             )
         notes.append(f"{arm.label}: {broken.sum()} joint positions are not numbers and count as not tracked.")
         state[broken] = JointState.NOT_TRACKED
+    if far.any():
+        _check_metres(position, state, arm.label, source)
+        if far.sum() > _LIMIT * claimed.sum():
+            raise RecordingError(
+                f"{source}: {far.sum()} of {claimed.sum()} joint positions of {arm.label} are farther than "
+                f"{_FARTHEST_M:.0f} m from the camera, which is too many to drop; check the unit."
+            )
+        notes.append(
+            f"{arm.label}: {far.sum()} joint positions are farther than {_FARTHEST_M:.0f} m from the camera "
+            "and count as not tracked."
+        )
+        state[far] = JointState.NOT_TRACKED
+    notes += _drop_points(position, state, arm.label, source)
     position = _without(position, state == JointState.NOT_TRACKED, store)
-    _check_metres(position, state, arm.label, source)
-    return replace(arm, stamp_ns=_kept(arm.stamp_ns, keep, store), position=position, state=state), notes
+    return replace(arm, stamp_ns=kept(arm.stamp_ns, keep, store), position=position, state=state), notes
+
+
+def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, source: str) -> list[str]:
+    """Joints of frames in which elbow and wrist lie in one point become not tracked; a note says how many."""
+    claimed = (state[:, _ELBOW] != JointState.NOT_TRACKED) & (state[:, _WRIST] != JointState.NOT_TRACKED)
+    same = np.zeros(len(state), bool)
+    for part in batches(len(state)):
+        apart = abs(position[part, _ELBOW] - position[part, _WRIST]).max(axis=1)
+        same[part] = claimed[part] & (apart < _ONE_POINT_M)
+    if not same.any():
+        return []
+    if same.sum() > _LIMIT * claimed.sum():
+        raise RecordingError(
+            f"{source}: elbow and wrist of {label} coincide in {same.sum()} of {claimed.sum()} frames,"
+            " which is too many to drop; check the body tracking."
+        )
+    state[same] = JointState.NOT_TRACKED
+    return [f"{label}: elbow and wrist coincide in {same.sum()} frames, which count as not tracked."]
 
 
 def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSamples, list[str]]:
@@ -114,7 +155,7 @@ def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSam
     dropped = int((~keep).sum())
     notes = [f"{poses.topic}: {dropped} poses with repeated or backward stamps dropped."] if dropped else []
     score = None if poses.score is None else poses.score[keep]
-    position, quaternion = _kept(poses.position, keep, store), _kept(poses.quaternion, keep, store)
+    position, quaternion = kept(poses.position, keep, store), kept(poses.quaternion, keep, store)
     turned = np.empty(len(quaternion), bool)
     for part in batches(len(quaternion)):
         length = np.linalg.norm(quaternion[part], axis=1)
@@ -122,11 +163,11 @@ def clean_poses(poses: PoseSamples, store: Store | None = None) -> tuple[PoseSam
     return (
         replace(
             poses,
-            stamp_ns=_kept(poses.stamp_ns, keep, store),
+            stamp_ns=kept(poses.stamp_ns, keep, store),
             position=_without(position, ~_finite(position), store),
             quaternion=_without(quaternion, ~turned, store),
             score=score,
-            joints={name: _kept(values, keep, store) for name, values in poses.joints.items()},
+            joints={name: kept(values, keep, store) for name, values in poses.joints.items()},
         ),
         notes,
     )
@@ -140,17 +181,17 @@ def _finite(values: FloatArray) -> BoolArray:
     return finite
 
 
-def _kept(values: NDArray, keep: BoolArray, store: Store) -> NDArray:
-    """The rows to keep; the same array where that is all."""
+def kept(values: NDArray, keep: BoolArray, store: Store) -> NDArray:
+    """The rows to keep (n,) of a column (N, ...); the same array where that is all."""
     count = int(keep.sum())
     if count == len(values):
         return values
-    kept, filled = store.array((count, *values.shape[1:]), 0, values.dtype), 0
+    rest, filled = store.array((count, *values.shape[1:]), 0, values.dtype), 0
     for part in batches(len(values)):
         rows = values[part][keep[part]]
-        kept[filled : filled + len(rows)] = rows
+        rest[filled : filled + len(rows)] = rows
         filled += len(rows)
-    return kept
+    return rest
 
 
 def _without(values: FloatArray, gone: BoolArray, store: Store) -> FloatArray:
@@ -178,13 +219,16 @@ def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, sou
 
 
 def _keep(
-    stamp_ns: IntArray, finite: BoolArray, topic: str, source: str, what: str
+    stamp_ns: IntArray, finite: BoolArray, unusable: dict[str, BoolArray], topic: str, source: str, what: str
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    if finite.all():
+    measured = finite.copy()
+    for mask in unusable.values():
+        measured &= ~mask
+    if measured.all():
         keep = increasing(stamp_ns)
     else:
-        keep = finite.copy()
-        keep[finite] = increasing(stamp_ns[finite])
+        keep = measured.copy()
+        keep[measured] = increasing(stamp_ns[measured])
     dropped, total = int((~keep).sum()), len(keep)
     if not dropped:
         return keep, []
@@ -192,8 +236,11 @@ def _keep(
     causes = []
     if not_numbers:
         causes.append(f"{not_numbers} not finite")
-    if dropped > not_numbers:
-        causes.append(f"{dropped - not_numbers} with repeated or backward stamps")
+    for cause, mask in unusable.items():
+        if count := int((mask & finite).sum()):
+            causes.append(f"{count} {cause}")
+    if stamps := int((measured & ~keep).sum()):
+        causes.append(f"{stamps} with repeated or backward stamps")
     if dropped > _LIMIT * total:
         raise RecordingError(
             f"{source}: {dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
@@ -202,18 +249,24 @@ def _keep(
     return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
 
 
-def _check_units(stream: ImuSamples, source: str) -> None:
+def _check_units(stream: ImuSamples, finite: BoolArray, source: str) -> None:
     # A long recording is judged by an even sub-sample.
-    rate = np.linalg.norm(sampled(stream.gyro), axis=1)
+    usable = sampled(finite)
+    acc, gyro = sampled(stream.acc)[usable], sampled(stream.gyro)[usable]
+    if not len(acc):
+        return
+    with np.errstate(over="ignore"):
+        rate = np.linalg.norm(gyro, axis=1)
     fast = float(np.percentile(rate, 99))
-    if fast > _GYRO_LIMIT:
+    if fast > GYRO_LIMIT:
         raise RecordingError(
             f"{source}: the gyroscope of {stream.topic} reads up to {fast:.0f}, which cannot be rad/s and "
             "looks like deg/s; convert it to rad/s (gyroscope_unit in a recording.toml)."
         )
     # The quietest fifth, whatever the gyroscope's unit and offset are.
     quiet = rate <= np.percentile(rate, 20)
-    rest = float(np.median(np.linalg.norm(sampled(stream.acc)[quiet], axis=1)))
+    with np.errstate(over="ignore"):
+        rest = float(np.median(np.linalg.norm(acc[quiet], axis=1)))
     if 0.5 * STANDARD_GRAVITY < rest < 2 * STANDARD_GRAVITY:
         return
     for low, high, unit in _ACC_UNITS:

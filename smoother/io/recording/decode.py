@@ -96,7 +96,7 @@ class ImuDecoder(Decoder):
         stamp, delay, acc, gyro, mag = self.joined()
         has_mag = any(np.isfinite(mag[part]).any() for part in batches(len(mag)))
         shift = int(np.median(sampled(delay)))
-        return ImuSamples(self.topic.name, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
+        return ImuSamples(self.topic.label, self.frame_id, stamp, acc, gyro, mag if has_mag else None, shift)
 
 
 class FieldDecoder(Decoder):
@@ -111,7 +111,7 @@ class FieldDecoder(Decoder):
         if not self.gathered:
             return None
         stamp, _, mag = self.joined()
-        return FieldSamples(self.topic.name, self.frame_id, stamp, mag)
+        return FieldSamples(self.topic.label, self.frame_id, stamp, mag)
 
 
 class PoseDecoder(Decoder):
@@ -133,7 +133,7 @@ class PoseDecoder(Decoder):
         if not self.gathered:
             return None
         stamp, _, position, quaternion = self.joined()
-        return PoseSamples(self.topic.name, self.frame_id, stamp, position, quaternion)
+        return PoseSamples(self.topic.label, self.frame_id, stamp, position, quaternion)
 
 
 def plain_decoder(topic: Topic, store: Store | None = None) -> ImuDecoder | FieldDecoder | PoseDecoder | None:

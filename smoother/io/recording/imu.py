@@ -35,8 +35,9 @@ def read_imu(path: str | os.PathLike[str], imu: str | None = None) -> tuple[ImuS
         The file cannot be read, holds no IMU or several, or its samples cannot be used.
     """
     file = open_recording(path)
-    chosen = choose_imu(file, imu)
-    kept, notes = clean_imu(chosen, str(file.path))
+    with file.damage_told():
+        chosen = choose_imu(file, imu)
+        kept, notes = clean_imu(chosen, str(file.path))
     if kept.stamp_ns[-1] - kept.stamp_ns[0] <= 0:
         raise RecordingError(f"{path}: {kept.topic} lasts no time; record it again.")
     origin = int(kept.stamp_ns[0]) // SECOND_NS * SECOND_NS

@@ -100,6 +100,8 @@ class JsonDecoder:
             try:
                 message = json.loads(bytes(messages.chunk[start:stop]))
                 stamp = stamp_ns(message) or log_ns
+                if not abs(stamp) < 2**62:
+                    raise ValueError("no time")
                 row = _VALUES[self.kind](message)
             except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
                 self.grouper.broken += 1
@@ -134,7 +136,7 @@ class JsonStream(JsonDecoder):
         if not self._count:
             return None
         stamp, values = self._stamps.done(), self._values.done()
-        name = self.topic.name
+        name = self.topic.label
         if self.kind == "field":
             return FieldSamples(name, self.frame_id, stamp, values)
         if self.kind == "pose":
@@ -153,7 +155,7 @@ class JsonSkeleton(JsonDecoder):
         """All arms; asked for once."""
         if not self._count:
             return []
-        return self._rows.arms(self._stamps.done(), self.topic.name, self.frame_id, None)
+        return self._rows.arms(self._stamps.done(), self.topic.label, self.frame_id, None)
 
 
 def stamp_ns(message: Mapping[str, Any]) -> int:
@@ -209,6 +211,8 @@ def _pose(message: Mapping[str, Any]) -> tuple[float, ...]:
 def _skeleton(message: Mapping[str, Any]) -> list[tuple[float, ...]]:
     """Body, side, joint, state and position of each joint."""
     body = float(message.get("body", 0))
+    if not 0 <= body < 2**31:
+        raise ValueError("no number of a body")
     rows = []
     for joint in message.get("joints", []):
         code = joint_code(str(joint.get("name", "")))

@@ -14,10 +14,13 @@ from ...linalg import unit
 from ...recording import CameraFrame, Recording
 from ...runtime.store import Store
 from ..mcap.container import Container
+from ..mcap.losses import plain_name, printable
 from ..mcap.messages import Topic
+from ..mcap.repair_container import repair_notes
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
+from .outlying import drop_outlying
 from .select import select_recording, select_recordings
 from .selection import Selection
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
@@ -27,6 +30,9 @@ from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, Topic
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
 OTHER_SIDE = {"left": "right", "right": "left"}
+
+#: Of the notes in a file's metadata so many are repeated, and so much of each.
+_MOST_NOTES, _LONGEST_NOTE = 100, 1000
 
 AnyDecoder = (
     ImuDecoder | FieldDecoder | PoseDecoder | SkeletonDecoder | MarkerDecoder | JsonStream | JsonSkeleton
@@ -87,10 +93,13 @@ def open_recording(
             break
 
     file = RecordingFile(container.path, notes=list(container.notes), metadata=container.metadata)
+    file.damage = list(container.notes)
     file.topics = [
-        TopicInfo(t.name, t.schema, t.encoding, t.count, t.first_ns, t.last_ns) for t in container.topics
+        TopicInfo(t.label, plain_name(t.schema), plain_name(t.encoding), t.count, t.first_ns, t.last_ns)
+        for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    drop_outlying(file, store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
         file.notes.append(
@@ -212,7 +221,7 @@ def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> No
     for decoder in decoders:
         if decoder.grouper.broken:
             file.notes.append(
-                f"{decoder.topic.name}: {decoder.grouper.broken} messages are damaged and were dropped."
+                f"{decoder.topic.label}: {decoder.grouper.broken} messages are damaged and were dropped."
             )
         if isinstance(decoder, SKELETONS):
             arms = decoder.arms()
@@ -238,15 +247,20 @@ def _take_metadata(file: RecordingFile) -> None:
         if record.get("camera_frame"):
             file.camera_frame = CameraFrame(record["camera_frame"])
         if record.get("gravity"):
-            file.gravity_hint = unit(np.array(json.loads(record["gravity"]), float).reshape(3))
-        file.notes += [str(note) for note in json.loads(record.get("notes", "[]"))]
+            gravity = np.array(json.loads(record["gravity"]), float).reshape(3)
+            file.gravity_hint = unit(gravity)
+            if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
+                raise ValueError("gravity is no direction")
+        notes = json.loads(record.get("notes", "[]"))
+        file.notes += [printable(str(note)[:_LONGEST_NOTE]) for note in notes[:_MOST_NOTES]]
+        file.notes += repair_notes(file.metadata)
         scores = json.loads(record.get("truth_score", "{}"))
         for poses in file.poses:
             if poses.topic in scores:
                 poses.score = np.zeros(len(poses.stamp_ns), bool)
-                for start, stop in scores[poses.topic]:
+                for start, stop in scores[poses.topic][: len(poses.stamp_ns)]:
                     poses.score[start:stop] = True
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise RecordingError(
             f"{file.path}: its metadata record {METADATA} cannot be read ({error}); write it again."
         ) from error

@@ -21,6 +21,8 @@ from .trunk import trunk_of
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
+#: A stream that is there for a smaller share of the other's time is spoken of; pauses of the IMU, ns.
+_COVERS, _PAUSE_NS = 0.9, 500_000_000
 
 
 def select_recording(
@@ -32,8 +34,9 @@ def select_recording(
 ) -> Recording:
     """Make a recording of one arm from all that a file holds; options as in `read_recording`."""
     store = store or Store()
-    arm = _CleanArm.of(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
-    return arm.recording(file, _origin_ns([arm]), store)
+    with file.damage_told():
+        arm = _CleanArm.of(choose(file, prefer_side=prefer_side, store=store, **selection), file, store)
+        return arm.recording(file, _origin_ns([arm]), store)
 
 
 def select_recordings(
@@ -45,7 +48,8 @@ def select_recordings(
 ) -> list[Recording]:
     """Make a recording of every arm with an IMU from all that a file holds; as `read_recordings`."""
     store = store or Store()
-    choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
+    with file.damage_told():
+        choices = choose_arms(file, prefer_side=prefer_side, store=store, **selection)
     arms: list[_CleanArm] = []
     left_out = list(choices.left_out)
     errors: list[RecordingError] = []
@@ -82,6 +86,7 @@ class _CleanArm:
         arm, arm_dropped = clean_arm(choice.arm, source, store)
         notes += dropped + arm_dropped
         _check_overlap(forearm, arm, source)
+        notes += _coverage(forearm, arm)
         base, truth, upper = None, None, None
         if choice.base is not None:
             base, dropped = clean_imu(choice.base, source, store)
@@ -138,6 +143,25 @@ def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
         f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
         "clocks that agree to a second."
     )
+
+
+def _coverage(imu: ImuSamples, arm: ArmFrames) -> list[str]:
+    """A sentence where one stream is there for much less of the time than the other."""
+    (imu_first, imu_last), (first, last) = (
+        (int(stamp[0]), int(stamp[-1])) for stamp in (imu.stamp_ns, arm.stamp_ns)
+    )
+    shared_s = (min(imu_last, last) - max(imu_first, first)) / 1e9
+    steps = np.diff(imu.stamp_ns)
+    paused_s = float(steps[steps > _PAUSE_NS].sum()) / 1e9
+    imu_s, camera_s = (imu_last - imu_first) / 1e9 - paused_s, (last - first) / 1e9
+    sentences = []
+    if imu_s < _COVERS * camera_s or shared_s < _COVERS * camera_s:
+        there = min(imu_s, shared_s)
+        sentences.append(f"{imu.topic}: there are samples for {there:.1f} of the camera's {camera_s:.1f} s.")
+    if shared_s < _COVERS * ((imu_last - imu_first) / 1e9):
+        total = (imu_last - imu_first) / 1e9
+        sentences.append(f"{arm.label}: there are frames for {shared_s:.1f} of the IMU's {total:.1f} s.")
+    return sentences
 
 
 def _span(stamp_ns: IntArray) -> str:

@@ -63,7 +63,7 @@ class SkeletonDecoder:
 
     def _arms(self, index: IntArray, block: Block, layout: MessageLayout) -> list[tuple[NDArray, ...]]:
         """What messages of one layout say of each side."""
-        body, count = layout.integer(block, "body"), len(block)
+        body, count = layout.integer(block, "body") & 0xFFFFFFFF, len(block)
         sides: dict[int, tuple[NDArray, NDArray]] = {}
         for i in range(layout.counts.get("joints", 0)):
             code = joint_code(layout.texts.get(f"joints.{i}.name", ""))
@@ -74,14 +74,17 @@ class SkeletonDecoder:
                 shape = (count, len(JOINTS))
                 sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
-            state[:, joint] = layout.integer(block, f"joints.{i}.state")
+            said = layout.integer(block, f"joints.{i}.state")
+            if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged
+                said = np.where(said.view(np.uint64) > JointState.TRACKED, JointState.NOT_TRACKED, said)
+            state[:, joint] = said
             position[:, joint] = layout.vector(block, axes(f"joints.{i}.position"))
         return [(index, index, body, np.full(count, side), *said) for side, said in sorted(sides.items())]
 
     def found(self) -> tuple[IntArray, list[ArmFrames]]:
         """Stamps of all messages, ns, and all arms; asked for once."""
         stamp_ns = self._stamps.done()
-        return stamp_ns, self._rows.arms(stamp_ns, self.topic.name, self.frame_id, self.camera_frame)
+        return stamp_ns, self._rows.arms(stamp_ns, self.topic.label, self.frame_id, self.camera_frame)
 
     def arms(self) -> list[ArmFrames]:
         """All arms found; asked for once."""
@@ -155,7 +158,7 @@ class MarkerDecoder:
         if has.any() and not has.all():
             delay = np.interp(np.arange(len(log)), np.flatnonzero(has), (log - stamp)[has].astype(float))
             stamp = np.where(has, stamp, log - delay.astype(np.int64))
-        return self._rows.arms(stamp, self.topic.name, self.frame_id, CameraFrame.OPTICAL)
+        return self._rows.arms(stamp, self.topic.label, self.frame_id, CameraFrame.OPTICAL)
 
 
 def skeleton_decoder(topic: Topic, store: Store | None = None) -> SkeletonDecoder | MarkerDecoder | None:

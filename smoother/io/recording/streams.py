@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import RecordingError
 from ...measurements.visibility import enough_joints
 from ...recording import BoolArray, CameraFrame, FloatArray, IntArray, JointState
 
@@ -168,6 +171,8 @@ class RecordingFile:
         What was wrong with the file, and what it says of itself.
     metadata : dict of str to dict of str to str
         Its metadata records, by name.
+    damage : list of str
+        Of the notes those on a damaged container.
     frames_without_body : int
         Skeleton messages were there, and none had a joint of an arm.
     """
@@ -182,6 +187,23 @@ class RecordingFile:
     notes: list[str] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     frames_without_body: int = 0
+    damage: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def damage_told(self) -> Iterator[None]:
+        """Within this, an error's sentence is followed by what is damaged in the file.
+
+        Raises
+        ------
+        RecordingError
+            Where one is raised inside.
+        """
+        try:
+            yield
+        except RecordingError as error:
+            if not self.damage or self.damage[0] in str(error):
+                raise
+            raise RecordingError(f"{error} The file is damaged: {' '.join(self.damage[:4])}") from error
 
     @property
     def name(self) -> str:

@@ -17,6 +17,7 @@ from ...result import Estimates, FrameResiduals, Recovery
 from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.container import Container
+from ..mcap.losses import plain_name
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds
 from ..recording.decode import proto_grouper
@@ -26,6 +27,19 @@ from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .metadata import calibration_of, gaps_of
 from .write import RESULT
+
+#: What values of a result that somebody else wrote, or that are damaged, end in.
+BROKEN_RESULT = (
+    KeyError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    ArithmeticError,
+    AssertionError,
+    RecursionError,
+    ImportError,
+)
 
 
 def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
@@ -55,12 +69,17 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
         return topic.name.startswith(RESULT_PREFIX) and _kind(topic) in _TABLES
 
     tables: dict[str, _Table] = {}
-    for batch in container.by_topic(wanted):
-        for position, messages in batch.items():
-            topic = container.topics[position]
-            if topic.name not in tables:
-                tables[topic.name] = _TABLES[_kind(topic)](topic)
-            tables[topic.name].feed(messages)
+    try:
+        for batch in container.by_topic(wanted):
+            for position, messages in batch.items():
+                topic = container.topics[position]
+                if topic.name not in tables:
+                    tables[topic.name] = _TABLES[_kind(topic)](topic)
+                tables[topic.name].feed(messages)
+    except BROKEN_RESULT as error:
+        raise RecordingError(
+            f"{path}: messages of its result are damaged ({shown(error)}); run `unocclude smooth` again."
+        ) from error
     names = [name for name in container.metadata if name.partition("/")[0] == RESULT]
     if not names:
         raise RecordingError(
@@ -106,11 +125,17 @@ def _recovery(path: Path, container: Container, tables: dict[str, _Table], name:
             body=values.get("body"),
             trunk=_trunk(stamp, tables.get(f"{RESULT_PREFIX}trunk{suffix}"), values.get("trunk")),
         )
-    except (KeyError, ValueError, TypeError) as error:
+    except BROKEN_RESULT as error:
+        damage = f" The file is damaged: {' '.join(container.notes[:4])}" if container.notes else ""
         raise RecordingError(
-            f"{path}: its result{suffix} is damaged or of another version ({error!r}); "
-            "run `unocclude smooth` again."
+            f"{path}: its result{plain_name(suffix)} is damaged or of another version ({shown(error)}); "
+            f"run `unocclude smooth` again.{damage}"
         ) from error
+
+
+def shown(error: BaseException) -> str:
+    """An error of a library, short enough for a sentence."""
+    return f"{type(error).__name__} {plain_name(str(error))}"
 
 
 def _upper(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None) -> UpperMotion | None:

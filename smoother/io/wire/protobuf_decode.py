@@ -5,8 +5,13 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+import numpy as np
+
 from ...recording import IntArray
 from .layout import Block, MessageLayout
+
+#: Times in nanoseconds end in the year 2262.
+_LATEST_S = 9_000_000_000
 
 
 def walk(data: bytes, message: Any) -> MessageLayout:
@@ -36,6 +41,7 @@ def stamps(block: Block, layout: MessageLayout, log_ns: IntArray) -> IntArray:
     if not {"timestamp.seconds", "timestamp.nanos"} & layout.varints.keys():
         return log_ns
     seconds = layout.integer(block, "timestamp.seconds")
+    seconds = np.clip(seconds, -_LATEST_S, _LATEST_S)  # what lies beyond does not fit nanoseconds
     return seconds * 1_000_000_000 + layout.integer(block, "timestamp.nanos")
 
 
@@ -85,7 +91,7 @@ def _bytes(data: bytes, start: int, end: int, field: Any, name: str, layout: Mes
     elif field.type == field.TYPE_STRING:
         layout.fix(start, end)
         layout.texts[name] = data[start:end].decode("utf-8", "replace")
-    elif field.type == field.TYPE_DOUBLE and (end - start) % 8 == 0:
+    elif field.type == field.TYPE_DOUBLE and (end - start) % 8 == 0 and end > start:
         layout.add(name, start, "<f8", (end - start) // 8)
 
 

@@ -1,0 +1,316 @@
+"""The faults of `tools/faults.py`: sound files, and what is done to them."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))  # examples of devices' files
+
+from smoother.cli.run import run
+from smoother.io.recording.write import as_file, write_recording
+from smoother.recording import JOINTS, JointState, Recording
+from tools import fault_bytes, fault_values
+
+Rng = np.random.Generator
+Change = Callable[[bytes, Rng], bytes]
+#: A recording of the matrix: seconds, and so many variants of each fault.
+DURATION_S = 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """One damaged file and the command that reads it.
+
+    Attributes
+    ----------
+    family, fault, name : str
+        Kind of file, what was done to it, and which variant.
+    base : str
+        Folder of the sound inputs, and the command.
+    kind : str
+        What is compared: `info`, `smooth` or `figures`.
+    command : tuple of str
+        Words; IN/ stands for the folder of the inputs, OUT/ for that of the outputs.
+    change : callable
+        Damages the inputs in a folder.
+    compares : tuple of str
+        Keys of the figures.
+    """
+
+    family: str
+    fault: str
+    name: str
+    base: str
+    kind: str
+    command: tuple[str, ...]
+    change: Callable[[Path], None]
+    compares: tuple[str, ...] = ()
+
+    def sound(self, shop: Workshop) -> Case:
+        """The same command on the sound files."""
+        words = tuple(
+            word.replace("IN/", f"{shop.folder / self.base.partition(' ')[0]}/") for word in self.command
+        )
+        return replace(self, command=words)
+
+    def make(self, shop: Workshop, folder: Path) -> None:
+        """Put damaged inputs into a folder."""
+        shutil.copytree(shop.folder / self.base.partition(" ")[0], folder / "in")
+        self.change(folder / "in")
+
+    def arguments(self, folder: Path) -> list[str]:
+        """Words of the command."""
+        return [word.replace("IN/", f"{folder}/in/").replace("OUT/", f"{folder}/") for word in self.command]
+
+
+class Workshop:
+    """Makes the sound files.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they lie.
+    seed : int
+        Of the faults.
+    """
+
+    def __init__(self, folder: Path, seed: int):
+        self.folder, self.seed = folder, seed
+        first = folder / "ours"
+        first.mkdir()
+        words = f"simulate arm -o {first}/rec.mcap --calibration-out {first}/cal.toml --seed 3 --mocap"
+        _quiet([*words.split(), "--protocol", "random", "--duration-s", str(DURATION_S)])
+        for name, way in fault_bytes.WAYS.items():
+            (folder / name).mkdir()
+            shutil.copy(first / "cal.toml", folder / name)
+            (folder / name / "rec.mcap").write_bytes(fault_bytes.wrapped(first / "rec.mcap", way))
+        (folder / "result").mkdir()
+        for path in first.iterdir():
+            shutil.copy(path, folder / "result")
+        words = f"smooth {first}/rec.mcap -o {folder}/result/out.mcap --calibration {first}/cal.toml"
+        _quiet([*words.split(), "--processes", "1"])
+
+    def rng(self, *words: object) -> Rng:
+        """Numbers of a case, whatever cases come before it."""
+        return np.random.default_rng([self.seed, *" ".join(map(str, words)).encode()])
+
+
+def _quiet(words: list[str]) -> None:
+    """A command that must work, without what it prints."""
+    from contextlib import redirect_stdout
+    from io import StringIO
+
+    with redirect_stdout(StringIO()):
+        if run(words):
+            raise RuntimeError(f"{words} failed")
+
+
+SMOOTH = tuple(
+    ["smooth", "IN/rec.mcap", "-o", "OUT/out.mcap", "--calibration", "IN/cal.toml", "--processes", "1"]
+)
+
+
+def all_cases(shop: Workshop) -> list[Case]:
+    """Every case, in the order of the table."""
+    return [
+        *_containers(shop),
+        *_values(shop),
+        *_texts(shop),
+        *_markers(shop),
+        *_devices(shop),
+        *_calibrations(shop),
+        *_results(shop),
+    ]
+
+
+def _bytes(path: str, change: Change, rng: Rng) -> Callable[[Path], None]:
+    """A change of one file's bytes."""
+
+    def damage(folder: Path) -> None:
+        file = folder / path
+        file.write_bytes(change(file.read_bytes(), rng))
+
+    return damage
+
+
+def _containers(shop: Workshop) -> Iterator[Case]:
+    """Containers of every way to write them; every fifth is recovered, the others are listed."""
+    number = 0
+    for way in fault_bytes.WAYS:
+        for fault, change in fault_bytes.CONTAINER.items():
+            for variant in range(6):
+                number += 1
+                smooth = number % 5 == 0
+                yield Case(
+                    f"MCAP, {way}",
+                    fault,
+                    f"{fault} {variant}",
+                    f"{way} {'smooth' if smooth else 'info'}",
+                    "smooth" if smooth else "info",
+                    SMOOTH if smooth else ("info", "IN/rec.mcap"),
+                    _bytes("rec.mcap", change, shop.rng(way, fault, variant)),
+                )
+
+
+def _values(shop: Workshop) -> Iterator[Case]:
+    """Sound containers with values, stamps, rates and names that are not."""
+    for fault, (change, variants) in fault_values.RECORDING.items():
+        for variant in range(variants):
+            yield Case(
+                "recording",
+                fault,
+                f"{fault} {variant}",
+                "ours smooth",
+                "smooth",
+                SMOOTH,
+                partial(_rewrite, change, shop.rng(fault, variant)),
+            )
+    for fault, by_message in fault_values.MESSAGES.items():
+        for variant in range(8):
+            yield Case(
+                "messages",
+                fault,
+                f"{fault} {variant}",
+                "ours smooth",
+                "smooth",
+                SMOOTH,
+                _bytes(
+                    "rec.mcap", partial(fault_bytes.rewritten, change=by_message), shop.rng(fault, variant)
+                ),
+            )
+
+
+def _rewrite(change: Callable[[Recording, Rng], Recording], rng: Rng, folder: Path) -> None:
+    from smoother.io import read_recording
+
+    with np.errstate(all="ignore"):
+        file = as_file(change(read_recording(folder / "rec.mcap"), rng))
+        write_recording(file, folder / "rec.mcap", force=True)
+
+
+def _texts(shop: Workshop) -> Iterator[Case]:
+    """Folders of plain files."""
+    folder = shop.folder / "csv"
+    folder.mkdir()
+    for name, text in plain_folder(shop.folder / "ours" / "rec.mcap").items():
+        (folder / name).write_text(text)
+    command = tuple(["import", "csv", "IN/", "-o", "OUT/new.mcap"])
+    for file in ("imu.csv", "skeleton.csv", "recording.toml"):
+        for fault, change in fault_bytes.TEXT.items():
+            for variant in range(4):
+                damage = _bytes(file, change, shop.rng(file, fault, variant))
+                yield Case(f"CSV, {file}", fault, f"{fault} {variant}", "csv import", "info", command, damage)
+
+
+def plain_folder(path: Path) -> dict[str, str]:
+    """A recording as plain files."""
+    from smoother.io import read_recording
+
+    recording = read_recording(path)
+    imu = ["t_s,ax,ay,az,gx,gy,gz"]
+    for t, *values in np.column_stack([recording.imu.t_s, recording.imu.acc, recording.imu.gyro]).tolist():
+        imu.append(",".join([f"{t:.6f}", *(f"{value:.6f}" for value in values)]))
+    rows = ["t_s,joint,x,y,z,state"]
+    for frame, t in enumerate(recording.arm.t_s.tolist()):
+        for column, joint in enumerate(JOINTS):
+            state = JointState(int(recording.arm.state[frame, column])).name.lower()
+            place = ["", "", ""]
+            if state != "not_tracked":
+                place = [f"{value:.5f}" for value in recording.arm.position[frame, column].tolist()]
+            rows.append(",".join([f"{t:.6f}", f"{joint}_right", *place, state]))
+    about = '[camera]\nframe = "kinect"\nskeleton = "skeleton.csv"\n[imu.forearm_right]\nfile = "imu.csv"\n'
+    return {"imu.csv": "\n".join(imu) + "\n", "skeleton.csv": "\n".join(rows) + "\n", "recording.toml": about}
+
+
+def _markers(shop: Workshop) -> Iterator[Case]:
+    """Motion capture as truth."""
+    for ending, faults in (("trc", fault_bytes.TEXT), ("c3d", fault_bytes.C3D)):
+        words = f"validate IN/out.mcap --truth IN/rec.{ending} --markers IN/rec_markers.toml"
+        command = (*words.split(), "--calibration", "IN/cal.toml")
+        for fault, change in faults.items():
+            for variant in range(6 if ending == "trc" else 12):
+                damage = _bytes(f"rec.{ending}", change, shop.rng(ending, fault, variant))
+                name = f"{fault} {variant}"
+                base = f"result {ending}"
+                yield Case(ending.upper(), fault, name, base, "figures", command, damage, ("all",))
+
+
+def _devices(shop: Workshop) -> Iterator[Case]:
+    """Exports of devices, with the other stream sound."""
+    import device_files
+
+    partner = {"imu": ("shimmer", device_files.IMUS), "skeleton": ("kinect-v2", device_files.SKELETONS)}
+    for kind, table in (("imu", device_files.IMUS), ("skeleton", device_files.SKELETONS)):
+        other = "skeleton" if kind == "imu" else "imu"
+        for key in table:
+            folder = shop.folder / f"device_{kind}_{key}"
+            folder.mkdir()
+            try:
+                table[key](folder / kind)
+                name, others = partner[other]
+                others[name if name in others else next(iter(others))](folder / other)
+            except (OSError, ImportError):
+                continue
+            command = tuple(
+                [
+                    "import",
+                    "files",
+                    "--skeleton",
+                    "IN/skeleton",
+                    "--imu",
+                    "forearm_right=IN/imu",
+                    "-o",
+                    "OUT/new.mcap",
+                ]
+            )
+            check = [word.replace("IN/", f"{folder}/").replace("OUT/", f"{folder}/") for word in command]
+            try:
+                from contextlib import redirect_stderr
+                from io import StringIO
+
+                with redirect_stderr(StringIO()):
+                    _quiet(check)
+            except RuntimeError:
+                continue  # a pair that does not overlap
+            (folder / "new.mcap").unlink()
+            is_text = b"\0" not in (folder / kind).read_bytes()[:4000]
+            faults = fault_bytes.TEXT if is_text else fault_bytes.BINARY
+            for fault, change in faults.items():
+                for variant in range(2):
+                    damage = _bytes(kind, change, shop.rng(key, fault, variant))
+                    base = f"device_{kind}_{key} import"
+                    name = f"{key}, {fault} {variant}"
+                    yield Case(f"device, {kind}", fault, name, base, "info", command, damage)
+
+
+def _calibrations(shop: Workshop) -> Iterator[Case]:
+    for fault, change in fault_values.CALIBRATION.items():
+        for variant in range(4):
+            damage = _bytes("cal.toml", change, shop.rng("calibration", fault, variant))
+            yield Case("calibration", fault, f"{fault} {variant}", "ours smooth", "smooth", SMOOTH, damage)
+
+
+def _results(shop: Workshop) -> Iterator[Case]:
+    words = "validate IN/out.mcap --truth IN/rec.mcap"
+    for fault, change in fault_bytes.CONTAINER.items():
+        for variant in range(4):
+            damage = _bytes("out.mcap", change, shop.rng("result", fault, variant))
+            name = f"{fault} {variant}"
+            yield Case(
+                "result", fault, name, "result validate", "figures", tuple(words.split()), damage, ("all",)
+            )
+    for fault, change in fault_values.METADATA.items():
+        for variant in range(6):
+            by_record = partial(fault_bytes.other_metadata, change=change)
+            damage = _bytes("out.mcap", by_record, shop.rng("metadata", fault, variant))
+            name = f"{fault} {variant}"
+            yield Case(
+                "result", fault, name, "result validate", "figures", tuple(words.split()), damage, ("all",)
+            )

@@ -1,0 +1,252 @@
+"""What the commands make of damaged and hostile files: `python tools/faults.py --write docs/reliability.md`.
+
+Each case is a file with one fault, drawn from a seed, on which the real command runs in a process of its
+own with a guard for time and memory. What it ends in is one of these: right (the answer of the sound file),
+partly right with a note, one clear sentence, SILENT (less, or something else, and not a word), UNEXPECTED
+(a traceback, an "unexpected error", a signal, or more time or memory than the guard allows). `--every 20`
+runs one case in twenty, which is what the tests do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # the cases lie beside this file
+
+from smoother.cli.run import run
+from smoother.errors import UnoccludeError
+from smoother.io import read_recovery
+from tools.fault_cases import Case, Workshop, all_cases
+
+ENDS = ("right", "note", "sentence", "SILENT", "UNEXPECTED")
+#: A case may take so long, s of processor time and in all, and so much memory more, bytes.
+MOST_CPU_S, MOST_S, MOST_MEMORY = 40, 240, 3 << 30
+#: An answer is another one where it is off by more than this, m, and by so many of its own sigmas.
+OFF_M, OFF_SIGMAS = 0.02, 4.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a case ended in.
+
+    Attributes
+    ----------
+    case : Case
+        The fault.
+    end : str
+        One of `ENDS`.
+    text : str
+        The sentence, the first new note, or what was unexpected.
+    """
+
+    case: Case
+    end: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command left: its exit code, what it printed, its figures and files.
+
+    Attributes
+    ----------
+    code : int
+        Of the process; negative for a signal.
+    out, err : str
+        What it printed.
+    figures : dict
+        Its JSON; empty where there is none.
+    folder : Path
+        Where its outputs lie.
+    """
+
+    code: int
+    out: str
+    err: str
+    figures: dict
+    folder: Path
+
+    @property
+    def notes(self) -> set[str]:
+        """Lines that tell of something, and the notes among the figures."""
+        lines = {
+            line for line in self.out.splitlines() if line.startswith(("note:", "cannot be", "not ready"))
+        }
+        files = [note for file in self.figures.get("files", []) for note in file["notes"]]
+        return lines | {str(note) for note in [*self.figures.get("notes", []), *files]}
+
+
+def run_case(case: Case, folder: Path) -> Answer:
+    """Run a case's command in a child with a guard."""
+    arguments = [*case.arguments(folder), "--json", str(folder / "figures.json"), "--force"]
+    child = os.fork()
+    if child == 0:
+        code = 70
+        try:
+            signal.alarm(MOST_S)
+            resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S, MOST_CPU_S + 2))
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            most = pages * resource.getpagesize() + MOST_MEMORY
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            for stream, name in ((1, "out"), (2, "err")):
+                os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+            sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+            code = run(arguments)
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:
+            os._exit(code)
+    status = os.waitpid(child, 0)[1]
+    figures = {}
+    if (folder / "figures.json").exists():
+        figures = json.loads((folder / "figures.json").read_text())
+    out, err = ((folder / name).read_text(errors="replace") for name in ("out", "err"))
+    return Answer(os.waitstatus_to_exitcode(status), out, err, figures, folder)
+
+
+def judged(case: Case, answer: Answer, sound: Answer) -> Outcome:
+    """What the answer of a damaged file is, beside that of the sound one."""
+    err = answer.err.strip()
+    if answer.code not in (0, 1, 2):
+        return Outcome(case, "UNEXPECTED", f"exit {answer.code}: {err[-200:]}")
+    if "Traceback" in err or "unexpected error" in err or "memory does not suffice" in err:
+        return Outcome(case, "UNEXPECTED", err[-300:])
+    if answer.code:
+        is_sentence = err.count("\n") == 0 and err.startswith("unocclude: ") and len(err) < 2000
+        left = [path.name for path in answer.folder.iterdir() if path.name.startswith(".")]
+        is_sentence &= not left and not (answer.folder / "out.mcap").exists()
+        return Outcome(case, "sentence" if is_sentence else "UNEXPECTED", err or "no word")
+    new = sorted(answer.notes - sound.notes)
+    wrong = differs(case, answer, sound)
+    if not wrong:
+        return Outcome(case, "right", new[0] if new else "")
+    if new or answer.figures.get("trusted") is False:
+        told = new[0] if new else str(answer.figures.get("verdict"))
+        return Outcome(case, "note", told)
+    return Outcome(case, "SILENT", wrong)
+
+
+def differs(case: Case, answer: Answer, sound: Answer) -> str:
+    """What the answer lacks or has otherwise than the sound file's; empty where it is right."""
+    if case.kind == "info":
+        count = {topic["name"]: topic["count"] for topic in answer.figures["topics"]}
+        for topic in sound.figures["topics"]:
+            if count.get(topic["name"]) != topic["count"]:
+                return f"{topic['name']}: {count.get(topic['name'])} of {topic['count']} messages"
+        missing = answer.figures["missing"].get("smooth")
+        return "" if missing == sound.figures["missing"].get("smooth") else str(missing)
+    if case.kind == "smooth":
+        return _other_motion(answer.folder / "out.mcap", sound.folder / "out.mcap")
+    for key in case.compares:
+        a, b = answer.figures.get(key), sound.figures.get(key)
+        if json.dumps(a) != json.dumps(b):
+            return f"{key}: {str(a)[:80]} instead of {str(b)[:80]}"
+    return ""
+
+
+def _other_motion(path: Path, sound: Path) -> str:
+    """How a recovered motion departs from the sound one; empty where it does not."""
+    try:
+        (new,), (old,) = read_recovery(path), read_recovery(sound)
+    except UnoccludeError as error:
+        return str(error)
+    shift_ns = new.origin_ns - old.origin_ns
+    there = np.rint((new.t_s) * 1e9).astype(np.int64) + shift_ns
+    wanted = np.rint(old.t_s * 1e9).astype(np.int64)
+    rows = np.searchsorted(there, wanted).clip(0, max(len(there) - 1, 0))
+    met = abs(there[rows] - wanted) < 1_000_000
+    if (~met).sum() > 0:
+        return f"{int((~met).sum())} of {len(wanted)} samples have no answer"
+    off = np.linalg.norm(new.position[rows] - old.position, axis=1)
+    sigma = np.sqrt(np.einsum("nii->n", new.pose_covariance[rows][:, 3:, 3:]).clip(0))
+    bad = ~(off < np.maximum(OFF_M, OFF_SIGMAS * np.nan_to_num(sigma)))
+    return f"off by up to {np.nanmax(off):.3f} m" if bad.any() else ""
+
+
+def run_all(cases: list[Case], shop: Workshop, shown: bool = True) -> list[Outcome]:
+    """Run all cases one after the other."""
+    sound: dict[str, Answer] = {}
+    outcomes = []
+    for number, case in enumerate(cases):
+        if case.base not in sound:
+            folder = shop.folder / f"sound_{len(sound)}"
+            folder.mkdir()
+            answer = run_case(case.sound(shop), folder)
+            if answer.code:
+                sys.exit(f"the sound file of {case.family} is refused: {answer.err}")
+            sound[case.base] = answer
+        with tempfile.TemporaryDirectory(dir=shop.folder) as name:
+            folder = Path(name)
+            case.make(shop, folder)
+            outcome = judged(case, run_case(case, folder), sound[case.base])
+        outcomes.append(outcome)
+        if shown and outcome.end in ENDS[3:]:
+            print(f"{outcome.end}: {case.family}, {case.name}: {outcome.text}", file=sys.stderr, flush=True)
+        if shown and number % 100 == 99:
+            print(f"{number + 1} of {len(cases)}, {time.process_time():.0f} s", file=sys.stderr, flush=True)
+    return outcomes
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Counts by family and fault as Markdown."""
+    families: dict[tuple[str, str], Counter[str]] = {}
+    for outcome in outcomes:
+        key = (outcome.case.family, outcome.case.fault)
+        families.setdefault(key, Counter())[outcome.end] += 1
+    lines = [
+        "| file | fault | cases | right | partly right, with a note | one sentence | silent | unexpected |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    total: Counter[str] = Counter()
+    for (family, fault), counts in families.items():
+        total.update(counts)
+        cells = " | ".join(str(counts[end]) for end in ENDS)
+        lines.append(f"| {family} | {fault} | {sum(counts.values())} | {cells} |")
+    cells = " | ".join(f"**{total[end]}**" for end in ENDS)
+    lines.append(f"| all | | **{sum(total.values())}** | {cells} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the cases that the command line asks for; 1 where one was silent or unexpected."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--every", type=int, default=1, help="run one case in so many")
+    parser.add_argument("--family", help="only families whose name holds this")
+    parser.add_argument("--write", type=Path, help="put the table into this page")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        shop = Workshop(Path(name), options.seed)
+        cases = [case for case in all_cases(shop) if not options.family or options.family in case.family]
+        outcomes = run_all(cases[:: options.every], shop)
+    text = table(outcomes)
+    print(text)
+    if options.write:
+        page = options.write.read_text(encoding="utf-8")
+        begin, end = "<!-- table of tools/faults.py -->\n", "<!-- end -->\n"
+        head, _, rest = page.partition(begin)
+        tail = rest.partition(end)[2]
+        worst = [o for o in outcomes if o.end in ENDS[3:]]
+        listed = "".join(f"- {o.end}: {o.case.family}, {o.case.name}: {o.text}\n" for o in worst[:40])
+        where = f"\nNot as it should be:\n\n{listed}" if worst else ""
+        made = (
+            f"`python tools/faults.py --seed {options.seed} --every {options.every}` gave\n\n{text}\n{where}"
+        )
+        options.write.write_text(f"{head}{begin}{made}{end}{tail}", encoding="utf-8")
+    return int(any(outcome.end in ENDS[3:] for outcome in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
