@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
 from ..runtime.plain_values import plain
+from ..runtime.printable import printable
 
 
 def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -18,19 +20,41 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     Raises
     ------
     UnoccludeError
-        An output exists and `--force` is not given, two have the same name, or one is an input.
+        An output exists and `--force` is not given, two are one file, one is an input (under this name or
+        another: a link), or an input is no file.
     """
     from ..runtime.atomic import check_output
+    from ..runtime.inputs import check_input
+    from ..runtime.leftovers import sweep
+    from ..runtime.stream_output import is_stream
 
-    read = {path.resolve() for path in inputs if path is not None}
-    written: set[Path] = set()
+    read: set[object] = set()
+    for path in (path for path in inputs if path is not None):
+        check_input(path)
+        read |= _identity(path)
+    written: set[object] = set()
     for path in (path for path in outputs if path is not None):
-        if path.resolve() in read:
+        if is_stream(path):
+            continue
+        keys = _identity(path)
+        if keys & read:
             raise UnoccludeError(f"{path} is read by this command; give another name to write to")
-        if path.resolve() in written:
+        if keys & written:
             raise UnoccludeError(f"{path} is named for two outputs; give each a name of its own")
-        written.add(path.resolve())
+        written |= keys
         check_output(path, force)
+        sweep(path.resolve().parent)
+
+
+def _identity(path: Path) -> set[object]:
+    """By what two names show to be one file: where links lead, and the file itself if it is there."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return {os.path.realpath(path)}
+    return (
+        {os.path.realpath(path), (about.st_dev, about.st_ino)} if about.st_ino else {os.path.realpath(path)}
+    )
 
 
 def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
@@ -48,11 +72,13 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     from rich.table import Table
     from rich.text import Text
 
-    cells = [[cell(value) for value in row] for row in rows]
-    table = Table(title=title, title_justify="left", title_style="bold")
+    cells = [[printable(cell(value), lines=True) for value in row] for row in rows]
+    # texts, not strings: a name in brackets is no markup
+    table = Table(title=Text(printable(title)), title_justify="left", title_style="bold")
     for place, column in enumerate(columns):
         numbers = all(_is_number(row[place]) for row in cells)
-        table.add_column(column, justify="right" if numbers else "left", overflow="fold")
+        header = Text(printable(column))
+        table.add_column(header, justify="right" if numbers else "left", overflow="fold")
     for row in cells:
         table.add_row(*[Text(text) for text in row])
     console().print(table)
@@ -73,8 +99,8 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on stdout as it is."""
-    print(text)
+    """Print a line on stdout, or several; nothing of it acts on the terminal."""
+    print(printable(text, lines=True))
 
 
 def say_written(*paths: Path | None) -> None:
