@@ -12,7 +12,7 @@ from typing import Any
 
 @contextmanager
 def ending_tidily() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard while the first is dealt with.
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt; a second one is not heard meanwhile.
 
     What is ignored (`nohup`) stays so. Only the main thread can be interrupted.
     """

@@ -125,7 +125,7 @@ def smooth(
         if solve_lever_arms:
             recovery = with_strap_note(recovery)
         recovery = limit_sigma(recovery, max_sigma_m)
-        write_recovery(
+        left_out = write_recovery(
             [recovery], output, source=recording_file, force=force, passthrough_images=passthrough_images
         )
         if report is not None:
@@ -135,6 +135,7 @@ def smooth(
         if json_file is not None:
             write_json(json_file, smooth_figures(recording, recovery), force)
         print_recovery(recording, recovery)
+        print_notes(left_out)
     say_written(output, report, json_file)
 
 
