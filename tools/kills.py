@@ -1,8 +1,8 @@
 """Kill a command at seeded moments, and look at what it leaves: `python -m tools.kills`.
 
 Every case runs the command on a simulated recording of some minutes, sends a signal to it (or kills one of
-its workers) at a random moment, and checks: no process of it is alive after 2 s, a tidy end leaves no temporary
-file and says one line, the same command then works and leaves nothing hidden either.
+its workers) at a random moment, and checks: no process of it is alive after 2 s, a tidy end leaves no
+temporary file and says one line, the same command then works and leaves nothing hidden either.
 """
 
 from __future__ import annotations
