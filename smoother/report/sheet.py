@@ -67,7 +67,10 @@ def write_sheet(
     )
     before, after = page.split(_HERE)
     paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in verdict)
-    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8") as file:
+    with (
+        writing(path, force) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
+    ):
         file.write(f'{before}<div class="summary">{paragraphs}</div>')
         for section in sections:
             file.write(f"\n{section}")
