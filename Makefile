@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format lock clean
+.PHONY: help setup demo test lint format lock sbom wheel audit pythons clean
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -35,6 +35,18 @@ format: $(READY) ## put the code in the project's style
 lock: $(READY) ## renew requirements.lock from pyproject.toml
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
 	  --no-emit-index-url --no-emit-find-links --no-annotate --group test --group tools pyproject.toml -o requirements.lock
+
+sbom: $(READY) ## write dist/sbom.cdx.json: what the program is made of, from the lock
+	$(BIN)/python -m tools.sbom -o dist/sbom.cdx.json
+
+wheel: $(READY) ## build the wheel into dist, twice, and compare the bytes
+	$(BIN)/python -m tools.wheel -o dist --check
+
+audit: $(READY) ## ask the advisory database for known faults of the locked packages
+	$(BIN)/uvx pip-audit --requirement requirements.lock --require-hashes --disable-pip --strict
+
+pythons: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, as far as they are here
+	$(BIN)/uvx nox -f tools/noxfile.py
 
 clean: ## remove the environment and what the tools left
 	rm -rf .venv build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
