@@ -22,6 +22,12 @@ from pathlib import Path
 
 #: Runs the command as the installed script does.
 COMMAND = (sys.executable, "-c", "from smoother.cli import main; main()")
+#: The same with worker processes for short recordings too.
+QUICK = (
+    sys.executable,
+    "-c",
+    "import smoother.runtime.pool as pool; pool.WORTH_FRAMES = 10; from smoother.cli import main; main()",
+)
 #: Processes of a killed command are gone after this, s.
 GONE_S = 2.0
 TIDY = ("SIGTERM", "SIGHUP", "SIGINT")
@@ -78,7 +84,11 @@ def hidden(folder: Path) -> list[str]:
 
 
 def try_case(
-    case: Case, arguments: Sequence[str], folder: Path, again: Sequence[str] | None = None
+    case: Case,
+    arguments: Sequence[str],
+    folder: Path,
+    again: Sequence[str] | None = None,
+    command: Sequence[str] = COMMAND,
 ) -> list[str]:
     """What went wrong in a case.
 
@@ -91,9 +101,16 @@ def try_case(
         Empty at the start.
     again : sequence of str, optional
         Arguments of the run behind it; None = the same.
+    command : sequence of str
+        How to run the command.
+
+    Returns
+    -------
+    wrong : list of str
+        Sentences; none where all is well.
     """
     program = subprocess.Popen(
-        [*COMMAND, *arguments],
+        [*command, *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -131,7 +148,7 @@ def try_case(
                 wrong.append(f"left {left}")
     if not ended_before or case.what == "worker":
         after = subprocess.run(
-            [*COMMAND, *(again or arguments)], capture_output=True, text=True, timeout=900, check=False
+            [*command, *(again or arguments)], capture_output=True, text=True, timeout=900, check=False
         )
         if after.returncode != 0:
             wrong.append(f"the command behind it fails: {after.stderr[-300:]!r}")
@@ -153,14 +170,17 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=3.0, help="length of the recording")
+    parser.add_argument("--quick", action="store_true", help="20 s of recording, with processes all the same")
     parser.add_argument("--kinds", default="SIGKILL,SIGTERM,SIGHUP,SIGINT,worker")
     parser.add_argument("--command", choices=("smooth", "gaps", "batch"), default="smooth")
     options = parser.parse_args()
+    command = QUICK if options.quick else COMMAND
+    minutes = 1 / 3 if options.quick else options.minutes
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         (work / "in").mkdir()
         recording = work / "in" / "rec.mcap"
-        simulate = ["simulate", "arm", "--duration-s", f"{60 * options.minutes:g}", "--protocol", "random"]
+        simulate = ["simulate", "arm", "--duration-s", f"{60 * minutes:g}", "--protocol", "random"]
         subprocess.run([*COMMAND, *simulate, "-o", recording], check=True, stdout=subprocess.DEVNULL)
         arguments = {
             "smooth": ["smooth", str(recording), "-o", "OUT/r.mcap", "--report", "OUT/r.html", "--force"],
@@ -174,14 +194,14 @@ def main() -> None:
 
         (work / "whole").mkdir()
         began = time.monotonic()
-        subprocess.run([*COMMAND, *into(work / "whole")], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([*command, *into(work / "whole")], check=True, stdout=subprocess.DEVNULL)
         longest_s = time.monotonic() - began
         print(f"{options.command}: {longest_s:.1f} s without a kill")
         failed = count = 0
         for case in cases(options.moments, longest_s, options.seed, options.kinds.split(",")):
             count += 1
             with tempfile.TemporaryDirectory(dir=work) as place:
-                wrong = try_case(case, into(Path(place)), Path(place))
+                wrong = try_case(case, into(Path(place)), Path(place), command=command)
             failed += bool(wrong)
             print(f"{case.what:8} at {case.after_s:6.2f} s: {'; '.join(wrong) or 'ok'}", flush=True)
         print(f"{count} cases, {failed} wrong")

@@ -18,6 +18,5 @@ def tests(session: nox.Session) -> None:
     session.chdir(ROOT)
     session.install("--require-hashes", "--only-binary", ":all:", "-r", "requirements.lock")
     session.install("--no-deps", "--no-build-isolation", "-e", ".")
-    session.run(
-        "pytest", *(session.posargs or ("-n", "2", "--dist", "loadfile")), env={"OMP_NUM_THREADS": "1"}
-    )
+    arguments = session.posargs or ("-n", "2", "--dist", "loadfile")
+    session.run("pytest", *arguments, env={"OMP_NUM_THREADS": "1"})

@@ -1,7 +1,7 @@
-"""What the program is made of, from the lock file: a CycloneDX 1.5 list, `python -m tools.sbom -o sbom.cdx.json`.
+"""What the program is made of, from the lock file: a CycloneDX 1.5 list, `python -m tools.sbom`.
 
-Every package of requirements.lock with its version, hashes and condition; licences where the package is installed
-here. The same lock gives the same bytes: no time, no random number.
+Every package of requirements.lock with its version, hashes and condition; licences where the package is
+installed here. The same lock gives the same bytes: no time, no random number.
 """
 
 from __future__ import annotations

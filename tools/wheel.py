@@ -66,15 +66,8 @@ def build(folder: Path, root: Path = ROOT) -> Path:
             "TZ": "UTC",
         }
         built = subprocess.run(
-            [
-                "sh",
-                "-c",
-                f'umask {umask:03o}; exec "$0" "$@"',
-                sys.executable,
-                "-c",
-                _BUILD,
-                folder.resolve(),
-            ],
+            [sys.executable, "-c", _BUILD, folder.resolve()],
+            umask=0o022,
             cwd=tree,
             env=environment,
             check=True,
