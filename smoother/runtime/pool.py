@@ -117,8 +117,8 @@ class Pool:
         """Workers that load their libraries while the caller prepares."""
         # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
         context = multiprocessing.get_context("spawn")
-        executor = ProcessPoolExecutor(self._count, mp_context=context, initializer=prepare_worker)
         with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
+            executor = ProcessPoolExecutor(self._count, mp_context=context, initializer=prepare_worker)
             for _ in range(self._count):
                 executor.submit(_wake)
         return executor

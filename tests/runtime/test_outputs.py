@@ -280,6 +280,6 @@ def test_sigterm_removes_what_is_half_written(tmp_path: Path):
         began = time.monotonic()
         program.send_signal(number)
         _, said = program.communicate(timeout=20)
-        assert program.returncode == 1 and time.monotonic() - began < 5
+        assert program.returncode == 1 and time.monotonic() - began < 15
         assert said.count("\n") == 1 and said.startswith("unocclude: "), said
         assert os.listdir(tmp_path) == []
