@@ -24,6 +24,12 @@ def ending_tidily() -> Iterator[None]:
     def end(number: int, _: FrameType | None) -> None:
         for each in before:
             signal.signal(each, signal.SIG_IGN)
+        if hasattr(signal, "pthread_sigmask") and signal.SIGINT in signal.pthread_sigmask(
+            signal.SIG_BLOCK, ()
+        ):
+            # processes are being started: Ctrl-C is held back, and so is this
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            return
         raise KeyboardInterrupt
 
     for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
