@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -247,8 +246,6 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
     try:
         with writing(path, force=True) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-            if path.exists():
-                shutil.copymode(path, temporary)
     except UnoccludeError as error:
         raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
 

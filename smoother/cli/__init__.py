@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from contextlib import suppress
 
 
 def main() -> None:
@@ -11,6 +13,24 @@ def main() -> None:
     # all cores are kept busy by processes; threads of the libraries inside only get in each other's way
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from .run import run
+    try:
+        from .run import run
 
-    sys.exit(run(sys.argv[1:]))
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # before or after the command itself
+        print("unocclude: interrupted", file=sys.stderr)
+        code = 1
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
+    _flush()
+    sys.exit(code)
+
+
+def _flush() -> None:
+    """Write what is still to be printed; where nobody reads it any more, forget it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 MOST_WORST, MOST_FAILURES = 10, 25
 #: Rows that `--json` holds at most; all of them are among the results.
 MOST_JSON = 10_000
+#: Hours of recording take minutes; what takes half a day hangs.
+TIME_LIMIT_MINUTES = 720.0
 _REPORT = "--report"
 
 
@@ -88,6 +90,25 @@ def batch(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try again what failed, not only what may have changed.")
     ] = False,
+    time_limit: Annotated[
+        float,
+        typer.Option(
+            "--time-limit", metavar="MINUTES", min=0, help="A recording that takes longer fails; 0 = none."
+        ),
+    ] = TIME_LIMIT_MINUTES,
+    memory_limit: Annotated[
+        float,
+        typer.Option(
+            "--memory-limit",
+            metavar="GB",
+            min=0,
+            help="A recording that needs more memory fails, alone (Linux); 0 = none.",
+        ),
+    ] = 0.0,
+    keep_paths: Annotated[
+        bool,
+        typer.Option("--keep-paths", help="Let rows and JSON hold absolute paths and the machine's name."),
+    ] = False,
     force: Annotated[
         bool,
         typer.Option("--force", help="Take a folder with other files; compute everything anew."),
@@ -101,6 +122,7 @@ def batch(
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
     from ..study.inputs import find_entries
+    from ..study.limits import Limits
     from ..study.run import StudySettings, run_study, study_folder
     from .batch_progress import study_progress
     from .config_file import read_config
@@ -115,11 +137,14 @@ def batch(
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
+        keep_paths=keep_paths,
+        limits=Limits(60 * time_limit, round(1e9 * memory_limit)),
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
     # what an earlier run of the same study wrote is renewed
-    check_outputs(True, [None if inside else page, json_file], [calibration_file, config_file])
+    inputs = [calibration_file, config_file, *(Path(entry.path) for entry in entries if page or json_file)]
+    check_outputs(True, [None if inside else page, json_file], inputs)
     work = (
         partial(run_local, processes=processes or 0)
         if scheduler is None
@@ -137,9 +162,16 @@ def batch(
         write_study(rows, page, folder.path, force=True)
     figures = study_figures(rows, tally)
     write_json(
-        json_file, figures | {"folder": folder.path, "rows": rows.slice(0, MOST_JSON).to_pylist()}, True
+        json_file,
+        figures
+        | {
+            "folder": folder.path if keep_paths else folder.path.name,
+            "rows": rows.slice(0, MOST_JSON).to_pylist(),
+        },
+        True,
     )
     _print(rows, tally, figures)
+    print_notes(tally.notes)
     say_written(folder.path, page, json_file)
     if figures["failed"]:
         raise typer.Exit(1)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from ..runtime.printable import printable
+
 if TYPE_CHECKING:
     from ..study.columns import Row
     from ..study.run import Tally
@@ -56,7 +58,9 @@ def progress_table(tally: Tally, latest: deque[Row]) -> Any:
             "" if length is None or not spent else f"{length / spent:.0f}",
             row.get("error") or row["status"],
         )
-        table.add_row(*[Text(cell) for cell in cells], style="red" if row["status"] == "failed" else None)
+        table.add_row(
+            *[Text(printable(cell)) for cell in cells], style="red" if row["status"] == "failed" else None
+        )
     return table
 
 

@@ -73,9 +73,11 @@ def files(
     reader = FileReader(imu_format, skeleton_format)
     skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]
     check_mcap(output)
-    check_outputs(
-        force, [output, json_file], [*skeletons, *(p for files in imus for p in files.paths), truth]
-    )
+    named = [*skeletons, *(p for files in imus for p in files.paths), truth, *(paths or [])]
+    beside = [
+        path for folder in paths or [] if folder.is_dir() for path in folder.glob("*") if path.is_file()
+    ]
+    check_outputs(force, [output, json_file], [*named, *beside])
     more_skeletons, more_imus, passed_over = sort_files(paths or [], reader, output)
     file, reports = import_files(
         skeletons + more_skeletons, imus + more_imus, imu_starts_at_s=imu_starts_at, reader=reader

@@ -23,6 +23,13 @@ def csv(
         typer.Argument(metavar="FOLDER", help="Holds recording.toml and its tables.", show_default=False),
     ],
     output: Output,
+    outside: Annotated[
+        bool,
+        typer.Option(
+            "--outside",
+            help="Also read files outside FOLDER that recording.toml, or a link in FOLDER, names.",
+        ),
+    ] = False,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -30,8 +37,9 @@ def csv(
     from ..io import open_csv
 
     check_mcap(output)
-    check_outputs(force, [output, json_file])
-    _finish(open_csv(folder), output, json_file, force)
+    inputs = [path for path in folder.glob("*") if path.is_file()]
+    check_outputs(force, [output, json_file], inputs)
+    _finish(open_csv(folder, outside=outside), output, json_file, force)
 
 
 def broad(

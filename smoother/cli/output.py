@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shlex
 import shutil
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..runtime.plain_values import plain
+from ..runtime.printable import printable
 
 _TRUTH = "Simulated: what the calibration of these files should find."
 
@@ -24,19 +26,41 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     Raises
     ------
     UnoccludeError
-        An output exists and `--force` is not given, two have the same name, or one is an input.
+        An output exists and `--force` is not given, two are one file, one is an input (under this name or
+        another: a link), or an input is no file.
     """
     from ..runtime.atomic import check_output
+    from ..runtime.inputs import check_input
+    from ..runtime.leftovers import sweep
+    from ..runtime.stream_output import is_stream
 
-    read = {path.resolve() for path in inputs if path is not None}
-    written: set[Path] = set()
+    read: set[object] = set()
+    for path in (path for path in inputs if path is not None):
+        check_input(path)
+        read |= _identity(path)
+    written: set[object] = set()
     for path in (path for path in outputs if path is not None):
-        if path.resolve() in read:
+        if is_stream(path):
+            continue
+        keys = _identity(path)
+        if keys & read:
             raise UnoccludeError(f"{path} is read by this command; give another name to write to")
-        if path.resolve() in written:
+        if keys & written:
             raise UnoccludeError(f"{path} is named for two outputs; give each a name of its own")
-        written.add(path.resolve())
+        written |= keys
         check_output(path, force)
+        sweep(path.resolve().parent)
+
+
+def _identity(path: Path) -> set[object]:
+    """By what two names show to be one file: where links lead, and the file itself if it is there."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return {os.path.realpath(path)}
+    return (
+        {os.path.realpath(path), (about.st_dev, about.st_ino)} if about.st_ino else {os.path.realpath(path)}
+    )
 
 
 #: Endings that say that a file is something else than MCAP; those of `unocclude export` first.
@@ -93,8 +117,9 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     from .table_layout import laid_out
 
     screen = console()
-    cells = [[cell(value) for value in row] for row in rows]
-    screen.print(laid_out(title, columns, cells, screen.width))
+    cells = [[printable(cell(value), lines=True) for value in row] for row in rows]
+    titles = [printable(column) for column in columns]
+    screen.print(laid_out(printable(title), titles, cells, screen.width))
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -104,7 +129,11 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on stdout; on a terminal it is broken between words, in a pipe it stays one line."""
+    """Print a line on stdout, or several; on a terminal they are broken between words, in a pipe they stay.
+
+    Nothing of it acts on the terminal.
+    """
+    text = printable(text, lines=True)
     if sys.stdout.isatty():
         width = shutil.get_terminal_size().columns
         text = "\n".join(_wrapped(line, width) for line in text.splitlines())

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from ..runtime.printable import printable
+
 Progress = Callable[[float, str], None]
 
 
@@ -28,4 +30,4 @@ def progress_bar(text: str) -> Iterator[Progress]:
     )
     with bar:
         task = bar.add_task(text, total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=printable(text))

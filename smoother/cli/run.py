@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 
 import typer
 
 from ..errors import DEBUG, UnoccludeError, debugging
+from ..runtime.printable import printable
+from .signals import ending_tidily
 
 OK, FAILED, WRONG_USE = 0, 1, 2
 #: What typer returns after Ctrl-C.
@@ -35,20 +39,35 @@ def run(arguments: Sequence[str]) -> int:
 
     if not debugging():
         warnings.simplefilter("ignore")  # a library's warning says nothing to a user
+    say_what_can_be_shown()
     try:
-        code = app(list(arguments), prog_name="unocclude", standalone_mode=False)
-        sys.stdout.flush()
+        with ending_tidily():
+            code = app(list(arguments), prog_name="unocclude", standalone_mode=False)
+            if sys.stdout is not None:
+                sys.stdout.flush()
         return _fail(STOPPED, FAILED) if code == INTERRUPTED else int(code or OK)
     except KeyboardInterrupt:
         return _fail(STOPPED, FAILED)
     except BrokenPipeError:
-        # the reader of our output went away (| head): nothing to tell anyone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget_output()  # the reader of our output went away (| head): nothing to tell anyone
         return FAILED
     except Exception as error:
         if debugging():
             traceback.print_exc()
         return _fail(*explain(error))
+
+
+def say_what_can_be_shown() -> None:
+    """Let a name that the terminal's encoding lacks be shown with escapes, instead of ending the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _forget_output() -> None:
+    """Send what is still to be printed nowhere: Python would complain about it at the end."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def explain(error: BaseException) -> tuple[str, int]:
@@ -89,6 +108,7 @@ def _os_error(error: OSError) -> str:
 
 
 def _fail(text: str, code: int) -> int:
-    sentence = " ".join(text.split())
-    print(f"unocclude: {sentence}", file=sys.stderr)
+    sentence = printable(" ".join(text.split()))
+    with suppress(OSError, ValueError, AttributeError):  # the terminal may be gone (SIGHUP)
+        print(f"unocclude: {sentence}", file=sys.stderr)
     return code

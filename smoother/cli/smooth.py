@@ -128,7 +128,7 @@ def smooth(
                 recovery = with_strap_note(recovery)
             results.append((recording, limit_sigma(recovery, max_sigma_m)))
         answers = [recovery for _, recovery in results]
-        write_recovery(
+        left_out = write_recovery(
             answers, output, source=recording_file, force=force, passthrough_images=passthrough_images
         )
         if report is not None:
@@ -139,6 +139,7 @@ def smooth(
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery)
+        print_notes(left_out)
     say_written(output, report, json_file)
 
 

@@ -64,7 +64,10 @@ def write_sheet(
     from .. import __version__
 
     paragraphs = "".join(f"<p>{escape(_sentence(text))}</p>" for text in verdict)
-    with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8") as file:
+    with (
+        writing(path, force) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
+    ):
         body, contents = _with_anchors(list(sections))
         page = Template(_web("page.html")).substitute(
             title=escape(title),

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import UnoccludeError
+from .leftovers import locked, sweep, temporary_name
+from .stream_output import is_stream, sending
 
 
 @contextmanager
 def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]:
     """Yield a hidden name beside `path` to write to; it becomes `path` when all went well.
+
+    Until then the file is for its owner alone, under a name that nobody can foresee. It then has the mode of
+    the file that it replaces, or what the umask says. What goes to a pipe, the terminal or the null device is
+    written to a temporary file first, and then there.
 
     Parameters
     ----------
@@ -31,23 +37,33 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     Raises
     ------
     UnoccludeError
-        The output exists and `force` is not given, the folder is missing, or writing failed
+        The output exists and `force` is not given, it is a device, the folder is missing, or writing failed
         (full disk, no permission).
     """
-    target = Path(path)
-    check_output(target, force)
+    check_output(path, force)
+    if is_stream(path):
+        with sending(path) as temporary:
+            yield temporary
+        return
     # A link keeps pointing at the file it named, which is the one replaced.
-    target = target.resolve()
-    temporary = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    target = Path(path).resolve()
+    temporary = temporary_name(target)
     try:
-        yield temporary
-        _sync(temporary)
-        os.replace(temporary, target)
+        sweep(target.parent)
+        with locked(temporary):
+            yield temporary
+            _give_mode(temporary, target)
+            _sync(temporary)
+            if os.name == "posix":  # elsewhere an open file cannot be moved
+                _replace(temporary, target)
+        if os.name != "posix":
+            _replace(temporary, target)
         _sync_folder(target.parent)
     except OSError as error:
         raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
@@ -56,15 +72,65 @@ def check_output(path: str | os.PathLike[str], force: bool = False) -> None:
     Raises
     ------
     UnoccludeError
-        The output exists and `force` is not given, is a folder, or its folder is missing.
+        The output exists and `force` is not given, is a folder or a device, or its folder is missing.
     """
     target = Path(path)
-    if target.is_dir():
-        raise UnoccludeError(f"{target} is a folder; name a file to write to.")
+    if is_stream(target):
+        return
+    _check_kind(target)
     if target.exists() and not force:
         raise UnoccludeError(f"{target} exists already; give another name, or --force to overwrite it.")
+    if target.is_symlink() and not target.exists():
+        target = target.resolve()
     if not target.absolute().parent.is_dir():
         raise UnoccludeError(f"The folder {target.absolute().parent} does not exist; make it first.")
+
+
+def _check_kind(target: Path) -> None:
+    """Nothing but a regular file, or nothing at all, is ever replaced."""
+    try:
+        mode = os.stat(target).st_mode
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL):
+            raise UnoccludeError(f"{target}: {error.strerror}; give another name.") from error
+        return
+    except ValueError as error:  # a NUL in the name
+        raise UnoccludeError(f"{str(target)!r} is no name of a file; give another.") from error
+    if stat.S_ISDIR(mode):
+        raise UnoccludeError(f"{target} is a folder; name a file to write to.")
+    if not stat.S_ISREG(mode):
+        raise UnoccludeError(f"{target} is a device or a socket, no file; name a file to write to.")
+
+
+def _replace(temporary: Path, target: Path) -> None:
+    _check_kind(target)  # it may have become another thing meanwhile
+    os.replace(temporary, target)
+
+
+def _give_mode(temporary: Path, target: Path) -> None:
+    """The mode (and, where allowed, the owner) of the file that is replaced, else what the umask says."""
+    try:
+        before = os.stat(target)
+    except OSError:
+        os.chmod(temporary, 0o666 & ~umask())
+        return
+    mode = stat.S_IMODE(before.st_mode) & 0o777
+    now = os.stat(temporary)
+    if hasattr(os, "chown") and (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+        try:
+            os.chown(temporary, before.st_uid if os.geteuid() == 0 else -1, before.st_gid)
+        except OSError:  # another group must not read what this one could
+            mode &= ~0o070 | (mode & 0o007) << 3
+    os.chmod(temporary, mode)
+
+
+def umask() -> int:
+    """The process's umask; read where the system tells it, since setting it concerns all threads."""
+    with suppress(OSError, ValueError, IndexError), open("/proc/self/status", encoding="ascii") as status:
+        return int(next(line for line in status if line.startswith("Umask:")).split()[1], 8)
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
 
 
 def _sync(path: Path) -> None:
@@ -76,13 +142,12 @@ def _sync_folder(folder: Path) -> None:
     """Make the new name itself durable, where the system can."""
     if os.name != "posix":
         return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass  # some network file systems cannot; the file itself is safe
-    finally:
-        os.close(handle)
+    with suppress(OSError):  # some network file systems cannot; the file itself is safe
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _sentence(path: Path, temporary: Path, error: OSError) -> str:
@@ -90,7 +155,7 @@ def _sentence(path: Path, temporary: Path, error: OSError) -> str:
     other = error.filename is not None and Path(os.fsdecode(error.filename)) != temporary
     where = f" ({error.filename})" if other else ""
     reason = error.strerror or str(error)
-    if error.errno == errno.ENOSPC:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path} could not be written: no space left on the disk{where}; make room and run again."
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"{path} could not be written: {reason}{where}; write to a folder of your own."

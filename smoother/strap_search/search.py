@@ -19,10 +19,10 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap_cameras import Cameras, StrapFound
+from ..io.recording.carried import may_copy
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
-from ..io.result.write import may_copy
 from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
 from ..runtime.atomic import writing
 

@@ -10,13 +10,13 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from itertools import chain, islice
-from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
 from ..runtime.pool import THREADS, blank_main
+from ..runtime.worker import interrupts_wait
 from .columns import Row
 from .job import Job, run_job
 
@@ -73,7 +73,7 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
         silent = _be_quiet()
         stack.enter_context(dask.config.set(_LOCAL))
         stack.enter_context(blank_main())
-        with _interrupts_wait():
+        with interrupts_wait():
             try:
                 cluster = LocalCluster(
                     n_workers=len(first),
@@ -139,20 +139,6 @@ def dask_setup(worker: object) -> None:
     if _be_quiet():
         warnings.simplefilter("ignore")  # a library's warning says nothing to a user
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the client ends its processes
-
-
-@contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    """Hold Ctrl-C back for a moment, and for good in the threads and processes that start meanwhile."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    resource_tracker.ensure_running()  # it would let signals through again as it starts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _connect(scheduler: str) -> Client:

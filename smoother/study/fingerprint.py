@@ -47,7 +47,7 @@ def config_hash(config: Config, choice: Fingerprint) -> str:
 
 def text_hash(*texts: str) -> str:
     """SHA-256 of texts, told apart."""
-    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+    return hashlib.sha256("\0".join(texts).encode("utf-8", "surrogateescape")).hexdigest()
 
 
 def row_id(name: str, input_hash: str, config: str, calibration: str, version: str) -> str:

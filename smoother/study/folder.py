@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 import socket
@@ -79,18 +80,38 @@ class StudyFolder:
                 raise UnoccludeError(
                     f"{self.path} holds files that are not of a study; name a new folder, or --force"
                 )
-            for folder in (self.results, self.stage, self.rows):
-                folder.mkdir(parents=True, exist_ok=True)
+            self._make_folders()
             with writing(self.mark) as temporary:
                 temporary.write_text(secrets.token_hex(16), encoding="ascii")
+        self._make_folders()  # some may have been removed meanwhile
         self._sweep()
-        return self.mark.read_text(encoding="ascii")
+        return self._word()
+
+    def _make_folders(self) -> None:
+        for folder in (self.results, self.stage, self.rows):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise UnoccludeError(f"{folder} cannot be made: {error.strerror or error}.") from error
+
+    def _word(self) -> str:
+        """The study's word; a new one where the file was damaged."""
+        for _ in range(2):
+            try:
+                word = self.mark.read_text(encoding="ascii")
+            except UnicodeDecodeError:
+                word = ""
+            if re.fullmatch("[0-9a-f]{32}", word):
+                return word
+            with writing(self.mark, force=True) as temporary:
+                temporary.write_text(secrets.token_hex(16), encoding="ascii")
+        raise UnoccludeError(f"{self.mark} cannot be read; give another folder")
 
     def is_the_one(self, word: str) -> bool:
         """Whether this machine sees the folder that has this word, not another of its name."""
         try:
             return self.mark.read_text(encoding="ascii") == word
-        except OSError:
+        except (OSError, UnicodeDecodeError):
             return False
 
     def staged(self, row: str) -> Path:

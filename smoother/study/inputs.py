@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import glob
 import os
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import UnoccludeError
+from .fingerprint import text_hash
 from .folder import StudyFolder
 
 ENDING = ".mcap"
@@ -74,7 +77,24 @@ def find_entries(source: str, output: Path) -> list[Entry]:
             Entry(_name(file, base), os.path.abspath(file), calibration) for file, calibration in recordings
         )
     }
-    return sorted(entries.values(), key=lambda entry: entry.name)
+    return sorted(_told_apart(entries.values()), key=lambda entry: entry.name)
+
+
+def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
+    """Entries whose names are text: bytes that are no UTF-8 are written out, and no name comes twice."""
+    taken: set[str] = set()
+    for entry in sorted(entries, key=lambda entry: (entry.name != _as_text(entry.name), entry.name)):
+        name = _as_text(entry.name)
+        if name in taken:
+            name = f"{name.removesuffix(ENDING)}-{text_hash(entry.path)[:8]}{ENDING}"
+        taken.add(name)
+        yield replace(entry, name=name)
+
+
+def _as_text(name: str) -> str:
+    """A name with `%FF` for every byte that is no UTF-8, and for every control character."""
+    raw = re.sub(r"[\udc80-\udcff]", lambda byte: f"%{ord(byte[0]) - 0xDC00:02X}", name)
+    return re.sub(r"[\x00-\x1f\x7f]", lambda control: f"%{ord(control[0]):02X}", raw)
 
 
 def _below(folder: Path) -> list[Path]:

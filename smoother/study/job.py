@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,6 +19,8 @@ from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
+from .limits import Limits, TimeUp, limited
+from .privacy import place_of, without_places
 
 #: The recording was done before, by its content; there is nothing to add to the results.
 SAME = "same"
@@ -66,6 +68,10 @@ class Job:
         Of the program that started the study.
     known : tuple of Known
         Earlier results of this recording.
+    keep_paths : bool
+        Let rows hold absolute paths and the machine's name.
+    limits : Limits
+        What one recording may take of time and memory.
     """
 
     name: str
@@ -79,6 +85,8 @@ class Job:
     calibration_hash: str = ""
     version: str = __version__
     known: tuple[Known, ...] = ()
+    keep_paths: bool = False
+    limits: Limits = field(default_factory=Limits)
 
     @property
     def key(self) -> str:
@@ -89,21 +97,32 @@ class Job:
 
     def row(self, status: str, input_hash: str = "", **more: object) -> Row:
         """A row of the results about this recording."""
-        return {
+        keep = self.keep_paths
+        row: Row = {
             "id": row_id(self.name, input_hash, self.config_hash, self.calibration_hash, self.version),
             "recording": self.name,
             "status": status,
             "retry": False,
-            "input": self.source,
+            "input": self.source if keep else self.name,
+            "input_place": place_of(self.word, self.source),
             "input_hash": input_hash,
             "config_hash": self.config_hash,
-            "calibration": self.calibration,
+            "calibration": self.calibration if keep else Path(self.calibration).name,
             "calibration_hash": self.calibration_hash,
             "version": self.version,
-            "host": socket.gethostname(),
+            "host": socket.gethostname() if keep else "",
             "finished": datetime.now(UTC).isoformat(),
             **more,
         }
+        if error := row.get("error"):
+            row["error"] = self._shown(str(error))
+        if notes := row.get("note_texts"):
+            row["note_texts"] = [self._shown(text) for text in notes]
+        return row
+
+    def _shown(self, text: str) -> str:
+        """A sentence as a row holds it: without the folders of this machine."""
+        return text if self.keep_paths else without_places(text, self)
 
     def lost(self, sentence: str) -> Row:
         """The row of a recording whose worker died."""
@@ -127,11 +146,13 @@ def run_job(job: Job) -> Row:
         _check_machine(job, folder)
         about = os.stat(job.source)
         before = {"input_bytes": about.st_size, "input_mtime_ns": about.st_mtime_ns}
+        check_output_place(job, folder)
         input_hash = file_hash(job.source)
         if same := _same(job, folder, input_hash):
             return job.row(SAME, input_hash, id=same)
-        return _recover(job, folder, input_hash, before, began)
-    except Exception as error:
+        with limited(job.limits):
+            return _recover(job, folder, input_hash, before, began)
+    except (Exception, TimeUp) as error:
         if debugging():
             raise
         sentence, retry = explain(error)
@@ -163,6 +184,13 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
         raise _Surroundings(f"{host} does not see the calibration {job.calibration}; share it likewise")
 
 
+def check_output_place(job: Job, folder: StudyFolder) -> None:
+    """Refuse to replace the recording by its result, where a link in the study's folder leads to it."""
+    output = folder.output(job.name)
+    if output.exists() and os.path.samefile(output, job.source):
+        raise _Surroundings(f"{output} is the recording itself (a link); give -o another folder")
+
+
 def _same(job: Job, folder: StudyFolder, input_hash: str) -> str:
     """The id of an earlier row of this very content whose output is as it was written; "" without one."""
     mine = str(job.row(DONE, input_hash)["id"])
@@ -191,6 +219,7 @@ def _recover_in(
 
     from ..io import write_recovery
     from ..io.recording.read_arm import read_arms
+    from ..runtime.atomic import check_output
     from ..several_arms import smooth_arms
 
     arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **job.choice.selection)
@@ -221,6 +250,7 @@ def _recover_in(
         )
         _leave(row, folder)
         output.parent.mkdir(parents=True, exist_ok=True)
+        check_output(output, force=True)
         os.replace(staged, output)
     finally:
         staged.unlink(missing_ok=True)
@@ -231,6 +261,7 @@ def _leave(row: Row, folder: StudyFolder) -> None:
     """Write a row to where it waits."""
     from ..runtime.atomic import writing
 
+    folder.rows.mkdir(parents=True, exist_ok=True)
     with writing(folder.rows / f"{row['id']}.json", force=True) as temporary:
         temporary.write_text(json.dumps(row), encoding="utf-8")
 
@@ -239,12 +270,18 @@ class _Surroundings(UnoccludeError):
     """The machine or its folders are at fault, not the recording."""
 
 
-def explain(error: Exception) -> tuple[str, bool]:
+def explain(error: BaseException) -> tuple[str, bool]:
     """One sentence for a failure, and whether its surroundings are at fault, so that it may pass."""
     if isinstance(error, UnoccludeError):
         text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
+    elif isinstance(error, TimeUp):
+        text, retry = "it took longer than a recording may; give more time (--time-limit), or cut it", True
     elif isinstance(error, MemoryError):
-        text, retry = "the memory does not suffice for this recording; use fewer processes a machine", True
+        text, retry = (
+            "the memory does not suffice for this recording; use fewer processes a machine, or allow it more"
+            " (--memory-limit)",
+            True,
+        )
     elif isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename is not None else ""
         text, retry = f"{where}{error.strerror or error}", True

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UnoccludeError
 from ..runtime.atomic import writing
-from .columns import COLUMNS, DONE, Row, schema
+from .columns import COLUMNS, DONE, FAILED, Row, schema
 from .fingerprint import file_hash
 from .folder import StudyFolder
 from .job import Known
+from .privacy import place_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,8 +29,16 @@ MOST_ROWS = 1000
 #: Rows wait at most this share of the time that the run has taken, and at most so long, s.
 _SHARE, _SOONEST_S, _LATEST_S = 0.05, 0.5, 30.0
 _LOOKED_UP = (
-    *("id", "recording", "status", "retry", "input", "input_bytes", "input_mtime_ns"),
-    *("config_hash", "calibration_hash", "version", "output_hash", "output_bytes", "output_mtime_ns"),
+    *("id", "recording", "status", "retry", "input", "input_place", "input_bytes"),
+    *(
+        "input_mtime_ns",
+        "config_hash",
+        "calibration_hash",
+        "version",
+        "output_hash",
+        "output_bytes",
+        "output_mtime_ns",
+    ),
     "finished",
 )
 
@@ -44,6 +52,7 @@ class _Past:
     done: bool
     retry: bool
     input: str
+    input_place: str
     input_bytes: int | None
     input_mtime_ns: int | None
     output_hash: str
@@ -62,6 +71,8 @@ class Ledger:
 
     def __init__(self, folder: StudyFolder) -> None:
         self._folder = folder
+        self._word = folder.mark.read_text(encoding="ascii")
+        self.damaged: list[str] = []
         self._waiting: list[Row] = []
         self._began = self._flushed = time.monotonic()
         self._past: dict[str, tuple[_Past, ...]] = {}
@@ -106,8 +117,9 @@ class Ledger:
             about = os.stat(source)
         except OSError:
             return "", known
+        place = place_of(self._word, source)
         for each in reversed(past):
-            here = each.input == source
+            here = source == each.input or place == each.input_place
             if here and (each.input_bytes, each.input_mtime_ns) == (about.st_size, about.st_mtime_ns):
                 if not each.done or self._untouched(name, each):
                     return each.row_id, known
@@ -142,6 +154,7 @@ class Ledger:
             return
         columns = [name for name, *_ in COLUMNS]
         rows = [{name: _value(name, row.get(name)) for name in columns} for row in self._waiting]
+        self._folder.results.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
         table = pa.Table.from_pylist(rows, schema=schema())
         path = self._folder.results / f"rows-{time.time_ns()}-{secrets.token_hex(4)}.parquet"
         with writing(path) as temporary:
@@ -160,19 +173,32 @@ class Ledger:
 
     def _read(self, columns: Iterable[str] | None = None) -> pa.Table:
         import pyarrow as pa
-        from pyarrow import dataset
 
         files = sorted(str(path) for path in self._folder.results.glob("*.parquet"))
         if not files:
             return schema().empty_table()
         try:
-            results = dataset.dataset(files, schema=schema(), format="parquet")
-            return results.to_table(columns=None if columns is None else list(columns))
-        except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
-            raise UnoccludeError(
-                f"{self._folder.results}: a file of results cannot be read ({str(error).splitlines()[0]});"
-                " move it away, and its recordings are computed again"
-            ) from error
+            return _table(files, columns)
+        except (pa.ArrowException, OSError):
+            sound = [file for file in files if self._is_sound(file)]
+            return _table(sound, columns) if sound else schema().empty_table()
+
+    def _is_sound(self, file: str) -> bool:
+        """Whether a file of results can be read; else it is put aside, and its recordings are redone."""
+        import pyarrow as pa
+
+        try:
+            _table([file], None)
+        except (pa.ArrowException, OSError):
+            aside = self._folder.mark.parent / "damaged"
+            aside.mkdir(exist_ok=True)
+            os.replace(file, aside / Path(file).name)
+            self.damaged.append(
+                f"{Path(file).name} among the results was damaged and lies in .unocclude/damaged now; its"
+                " recordings are computed again."
+            )
+            return False
+        return True
 
     def _remember(self, row: Row) -> None:
         settings = (row["config_hash"], row["calibration_hash"], row["version"])
@@ -181,7 +207,8 @@ class Ledger:
             settings=self._settings.setdefault(settings, settings),  # one for all: there may be a million
             done=row["status"] == DONE,
             retry=bool(row.get("retry")),
-            input=row["input"],
+            input=row["input"] or "",
+            input_place=row.get("input_place") or "",
             input_bytes=row.get("input_bytes"),
             input_mtime_ns=row.get("input_mtime_ns"),
             output_hash=row.get("output_hash") or "",
@@ -213,16 +240,42 @@ class Ledger:
         return file_hash(output) == row["output_hash"]
 
 
+def _table(files: list[str], columns: Iterable[str] | None) -> pa.Table:
+    from pyarrow import dataset
+
+    results = dataset.dataset(files, schema=schema(), format="parquet")
+    return results.to_table(columns=None if columns is None else list(columns))
+
+
 def _left(path: Path) -> dict[str, Any] | None:
+    """A row that a worker left; None where it was taken by another run, is damaged, or is not ours."""
+    import pyarrow as pa
+
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None  # taken by another run, or not ours
-    return row if isinstance(row, dict) and {"id", "status", "finished", "recording"} <= row.keys() else None
+        if not (isinstance(row, dict) and row.keys() >= {"id", "status", "finished", "recording"}):
+            return None
+        values = {name: _value(name, row.get(name)) for name, *_ in COLUMNS}
+        pa.Table.from_pylist([values], schema=schema())
+        whole = row["config_hash"], row["calibration_hash"], row["version"], row["id"], row["recording"]
+        is_ours = all(isinstance(text, str) for text in whole) and row["status"] in (DONE, FAILED)
+        is_whole = row["status"] != DONE or {"output_bytes", "output_hash"} <= row.keys()
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException):
+        return None
+    return row if is_ours and is_whole else None
 
 
 def _value(name: str, value: Any) -> Any:
     """A value as the results have it: times are UTC and say so in the column's meaning, not in its type."""
+    if isinstance(value, str) and name != "finished":
+        return _text(value)
+    if isinstance(value, list):
+        return [_text(item) if isinstance(item, str) else item for item in value]
     if name != "finished":
         return value
     return datetime.fromisoformat(value).astimezone(UTC).replace(tzinfo=None)
+
+
+def _text(value: str) -> str:
+    """Text as Parquet holds it: bytes of a file's name that are no UTF-8 are written out."""
+    return value.encode("utf-8", "backslashreplace").decode("utf-8")

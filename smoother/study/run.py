@@ -18,6 +18,7 @@ from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
 from .ledger import Ledger
+from .limits import Limits
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,6 +42,10 @@ class StudySettings:
         Compute everything anew.
     retry_failed : bool
         Try again what failed before by the recording itself.
+    keep_paths : bool
+        Let rows hold absolute paths and the machine's name.
+    limits : Limits
+        What one recording may take of time and memory.
     """
 
     config: Config = field(default_factory=Config)
@@ -48,6 +53,8 @@ class StudySettings:
     calibration: str = ""
     again: bool = False
     retry_failed: bool = False
+    keep_paths: bool = False
+    limits: Limits = field(default_factory=Limits)
 
 
 @dataclass
@@ -66,6 +73,8 @@ class Tally:
         Length of the recordings that this run has done, s.
     began : float, s
         `time.monotonic` at the start of the run.
+    notes : list of str
+        What the user must know of the study itself.
     """
 
     total: int
@@ -74,6 +83,7 @@ class Tally:
     failed: int = 0
     recorded_s: float = 0.0
     began: float = field(default_factory=time.monotonic)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def ended(self) -> int:
@@ -157,7 +167,9 @@ def _work_off(
     finally:
         plan.ledger.flush()
         rows.close()
-    return tally, plan.ledger.rows(plan.ids.values())
+    tables = plan.ledger.rows(plan.ids.values())
+    tally.notes += plan.ledger.damaged
+    return tally, tables
 
 
 def _count(tally: Tally, row: Row) -> None:
@@ -211,6 +223,8 @@ class _Plan:
             calibration=calibration,
             calibration_hash=calibration_hash,
             known=() if settings.again else known,
+            keep_paths=settings.keep_paths,
+            limits=settings.limits,
         )
 
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import point
+from studies import is_alive, until
 
 import smoother.runtime.pool
 from smoother import Config, Recovery, smooth
+from smoother.cli.run import explain
+from smoother.errors import UnoccludeError
 from smoother.runtime.pool import Pool
 
 
@@ -75,3 +81,83 @@ def test_a_plain_script_without_a_guard(how: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["begun", "recovered", "960"]
     assert "Traceback" not in done.stderr
+
+
+def double(number: int) -> int:
+    return 2 * number
+
+
+def die_once(mark: str) -> str:
+    """The end of the worker that does it first, as the system's OOM killer ends it."""
+    path = Path(mark)
+    if path.suffix == ".once" and not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
+
+
+def die_always(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_a_killed_worker_is_started_once_more(tmp_path: Path):
+    marks = [str(tmp_path / name) for name in ("a", "b", "c.once", "d", "e", "f", "g")]
+    with Pool(2, 10**6) as pool:
+        assert list(pool.map(die_once, marks)) == [Path(mark).name for mark in marks]
+        assert list(pool.map(double, range(20))) == [2 * number for number in range(20)]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_workers_that_die_again_are_one_sentence():
+    with pytest.raises(UnoccludeError, match=r"killed twice.*--processes") as error, Pool(2, 10**6) as pool:
+        list(pool.map(die_always, range(3)))
+    assert "BrokenProcessPool" not in explain(error.value)[0]
+
+
+def wait_long(mark: str) -> None:
+    Path(mark).write_text(str(os.getpid()))
+    time.sleep(120)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signals")
+def test_an_error_does_not_wait_for_workers(tmp_path: Path):
+    def items():
+        yield str(tmp_path / "a")
+        until(lambda: (tmp_path / "a").exists())
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), Pool(2, 10**6) as pool:
+        list(pool.map(wait_long, items()))
+    assert time.monotonic() - began < 30
+    until(lambda: not is_alive(int((tmp_path / "a").read_text())))
+
+
+ORPHANS = """
+import sys, time
+from pathlib import Path
+sys.path[:0] = [sys.argv[1]]
+from test_pool import wait_long
+from smoother.runtime.pool import Pool
+with Pool(2, 10**6) as pool:
+    list(pool.map(wait_long, [sys.argv[2] + "/a", sys.argv[2] + "/b"]))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads /proc")
+@pytest.mark.parametrize("number", ["SIGKILL", "SIGTERM"])
+def test_workers_end_with_their_parent(tmp_path: Path, number: str):
+    """Killed outright, so that nothing of its own can tidy up; workers waited for ever before."""
+    helpers = Path(__file__).parents[1] / "helpers"
+    program = subprocess.Popen(
+        [sys.executable, "-c", ORPHANS, str(Path(__file__).parent), str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(helpers), os.environ.get("PYTHONPATH", "")])},
+    )
+    try:
+        until(lambda: len([mark for mark in tmp_path.iterdir() if mark.stat().st_size]) == 2, 60.0)
+        workers = [int(mark.read_text()) for mark in tmp_path.iterdir()]
+    finally:
+        program.send_signal(getattr(signal, number))
+        program.wait(20)
+    until(lambda: not any(is_alive(worker) for worker in workers), 2.0)

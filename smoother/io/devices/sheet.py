@@ -192,7 +192,7 @@ class Sheet:
         )
 
 
-def read_sheet(path: Path, expected: str = "a table") -> Sheet:
+def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> Sheet:
     """Read a delimited text file.
 
     A byte-order mark, UTF-16, a `sep=` line, a preamble, a line of units, quotes, trailing separators, a
@@ -204,6 +204,8 @@ def read_sheet(path: Path, expected: str = "a table") -> Sheet:
         The file.
     expected : str
         What it should be, for messages ("a table of an Xsens DOT").
+    quote : bool
+        Whether a message may show the first lines.
 
     Returns
     -------
@@ -223,11 +225,11 @@ def read_sheet(path: Path, expected: str = "a table") -> Sheet:
     if not text.strip():
         what = "is empty" if not raw.strip() else "is no text"
         raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")
-    return sheet_of_text(path, text, expected)
+    return sheet_of_text(path, text, expected, quote=quote)
 
 
 def sheet_of_text(
-    path: Path, text: str, expected: str = "a table", layout: TableLayout | None = None
+    path: Path, text: str, expected: str = "a table", layout: TableLayout | None = None, quote: bool = True
 ) -> Sheet:
     """The table in a text (see `read_sheet`).
 
@@ -241,6 +243,8 @@ def sheet_of_text(
         What it should be, for messages.
     layout : TableLayout, optional
         Where the table is, where that is known; else it is looked for.
+    quote : bool
+        Whether a message may show the first lines.
 
     Returns
     -------
@@ -258,10 +262,13 @@ def sheet_of_text(
     layout = layout or layout_of(lines)
     if layout is None:
         seen = shown(" | ".join(line for line in lines[:4] if line.strip()))
-        raise RecordingError(
-            f"{path} should be {expected}, but no rows of numbers were found; it begins: {seen}"
-        )
+        begins = f"; it begins: {seen}" if quote else "; name the right file."
+        raise RecordingError(f"{path} should be {expected}, but no rows of numbers were found{begins}")
     rows, numbers, notes = even_rows(lines, layout)
+    if not rows:
+        raise RecordingError(
+            f"{path} should be {expected}, but has no rows below its header; export it again."
+        )
     table = _parse(path, rows, layout)
     return Sheet(path, layout, table, numbers, notes)
 

@@ -42,7 +42,7 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
     if layout.separator == " ":
         rows = ["\t".join(row.replace('"', "").split()) for row in rows]
     counts = [separators_in(row, mark) for row in rows]
-    usual = Counter(counts).most_common(1)[0][0]
+    usual = Counter(counts).most_common(1)[0][0] if counts else 0
     header = lines[layout.header].strip() if layout.header >= 0 else None
     # Separators behind the last column make empty columns, which do no harm.
     if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ import numpy as np
 from ...errors import UnoccludeError
 from ...recording import FloatArray
 from ...runtime.atomic import writing
+from ...runtime.leftovers import locked
 from .trc import blank
 
 #: The header counts frames in 16 bits, and readers follow it.
@@ -86,9 +88,10 @@ def write_c3d(path: str | os.PathLike[str], content: C3dContent, force: bool = F
     with writing(path, force) as temporary:
         named = temporary.with_name(f"{temporary.name}.c3d")  # ezc3d insists on the ending
         try:
-            file.write(os.fspath(named))
-            _check_size(named, frames, 4 * len(content.names) + len(content.channels))
-            os.replace(named, temporary)
+            with locked(named):
+                file.write(os.fspath(named))
+                _check_size(named, frames, 4 * len(content.names) + len(content.channels))
+                shutil.copyfile(named, temporary)
         finally:
             named.unlink(missing_ok=True)
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ...runtime.printable import printable
+
 #: So many losses have a sentence of their own.
 _MOST = 6
 #: Names in messages are cut to this length.
@@ -127,11 +129,6 @@ def listed(counts: dict[str, int]) -> str:
     if len(names) > _MOST:
         texts.append(f"{len(names) - _MOST} topics more")
     return "messages: " + ", ".join(texts)
-
-
-def printable(text: str) -> str:
-    """A text that came from a file without what controls a terminal."""
-    return text if text.isprintable() else "".join(letter for letter in text if letter.isprintable())
 
 
 def plain_name(name: str) -> str:

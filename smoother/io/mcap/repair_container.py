@@ -16,8 +16,9 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import IntArray
 from ...runtime.atomic import writing
+from ...runtime.printable import printable
 from .container import Container
-from .losses import Loss, printable
+from .losses import Loss
 from .merge import Output
 from .messages import ChunkMessages, Topic
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import shutil
+import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ from calib.intrinsics import Intrinsics
 
 from ...errors import UnoccludeError
 from ...recording import FloatArray, ImuStream
-from ...runtime.atomic import check_output, writing
+from ...runtime.atomic import check_output, umask, writing
+from ...runtime.leftovers import locked_folder, sweep, temporary_name
 from ..mcap.merge import Outgoing, Output
 from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
@@ -73,14 +74,16 @@ def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterato
     """
     target = Path(path)
     check_folder(target, force)
-    beside = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    beside = temporary_name(target)
     old = beside.with_suffix(".old")
     try:
-        beside.mkdir()
-        yield beside
-        if target.exists():
-            target.rename(old)
-        beside.rename(target)
+        sweep(target.absolute().parent)
+        with locked_folder(beside):
+            yield beside
+            beside.chmod(stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o777 & ~umask())
+            if target.exists():
+                target.rename(old)
+            beside.rename(target)
     except OSError as error:
         full = "; make room and run again" if error.errno == errno.ENOSPC else ""
         raise UnoccludeError(f"{path} could not be written: {error.strerror or error}{full}.") from error

@@ -111,7 +111,7 @@ def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | 
     if not path.is_file():
         raise RecordingError(f"{path} does not exist, but recording.toml names it; add it or mend the name.")
     if keys.separator is None and keys.skip_rows is None:
-        return read_sheet(path, expected)
+        return read_sheet(path, expected, quote=False)
     text = decode(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
     return sheet_of_text(path, text, expected, _layout(path, text.split("\n"), keys, columns))
 

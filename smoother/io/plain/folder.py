@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import FloatArray, IntArray, JointState, Recording
+from ...runtime.inputs import check_input, inside
 from ..devices.files import add_imu, add_skeleton, times_of
 from ..devices.head import shown
 from ..devices.pairing import paired
@@ -58,13 +59,15 @@ def import_csv(
     return select_recording(open_csv(folder), prefer_side=prefer_side, **selection)
 
 
-def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
+def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> RecordingFile:
     """Read all streams of a folder of plain files, for `write_recording` or `select_recording`.
 
     Parameters
     ----------
     folder : path-like
         Holds `recording.toml` and the files that it names.
+    outside : bool
+        Also read files outside the folder: a recording from a stranger could name any file of yours.
 
     Returns
     -------
@@ -78,6 +81,7 @@ def open_csv(folder: str | os.PathLike[str]) -> RecordingFile:
     """
     folder = Path(folder)
     description = _describe(folder)
+    _check_places(folder, description, outside)
     camera = description.camera
     file = RecordingFile(folder, camera_frame=None if camera is None else camera.frame)
     if camera is not None and camera.gravity is not None:
@@ -128,6 +132,26 @@ def _describe(folder: Path) -> _Description:
         raise RecordingError(f"{path}: {where} {what}; mend it.") from error
     except (ValueError, RecursionError, OSError) as error:  # also a number of thousands of digits
         raise RecordingError(f"{path} is not readable TOML: {error}.") from error
+
+
+def _check_places(folder: Path, description: _Description, outside: bool) -> None:
+    """Refuse files that lie elsewhere, and what is no file."""
+    camera, truth = description.camera, description.truth
+    names = [camera.skeleton] if camera is not None and camera.skeleton is not None else []
+    for section in description.imu.values():
+        names += [section.file] if isinstance(section.file, str) else section.file
+    names += [] if truth is None else [truth.file]
+    for name in names:
+        if "\0" in name:
+            raise RecordingError(
+                f"{folder / 'recording.toml'} names {shown(repr(name), 60)}, which is no file's name."
+            )
+        if not outside and inside(folder, name) is None:
+            raise RecordingError(
+                f"{folder / 'recording.toml'} names {shown(name, 120)}, which lies outside its folder; copy"
+                " it into the folder, or give --outside if you trust the recording."
+            )
+        check_input(folder / name)
 
 
 def _add_columns(

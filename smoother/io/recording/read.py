@@ -12,9 +12,10 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import CameraFrame, Recording
+from ...runtime.printable import printable
 from ...runtime.store import Store
 from ..mcap.container import Container
-from ..mcap.losses import plain_name, printable
+from ..mcap.losses import plain_name
 from ..mcap.messages import Topic
 from ..mcap.repair_container import repair_notes
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder

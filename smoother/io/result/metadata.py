@@ -16,7 +16,8 @@ from ...result import Recovery
 
 def to_json(value: object) -> str:
     """JSON of plain values, arrays (as lists) and dataclasses; nan stays nan, as Python reads it."""
-    return json.dumps(value, default=_plain, ensure_ascii=False)
+    text = json.dumps(value, default=_plain, ensure_ascii=False)
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")  # a file's name may be no UTF-8: \\udcff
 
 
 def _plain(value: object) -> object:

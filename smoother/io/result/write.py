@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 
+from ...errors import UnoccludeError
 from ...result import Recovery, arm_tags
 from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
-from ..mcap.messages import Topic
 from ..mcap.time_batches import time_batches
+from ..recording.carried import Carrying
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
@@ -21,8 +21,6 @@ from .streams import RecoveryStreams
 from .world import common_down
 
 RESULT = "unocclude.result"
-#: Schemas that show a patient.
-_IMAGES = re.compile(r"Image|Video|PointCloud|VoxelGrid|Audio|Packet", re.IGNORECASE)
 
 
 def write_recovery(
@@ -32,7 +30,7 @@ def write_recovery(
     source: str | os.PathLike[str] | None = None,
     force: bool = False,
     passthrough_images: bool = False,
-) -> None:
+) -> tuple[str, ...]:
     """Write the recovered motion of one arm, or of several, to an MCAP file.
 
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
@@ -54,19 +52,28 @@ def write_recovery(
     path : path-like
         The file to write.
     source : path-like, optional
-        The recording; its topics are copied as they are.
+        The recording; its topics of motion are copied as they are.
     force : bool
         Overwrite a file that exists.
     passthrough_images : bool
-        Copy images, depth and point clouds as well (they show patients).
+        Copy all other topics as well: images in any form (they show patients), sound, texts, positions on
+        Earth and whatever is not known.
+
+    Returns
+    -------
+    notes : tuple of str
+        Sentences for the user: which topics were left out.
 
     Raises
     ------
     UnoccludeError
-        The file exists and `force` is not given, or it cannot be written.
+        The file exists and `force` is not given, it is the recording itself, or it cannot be written.
     """
     results = [recoveries] if isinstance(recoveries, Recovery) else list(recoveries)
     check_output(path, force)
+    if source is not None and os.path.exists(path) and os.path.samefile(source, path):
+        raise UnoccludeError(f"{path} is the recording itself; give another name to write to.")
+    carrying = Carrying(passthrough_images)
     frames: dict[str, str] = {}
     shift = 0
     level_down = None
@@ -88,11 +95,7 @@ def write_recovery(
         if source is not None:
             container = Container(source)
             output.interleave(
-                container.chunks(
-                    lambda topic: (
-                        not topic.name.startswith(RESULT_PREFIX) and may_copy(topic, passthrough_images)
-                    )
-                )
+                container.chunks(lambda topic: not topic.name.startswith(RESULT_PREFIX) and carrying(topic))
             )
         for batch in time_batches([axis for each in streams for axis in each.axes()]):
             rows = [batch.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
@@ -100,6 +103,7 @@ def write_recovery(
             output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands
             output.metadata(METADATA, container.metadata[METADATA])
+    return (carrying.sentence,) if carrying.sentence else ()
 
 
 def _version() -> str:
@@ -107,8 +111,3 @@ def _version() -> str:
         return version("unocclude")
     except PackageNotFoundError:
         return "unknown"
-
-
-def may_copy(topic: Topic, passthrough_images: bool) -> bool:
-    """Whether a topic of a recording goes into files made of it: not its images unless they are asked for."""
-    return passthrough_images or not _IMAGES.search(topic.schema)

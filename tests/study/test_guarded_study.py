@@ -1,0 +1,208 @@
+"""A study that is damaged, that is limited, whose names are odd; and what its rows tell of the machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from studies import BROKEN, NAMES, batch
+
+from smoother.config import Config
+from smoother.study.cluster import run_local
+from smoother.study.columns import DONE, FAILED, Row
+from smoother.study.fingerprint import Fingerprint, config_hash
+from smoother.study.inputs import find_entries
+from smoother.study.job import Job, run_job
+from smoother.study.ledger import Ledger
+from smoother.study.limits import Limits, TimeUp, limited
+from smoother.study.run import study_folder
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def job(made: Path, tmp_path: Path) -> Job:
+    folder = study_folder(tmp_path / "out")
+    word = folder.open()
+    config, choice = Config(), Fingerprint()
+    source, hashed = str(made / NAMES[0]), config_hash(config, choice)
+    return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
+
+
+@pytest.fixture
+def in_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do a study's jobs here: what is tested is not the processes."""
+    monkeypatch.setattr(
+        "smoother.study.cluster.run_local", lambda jobs, processes: (run_job(job) for job in jobs)
+    )
+
+
+def only_the_first(recordings: Path) -> None:
+    for name in (*NAMES[1:], BROKEN):
+        (recordings / name).unlink()
+
+
+def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_path: Path):
+    """Neither the paths nor the machine's name stand in rows and JSON, in failures' sentences neither."""
+    out, figures = tmp_path / "out", tmp_path / "figures.json"
+    assert batch(recordings, "-o", out, "--processes", 1, "--json", figures) == 1
+    rows = [row for file in out.glob("results/*.parquet") for row in parquet.read_table(file).to_pylist()]
+    listed = json.loads(figures.read_text())
+    assert len(rows) == len(listed["rows"]) == len(NAMES) + 1
+    assert {row["host"] for row in [*rows, *listed["rows"]]} == {""}
+    for text in (json.dumps(rows, default=str), figures.read_text()):
+        assert BROKEN in text and NAMES[0] in text
+        assert str(tmp_path) not in text and os.sep + "tmp" not in text
+    kept = tmp_path / "kept"
+    assert batch(recordings, "-o", kept, "--processes", 1, "--keep-paths", "--json", figures, "--force") == 1
+    listed = json.loads(figures.read_text())
+    assert {row["host"] for row in listed["rows"]} == {socket.gethostname()}
+    assert listed["rows"][0]["input"] == str(recordings / listed["rows"][0]["recording"])
+
+
+def test_it_is_known_again_without_its_path(job: Job):
+    row = run_job(job)
+    folder = study_folder(Path(job.folder))
+    settings = (job.config_hash, "", job.version)
+    ledger = Ledger(folder)
+    assert ledger.find(job.name, job.source, settings)[0] == row["id"]
+    elsewhere = job.source + "x"
+    shutil.copy2(job.source, elsewhere)
+    try:
+        assert ledger.find(job.name, elsewhere, settings)[0] == ""
+    finally:
+        os.unlink(elsewhere)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="names as bytes")
+def test_a_name_that_is_no_utf8(
+    in_here: None, recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for name in (b"p\xff.mcap", b"p%FF.mcap", b"p\x1b[31m.mcap"):
+        shutil.copy(recordings / NAMES[0], os.fsencode(recordings) + b"/" + name)
+    os.rename(recordings / BROKEN, os.fsencode(recordings) + b"/broken\xfe.mcap")
+    entries = find_entries(str(recordings), tmp_path / "out")
+    assert {"p%FF.mcap", "p%1B[31m.mcap", "broken%FE.mcap"} < {entry.name for entry in entries}
+    assert len({entry.name for entry in entries}) == len(entries)
+    json_file = tmp_path / "f.json"
+    assert batch(recordings, "-o", tmp_path / "out", "--processes", 1, "--json", json_file) == 1
+    figures = json.loads(json_file.read_text(encoding="utf-8"))
+    assert figures["done"] == len(entries) - 1 and figures["failed"] == 1, figures["failures"]
+    assert "\x1b" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("lost", ["stage", "rows", "study", "word"])
+def test_what_the_program_needs_was_removed(in_here: None, recordings: Path, tmp_path: Path, lost: str):
+    only_the_first(recordings)
+    out = tmp_path / "out"
+    assert batch(recordings, "-o", out, "--processes", 1) == 0
+    if lost == "word":
+        (out / ".unocclude" / "study").write_bytes(b"\xff\xfe damaged")
+    elif lost == "study":
+        (out / ".unocclude" / "study").unlink()
+    else:
+        shutil.rmtree(out / ".unocclude" / lost)
+    (recordings / NAMES[0]).touch()
+    assert batch(recordings, "-o", out, "--processes", 1, *(["--force"] if lost == "study" else [])) == 0
+
+
+@pytest.mark.parametrize("how", ["cut", "rubbish", "empty"])
+def test_a_damaged_ledger(
+    in_here: None, recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str
+):
+    """A file of rows that cannot be read is put aside and said; its recordings are done again."""
+    only_the_first(recordings)
+    out = tmp_path / "out"
+    assert batch(recordings, "-o", out, "--processes", 1) == 0
+    files = sorted(out.glob("results/*.parquet"))
+    content = files[0].read_bytes()
+    files[0].write_bytes({"cut": content[: len(content) // 2], "rubbish": os.urandom(500), "empty": b""}[how])
+    waiting = out / ".unocclude" / "rows"
+    rows = (
+        "{",
+        "[1]",
+        '{"id": 3}',
+        "[" * 100_000,
+        json.dumps(dict.fromkeys(["id", "status", "finished"], 1)),
+    )
+    for number, text in enumerate(rows):
+        (waiting / f"{number}.json").write_text(text)
+    capsys.readouterr()
+    assert batch(recordings, "-o", out, "--processes", 1) == 0
+    assert "was damaged" in " ".join(capsys.readouterr().out.split())
+    assert len(list((out / ".unocclude" / "damaged").iterdir())) == 1
+    assert batch(recordings, "-o", out, "--processes", 1) == 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links")
+def test_a_result_never_replaces_its_recording(in_here: None, recordings: Path, tmp_path: Path):
+    """The folder of results leads back to the recordings by a link."""
+    only_the_first(recordings)
+    out = tmp_path / "out"
+    assert batch(recordings, "-o", out, "--processes", 1) == 0
+    before = (recordings / NAMES[0]).read_bytes()
+    folder = (out / NAMES[0]).parent
+    shutil.rmtree(folder) if folder != out else (out / NAMES[0]).unlink()
+    if folder != out:
+        folder.symlink_to((recordings / NAMES[0]).parent)
+    else:
+        (out / NAMES[0]).symlink_to(recordings / NAMES[0])
+    assert batch(recordings, "-o", out, "--processes", 1) == 1
+    assert (recordings / NAMES[0]).read_bytes() == before
+
+
+def slow(seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        sum(range(1000))
+
+
+def test_a_time_limit_interrupts():
+    began = time.monotonic()
+    with pytest.raises(TimeUp), limited(Limits(time_s=0.2)):
+        slow(20.0)
+    assert time.monotonic() - began < 5
+    with limited(Limits(time_s=5.0)):
+        pass
+    slow(0.01)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux limits memory")
+def test_a_memory_limit_refuses_and_lets_go():
+    with pytest.raises(MemoryError), limited(Limits(memory_bytes=200_000_000)):
+        np.ones(50_000_000)
+    assert np.ones(50_000_000)[-1] == 1.0
+
+
+def wasteful(job: Job) -> Row:
+    """A worker's work with one recording that takes all memory, or all time."""
+    import smoother.study.job as module
+
+    if job.name == BROKEN:
+        module._recover = lambda *_: slow(60.0) if job.limits.time_s else [np.ones(10**8) for _ in range(9)]
+    return run_job(job)
+
+
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    [(Limits(time_s=3.0), "--time-limit"), (Limits(memory_bytes=1_500_000_000), "--memory-limit")],
+)
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux limits memory")
+def test_a_recording_over_its_limits_fails_alone(
+    job: Job, made: Path, monkeypatch: pytest.MonkeyPatch, limits: Limits, why: str
+):
+    monkeypatch.setattr("smoother.study.cluster.run_job", wasteful)
+    others = [replace(job, name=name, source=str(made / name)) for name in NAMES[:2]]
+    killer = replace(job, name=BROKEN, limits=limits)
+    rows = [row for row in run_local(iter([*others, killer]), 2) if row is not None]
+    assert sorted(row["status"] for row in rows) == [DONE, DONE, FAILED]
+    (row,) = (row for row in rows if row["status"] == FAILED)
+    assert row["recording"] == BROKEN and why in row["error"] and row["retry"]
