@@ -229,7 +229,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
     path = Path(path)
     text = ""
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    if path.exists():
+    if path.exists() and path.stat().st_size:
         read_calibration(path)
         text = path.read_text(encoding="utf-8")
         document |= tomllib.loads(text)

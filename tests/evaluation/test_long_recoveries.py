@@ -189,5 +189,6 @@ def test_the_page_of_a_long_recording_is_thinned_first(tmp_path: Path, recovery:
     write_report(recovery, tmp_path / "short.html")
     page = (tmp_path / "long.html").read_text(encoding="utf-8")
     assert f"of its {len(long)} samples about {MOST_POINTS} are drawn" in page
-    assert len(page) < 2_500_000 + (tmp_path / "short.html").stat().st_size
+    # the player has 5.5 MB at most before it is written as text, a third more as such
+    assert len(page) < 6_000_000 + (tmp_path / "short.html").stat().st_size
     assert re.search(r"samples of the forearm sensor</td><td>96000<", page)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import wavfile
-from strap_recordings import radius_of, with_images
+from strap_recordings import with_images
 
 from smoother.cli.run import run
 from smoother.io import write_recording
@@ -18,6 +18,7 @@ from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from smoother.simulation.strap_session import strap_radius_m
 
 
 def command(*arguments: object, ends: tuple[int, ...] = (0,)) -> None:
@@ -166,7 +167,7 @@ def strap(folder: Path) -> Path:
     page = folder / "strap.html"
     simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=5.0), 6)
     with_images(simulated, folder / "images.mcap", every=6)
-    options = ("--processes", 1, "--radius-m", radius_of(simulated), "--report", page)
+    options = ("--processes", 1, "--radius-m", strap_radius_m(simulated), "--report", page)
     command("import", "strap", folder / "images.mcap", "-o", folder / "with_strap.mcap", *options)
     return page
 

@@ -220,7 +220,7 @@ def test_bits_anywhere_are_never_silent(path: Path):
 
 def test_names_are_fit_for_a_message():
     assert plain_name("/imu/wrist") == "/imu/wrist"
-    assert plain_name("/a\x1b[31m\nb") == "/a[31mb"
+    assert plain_name("/a\x1b[31m\nb") == r"/a\x1b[31m\x0ab"
     assert len(plain_name("x" * 10**6)) == 80
 
 

@@ -185,7 +185,7 @@ def test_cut_off_between_output_and_results(job):
 
 def test_a_worker_that_is_not_set_up(job, tmp_path):
     for broken, said in (
-        (replace(job, source="/nowhere/a.mcap"), "does not see /nowhere/a.mcap; share the recordings"),
+        (replace(job, source="/nowhere/a.mcap"), f"does not see {job.name}; share the recordings"),
         (replace(job, word="another"), "does not see the study's folder"),
         (replace(job, folder=str(tmp_path / "none")), "does not see the study's folder"),
         (replace(job, version="9.9"), "install the same version"),

@@ -17,8 +17,10 @@ from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
+#: A sensor that sends zeros, or the same over and over, for a larger share of the time was not recorded.
+_MOST_PAUSED = 0.5
 #: Elbow and wrist are farther apart than this, m an axis.
-_ONE_POINT_M = 1e-3
+_ONE_POINT_M = 1e-5
 _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 #: No depth camera sees a person farther away, m an axis.
 _FARTHEST_M = 20.0
@@ -241,7 +243,12 @@ def _keep(
             causes.append(f"{count} {cause}")
     if stamps := int((measured & ~keep).sum()):
         causes.append(f"{stamps} with repeated or backward stamps")
-    if dropped > _LIMIT * total:
+    # a sensor that sent nothing for a while paused; what is around it counts
+    paused = np.zeros(total, bool)
+    for cause in (FROZEN, ZERO):
+        paused |= unusable.get(cause, paused)
+    pauses = int(paused.sum())
+    if dropped - pauses > _LIMIT * (total - pauses) or pauses > _MOST_PAUSED * total:
         raise RecordingError(
             f"{source}: {dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
             "which is too many to drop; check the recorder."
