@@ -262,7 +262,7 @@ def test_nothing_of_a_file_is_obeyed(name: str, browser: Browser, tmp_path: Path
     assert browser.run("document.querySelectorAll('img[src=x], b').length") == 0
     assert browser.complaints() == [] and browser.loaded() == []
     shown = browser.run("document.body.textContent")
-    assert EVIL in shown
+    assert EVIL[:70] in shown  # names of topics are cut to 80 characters
     if name in ("clock", "smooth"):
         labels = browser.run("[...document.querySelectorAll('.legendtext')].map((each) => each.textContent)")
         # Plotly turns what looks like an entity into its sign

@@ -79,10 +79,11 @@ class Axivity:
                 f"{path} is an {self.title} that {what}; set up an AX6 with its gyroscope on, and download"
                 " it again."
             )
-        return [_table(usable, len(data) - len(usable))]
+        cut = len(raw) % _BLOCK.itemsize != 0
+        return [_table(usable, len(data) - len(usable), cut)]
 
 
-def _table(blocks: NDArray[np.void], left_out: int) -> ImuTable:
+def _table(blocks: NDArray[np.void], left_out: int, cut: bool) -> ImuTable:
     """Samples of intact blocks with six axes."""
     # A sample stands in the rows of its block that are filled.
     filled = np.arange(40) < blocks["count"][:, None]
@@ -96,6 +97,8 @@ def _table(blocks: NDArray[np.void], left_out: int) -> ImuTable:
     rate = 3200.0 / (1 << (15 - (blocks["rate"] & 15).astype(int)))
     t_s = _starts(blocks, rate)[:, None] + np.arange(40) / rate[:, None]
     notes = [f"{amount(left_out, 'damaged block was', 'damaged blocks were')} left out."] if left_out else []
+    if cut:  # a file is a whole number of blocks
+        notes.append("The file is cut off within a block; what is behind it is lost. Download it again.")
     return ImuTable(
         name="",
         t_s=_even(t_s, blocks)[filled],

@@ -98,6 +98,13 @@ def test_damaged_blocks_are_left_out_and_said(tmp_path: Path):
     assert np.diff(table.t_s).max() == pytest.approx(0.41, abs=1e-4)  # the hole stays
 
 
+def test_a_file_that_is_cut_off_within_a_block_says_so(tmp_path: Path):
+    path = tmp_path / "cut.cwa"
+    path.write_bytes(bytes(cwa())[:-200])
+    table = read(path)
+    assert any("cut off" in note for note in table.notes)
+
+
 def test_without_gyroscope_or_blocks(tmp_path: Path):
     path = tmp_path / "a.cwa"
     path.write_bytes(cwa(axes=3))
