@@ -14,7 +14,8 @@ from slow_window import Answer, SlowWindow
 import smoother.graph.solve
 import smoother.window.nodes
 from smoother.errors import SolveError
-from smoother.graph.build import DENSITY_STEP, bias_of_intervals
+from smoother.graph.build import bias_of_intervals
+from smoother.graph.imu_factors import DENSITY_STEP
 from smoother.graph.solve import solve
 from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
