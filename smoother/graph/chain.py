@@ -18,7 +18,8 @@ from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 
 from ..linalg import interpolate
 from ..recording import JOINTS, FloatArray, IntArray
-from ..window.problem import States, UpperRun, UpperSolution, Window
+from ..window.problem import States, UpperRun, Window
+from ..window.solution import UpperSolution
 from .build import bias_of_intervals, build, gaussian, isotropic
 from .imu_factors import add_increments
 

@@ -12,8 +12,9 @@ from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
-from ..window.problem import Message, Solution, States, Window
+from ..window.problem import States, Window
 from ..window.shared import Gaussian
+from ..window.solution import Message, Solution
 from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
 from .clock_information import offset_information

@@ -19,7 +19,8 @@ from smoother.graph.imu_factors import DENSITY_STEP
 from smoother.graph.solve import solve
 from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
-from smoother.window.problem import Solution, Window
+from smoother.window.problem import Window
+from smoother.window.solution import Solution
 
 #: How far the two may be apart, in sigmas: the graph stops at a relative decrease of 1e-4 of its error
 #: (measured 0.016) and turns the covariance of an interval by the interval's own rotation (0.2 rad).
