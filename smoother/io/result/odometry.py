@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,9 +43,7 @@ def thorax_poses(r: Recovery) -> Recovery | None:
     )
 
 
-def odometry(
-    r: Recovery, frame_id: str, body: str
-) -> Iterator[tuple[IntArray, wire.Template, Callable[[IntArray], dict[str, NDArray]]]]:
+def odometry(r: Recovery, frame_id: str, body: str) -> Iterator[wire.AlikeRows]:
     """What the messages of the samples with a position are made of, one layout after the other.
 
     Parameters

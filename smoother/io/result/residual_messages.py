@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,7 @@ class ResidualMessages:
         self._joints = _present(residuals)
         self._templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
 
-    def of_batch(
-        self, residuals: FrameResiduals
-    ) -> Iterator[tuple[IntArray, wire.Template, Callable[[IntArray], dict[str, NDArray]]]]:
+    def of_batch(self, residuals: FrameResiduals) -> Iterator[wire.AlikeRows]:
         """Frames that are written alike, the message that holds them, and its columns.
 
         Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,8 +23,6 @@ from .gap_messages import gap_messages
 from .odometry import odometry, thorax_poses, upper_arm_poses
 from .residual_messages import ResidualMessages
 from .world import world_transform
-
-Columns = Callable[[IntArray], dict[str, NDArray]]
 
 
 class RecoveryStreams:
@@ -101,7 +99,7 @@ class RecoveryStreams:
         template: wire.Template,
         stamp: IntArray,
         rows: IntArray,
-        columns: Columns,
+        columns: wire.Columns,
     ) -> Outgoing:
         """Some rows of stamps (n,) on a topic."""
 
