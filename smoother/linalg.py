@@ -36,6 +36,11 @@ def rotate_covariance(R: FloatArray, covariance: FloatArray) -> FloatArray:
     return R @ covariance @ np.swapaxes(R, -1, -2)
 
 
+def rotation_sigma_deg(covariance: FloatArray) -> FloatArray:
+    """Square root of the trace of rotation vectors' covariances (n, 3, 3), rad^2: (n,), degrees."""
+    return np.degrees(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
+
+
 def skew(v: FloatArray) -> FloatArray:
     """The matrix of the cross product, [v]x, for stacks (..., 3)."""
     matrix = np.zeros((*v.shape[:-1], 3, 3))

@@ -330,59 +330,15 @@ class Recording:
         RecordingError
             A shape does not fit, a joint has another name, times do not increase, or samples are not finite.
         """
-        t = _times(imu_t_s, "imu_t_s", name)
-        frame_t = _times(frame_t_s, "frame_t_s", name)
-        unknown = sorted({*joints, *(states or {})} - set(JOINTS))
-        if unknown:
-            raise RecordingError(f"{name}: {unknown[0]} is no joint; joints are {', '.join(JOINTS)}")
+        from .recording_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
+
+        t, frame_t = times_of(imu_t_s, "imu_t_s", name), times_of(frame_t_s, "frame_t_s", name)
         if side not in ("", "left", "right"):
             raise RecordingError(f"{name}: the side is left or right, not {side}")
-        try:
-            frame = None if camera_frame is None else CameraFrame(camera_frame)
-        except ValueError as error:
-            names = ", ".join(CameraFrame)
-            raise RecordingError(
-                f"{name}: the camera's frame is one of {names}, not {camera_frame}"
-            ) from error
-        imu = ImuStream(
-            "imu",
-            t,
-            _rows(acc, (len(t), 3), "acc", name, finite=True),
-            _rows(gyro, (len(t), 3), "gyro", name, finite=True),
-            None if mag is None else _rows(mag, (len(t), 3), "mag", name),
-        )
-        position = np.full((len(frame_t), len(JOINTS), 3), np.nan)
-        state = np.zeros((len(frame_t), len(JOINTS)), np.int8)
-        for joint, values in joints.items():
-            column = JOINTS.index(joint)
-            position[:, column] = _rows(values, (len(frame_t), 3), joint, name)
-            state[np.isfinite(position[:, column]).all(axis=1), column] = JointState.TRACKED
-        for joint, values in (states or {}).items():
-            state[:, JOINTS.index(joint)] = _rows(values, (len(frame_t),), f"the state of {joint}", name)
-        hint = None if gravity_hint is None else _rows(gravity_hint, (3,), "gravity_hint", name, finite=True)
-        if hint is not None and not 1e-6 < np.linalg.norm(hint) < 1e6:
-            raise RecordingError(f"{name}: gravity_hint is no direction; give the direction of down")
-        arm = JointTracks("camera", frame_t, position, state)
+        frame = camera_frame_of(camera_frame, name)
+        imu = imu_of(t, acc, gyro, mag, name)
+        arm = joints_of(frame_t, joints, states or {}, name)
+        hint = None if gravity_hint is None else direction_of(gravity_hint, name)
         if upper_imu is not None:
-            count = (len(_times(upper_imu.t_s, "the upper arm's t_s", name)), 3)
-            _rows(upper_imu.acc, count, "the upper arm's acc", name, finite=True)
-            _rows(upper_imu.gyro, count, "the upper arm's gyro", name, finite=True)
+            check_imu(upper_imu, "the upper arm's ", name)
         return cls(imu, arm, side, frame, hint, truth=truth, name=name, upper_imu=upper_imu)
-
-
-def _rows(
-    values: FloatArray, shape: tuple[int, ...], what: str, name: str, finite: bool = False
-) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape:
-        raise RecordingError(f"{name}: {what} has the shape {array.shape}; it must be {shape}")
-    if finite and not np.isfinite(array).all():
-        raise RecordingError(f"{name}: {what} holds values that are not finite; take those samples out")
-    return array
-
-
-def _times(values: FloatArray, what: str, name: str) -> FloatArray:
-    t = _rows(values, np.shape(values)[:1] or (0,), what, name, finite=True)
-    if len(t) < 2 or not (np.diff(t) > 0).all():
-        raise RecordingError(f"{name}: {what} must hold at least two times that increase")
-    return t

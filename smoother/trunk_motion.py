@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
+from .linalg import rotation_sigma_deg
 from .recording import FloatArray, IntArray
 
 
@@ -43,4 +42,4 @@ class TrunkMotion:
     @property
     def sigma_deg(self) -> FloatArray:
         """(N,) square root of the trace of the orientation covariance, degrees."""
-        return np.degrees(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
+        return rotation_sigma_deg(self.covariance)

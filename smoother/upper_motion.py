@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .linalg import rotation_sigma_deg
 from .recording import FloatArray, IntArray
 
 
@@ -54,4 +55,4 @@ class UpperMotion:
     @property
     def sigma_deg(self) -> FloatArray:
         """(N,) square root of the trace of the orientation covariance, degrees."""
-        return np.degrees(np.sqrt(np.trace(self.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))
+        return rotation_sigma_deg(self.pose_covariance[:, 3:, 3:])

@@ -82,20 +82,21 @@ def other_metadata(data: bytes, rng: Rng, change: Callable[[dict[str, str], Rng]
 
 def places(data: bytes, opcode: int) -> list[int]:
     """Where records of a kind begin at the top level."""
-    met, position = [], len(MAGIC)
+    positions, position = [], len(MAGIC)
     while position + HEAD.size <= len(data) - len(MAGIC):
         kind, length = HEAD.unpack_from(data, position)
-        met += [position] * (kind == opcode)
+        positions += [position] * (kind == opcode)
         position += HEAD.size + length
-    return met
+    return positions
 
 
-def _put(data: bytes, at: int, value: bytes) -> bytes:
+def put(data: bytes, at: int, value: bytes) -> bytes:
+    """A file with other bytes from a position on."""
     return data[:at] + value + data[at + len(value) :]
 
 
 def _flip(data: bytes, at: int, rng: Rng) -> bytes:
-    return _put(data, at, bytes([data[at] ^ (1 << int(rng.integers(8)))]))
+    return put(data, at, bytes([data[at] ^ (1 << int(rng.integers(8)))]))
 
 
 def _record(data: bytes, rng: Rng) -> int:
@@ -122,19 +123,19 @@ def zeros(data: bytes, rng: Rng) -> bytes:
     """An area of zeros."""
     at = int(rng.integers(len(data)))
     size = int(rng.choice([16, 512, 4096, 30_000]))
-    return _put(data, at, bytes(min(size, len(data) - at)))
+    return put(data, at, bytes(min(size, len(data) - at)))
 
 
 def length(data: bytes, rng: Rng) -> bytes:
     """A record's length changed."""
     at = _record(data, rng)
     value = int(rng.choice([0, 1, 9, 1000, 2**31, 2**40, 2**62]))
-    return _put(data, at + 1, value.to_bytes(8, "little"))
+    return put(data, at + 1, value.to_bytes(8, "little"))
 
 
 def opcode(data: bytes, rng: Rng) -> bytes:
     """A record's kind changed."""
-    return _put(data, _record(data, rng), bytes([int(rng.choice([0, 2, 15, 4, 7, 0x46, 0x86]))]))
+    return put(data, _record(data, rng), bytes([int(rng.choice([0, 2, 15, 4, 7, 0x46, 0x86]))]))
 
 
 def chunk_head(data: bytes, rng: Rng) -> bytes:
@@ -164,7 +165,7 @@ def taken_out(data: bytes, rng: Rng) -> bytes:
 def noise(data: bytes, rng: Rng) -> bytes:
     """Random bytes over an area."""
     at, size = int(rng.integers(len(data))), int(rng.choice([8, 200, 4000]))
-    return _put(data, at, rng.bytes(min(size, len(data) - at)))
+    return put(data, at, rng.bytes(min(size, len(data) - at)))
 
 
 def bomb(data: bytes, rng: Rng) -> bytes:
@@ -232,10 +233,8 @@ def _cell(value: bytes) -> Change:
 TEXT: dict[str, Change] = {
     "cut off within a row": lambda data, rng: data[: int(rng.integers(1, len(data)))],
     "empty": lambda data, rng: b"",
-    "binary rubbish": lambda data, rng: _put(data, int(rng.integers(len(data))), rng.bytes(40)),
-    "zeros": lambda data, rng: _put(
-        data, at := int(rng.integers(len(data))), bytes(min(300, len(data) - at))
-    ),
+    "binary rubbish": lambda data, rng: put(data, int(rng.integers(len(data))), rng.bytes(40)),
+    "zeros": lambda data, rng: put(data, at := int(rng.integers(len(data))), bytes(min(300, len(data) - at))),
     "nan": _cell(b"nan"),
     "inf": _cell(b"-inf"),
     "1e300": _cell(b"1e300"),
@@ -257,7 +256,7 @@ BINARY: dict[str, Change] = {
 C3D: dict[str, Change] = {
     **BINARY,
     "a bit in the header": lambda data, rng: _flip(data, int(rng.integers(30)), rng),
-    "a byte in the parameters": lambda data, rng: _put(data, int(rng.integers(512, 2048)), rng.bytes(1)),
-    "more frames stated": lambda data, rng: _put(data, 8, rng.bytes(2)),
-    "more points stated": lambda data, rng: _put(data, 2, rng.bytes(2)),
+    "a byte in the parameters": lambda data, rng: put(data, int(rng.integers(512, 2048)), rng.bytes(1)),
+    "more frames stated": lambda data, rng: put(data, 8, rng.bytes(2)),
+    "more points stated": lambda data, rng: put(data, 2, rng.bytes(2)),
 }

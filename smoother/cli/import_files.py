@@ -66,7 +66,8 @@ def files(
 ) -> None:
     """Import files as devices and camera programs write them; `import formats` lists them."""
     from ..io import describe, write_recording
-    from ..io.devices.files import FileReader, import_files
+    from ..io.devices.file_reader import FileReader
+    from ..io.devices.files import import_files
     from ..io.devices.folder import sort_files
     from ..io.devices.truth import add_truth
 

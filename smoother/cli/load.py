@@ -11,11 +11,10 @@ from .output import say
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..io.recording.selection import Selection
+    from ..io.recording.selection import FileReading
     from ..measurements.remedy import Remedy
     from ..recording import CameraFrame, Recording
     from ..result import Recovery
-    from ..runtime.store import Store
 
 #: How the reader of a file says that it was cut off or is damaged.
 DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
@@ -24,29 +23,17 @@ DAMAGED = ("ends in the middle of the recording", "damaged", "checksum")
 def load_arm(
     path: Path,
     calibration_file: Path | None = None,
-    *,
-    store: Store | None = None,
-    truth: bool = True,
     remedy: Remedy | None = None,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording and the calibration of its arm, and say what was chosen.
 
-    Where the recording leaves the side open, a calibration of one arm settles it. `store`, `truth`,
-    `swap_sides` and the selection as in `io.read_recording`, `remedy` as in `io.recording.read_arm`.
+    Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
+    `io.recording.read_arm`.
     """
     from ..io.recording.read_arm import read_arm
 
-    recording, calibration = read_arm(
-        path,
-        calibration_file,
-        store=store,
-        truth=truth,
-        remedy=remedy,
-        swap_sides=swap_sides,
-        **selection,
-    )
+    recording, calibration = read_arm(path, calibration_file, remedy=remedy, **reading)
     _say_chosen(path, recording)
     return recording, calibration
 
@@ -54,12 +41,8 @@ def load_arm(
 def load_arms(
     path: Path,
     calibration_file: Path | None = None,
-    *,
-    store: Store | None = None,
-    truth: bool = True,
     remedy: Remedy | None = None,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
     """Read every arm of a recording that has an IMU, with its calibration, and say what was chosen.
 
@@ -67,15 +50,7 @@ def load_arms(
     """
     from ..io.recording.read_arm import read_arms
 
-    arms = read_arms(
-        path,
-        calibration_file,
-        store=store,
-        truth=truth,
-        remedy=remedy,
-        swap_sides=swap_sides,
-        **selection,
-    )
+    arms = read_arms(path, calibration_file, remedy=remedy, **reading)
     for recording, _ in arms:
         _say_chosen(path, recording)
     return arms

@@ -2,70 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .option_groups import with_groups
-from .options import Force, Json, Output, Seed
-from .output import check_mcap, check_outputs, say, say_command, say_written, write_json, write_truth
+from .output import say, say_command
+from .simulated_file import SimulatedFile
 
 if TYPE_CHECKING:
     from ..recording import FloatArray, ImuStream
 
 
-@dataclass(frozen=True)
-class SensorFiles:
-    """Where a simulated sensor goes, as a group of a command's options.
-
-    Attributes
-    ----------
-    output : Path
-        The recording.
-    seed : int
-        Of the simulation.
-    json_file : Path, optional
-        For the figures.
-    force : bool
-        Overwrite what exists.
-    """
-
-    output: Output
-    seed: Seed = 0
-    json_file: Json = None
-    force: Force = False
-
-    @property
-    def truth(self) -> Path:
-        """What the calibration should find, beside the recording."""
-        return self.output.with_name(f"{self.output.stem}_truth.toml")
-
-    def check(self) -> None:
-        """Refuse what could not be written in the end."""
-        check_mcap(self.output)
-        check_outputs(self.force, [self.output, self.truth, self.json_file])
-
-    def write(self, stream: ImuStream, truth: dict[str, Any]) -> None:
-        """Write the recording of a sensor alone, and its truth; say what was written."""
-        from calib.imu.sensor import sensor_name
-
-        from ..io import write_recording
-        from ..io.recording.write import as_session
-
-        write_recording(as_session(self.output.name, [stream], []), self.output, force=self.force)
-        table = {"imu": {sensor_name(stream.name): truth}}
-        write_truth(self.truth, table, self.force)
-        write_json(self.json_file, {"seed": self.seed, "truth": table}, self.force)
-        length_s = stream.t_s[-1] - stream.t_s[0]
-        say(f"{self.output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
-        say_written(self.output, self.truth, self.json_file)
-
-
 @with_groups
 def imu(
-    to: SensorFiles,
+    to: SimulatedFile,
     poses: Annotated[
         int, typer.Option("--poses", min=1, max=26, help="Rest poses: sides, then edges, then corners.")
     ] = 12,
@@ -112,13 +63,13 @@ def imu(
     else:
         stream, bias = long_rest(model, long_rest_s, seed=to.seed)
     truth = {"accelerometer": _correction(*model.correction()), "gyroscope": {"offset": bias.tolist()}}
-    to.write(stream, truth)
+    _write(to, stream, truth)
     say_command("calibrate", "imu", to.output, "-o", "arm.toml", "--report", "imu.html")
 
 
 @with_groups
 def magnetometer(
-    to: SensorFiles,
+    to: SimulatedFile,
     hard_iron: Annotated[
         float, typer.Option("--hard-iron", min=0.0, max=5.0, help="Offset, in parts of the field.")
     ] = 0.5,
@@ -145,8 +96,22 @@ def magnetometer(
     model = SensorModel.draw(rng, offset=hard_iron, scale=soft_iron, cross=soft_iron)
     stream = turning_sensor(model, seed=to.seed, field=field, noise=noise)
     truth = {"magnetometer": _correction(*model.correction(field))}
-    to.write(stream, truth)
+    _write(to, stream, truth)
     say_command("calibrate", "magnetometer", to.output, "-o", "arm.toml", "--report", "magnetometer.html")
+
+
+def _write(to: SimulatedFile, stream: ImuStream, truth: dict[str, Any]) -> None:
+    """Write the recording of a sensor alone, and its truth; say what was written."""
+    from calib.imu.sensor import sensor_name
+
+    from ..io import write_recording
+    from ..io.recording.write import as_session
+
+    write_recording(as_session(to.output.name, [stream], []), to.output, force=to.force)
+    to.write_truth({"imu": {sensor_name(stream.name): truth}})
+    length_s = stream.t_s[-1] - stream.t_s[0]
+    say(f"{to.output}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {length_s:.0f} s")
+    to.say_written()
 
 
 def _correction(offset: FloatArray, matrix: FloatArray) -> dict[str, Any]:

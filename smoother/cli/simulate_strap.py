@@ -6,21 +6,20 @@ from typing import Annotated
 
 import typer
 
-from .options import Force, Json, Output, Seed
-from .output import check_mcap, check_outputs, print_table, say_command, say_written, write_json, write_truth
+from .option_groups import with_groups
+from .output import print_table, say_command
+from .simulated_file import SimulatedFile
 
 
+@with_groups
 def strap(
-    output: Output,
+    to: SimulatedFile,
     duration_s: Annotated[
         float, typer.Option("--duration-s", min=8.0, max=120.0, help="Length of the recording, s.")
     ] = 20.0,
     every: Annotated[
         int, typer.Option("--every", min=1, max=60, help="Images at every so many of the camera's frames.")
     ] = 5,
-    seed: Seed = 0,
-    json_file: Json = None,
-    force: Force = False,
 ) -> None:
     """Simulate an arm with images of its strap, for `import strap`.
 
@@ -31,18 +30,16 @@ def strap(
     from ..simulation.strap_session import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
     from .progress import progress_bar
 
-    truth_file = output.with_name(f"{output.stem}_truth.toml")
-    check_mcap(output)
-    check_outputs(force, [output, truth_file, json_file])
-    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=duration_s), seed)
+    to.check()
+    simulated = simulate_arm(ArmSimulation(protocol="random", duration_s=duration_s), to.seed)
     recording, measures = simulated.recording, simulated.parameters
     times = recording.arm.t_s[::every]
     with progress_bar("drawing the arm") as progress:
         images = []
-        for pair in strap_images(simulated, times, seed):
+        for pair in strap_images(simulated, times, to.seed):
             images.append(pair)
             progress(len(images) / len(times), "drawing the arm")
-    write_strap_recording(output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=force)
+    write_strap_recording(to.output, recording, images, times, (COLOUR, DEPTH), DEPTH_LATER_S, force=to.force)
     radius_m = strap_radius_m(simulated)
     truth = {
         "strap": {
@@ -51,14 +48,13 @@ def strap(
             "along": float(1.0 - measures["strap_to_wrist_m"] / measures["forearm_m"]),
         }
     }
-    write_truth(truth_file, truth, force)
-    write_json(json_file, {"seed": seed, "images": len(images), "truth": truth}, force)
+    to.write_truth(truth, images=len(images))
     rows = [
         ("images, colour and depth", len(images)),
         ("forearm's core to the IMU, mm", f"{1e3 * radius_m:.1f}"),
         ("elbow to the strap, mm", f"{1e3 * truth['strap']['from_elbow_m']:.1f}"),
         ("the same in parts of the forearm", f"{truth['strap']['along']:.2f}"),
     ]
-    print_table(output.name, ("what", "value"), rows)
-    say_written(output, truth_file, json_file)
-    say_command("import", "strap", output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")
+    print_table(to.output.name, ("what", "value"), rows)
+    to.say_written()
+    say_command("import", "strap", to.output, "-o", "with_strap.mcap", "--radius-m", f"{radius_m:.3f}")

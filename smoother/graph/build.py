@@ -3,30 +3,25 @@
 Variables: X pose `T_K_A` and V velocity a node, B bias every few seconds, G gravity's direction,
 L lever arms of the joints in {A}, S shoulder knots, U correction of the upper-arm length; with an IMU on
 the upper arm C its bias and M the lever arms in {B} (the rest of it: `chain`).
-All factors are GTSAM's own; see each function for the class. Preintegration: Forster et al., TRO 2017.
+All factors are GTSAM's own; see each function for the class.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import gtsam
 import numpy as np
 from gtsam import Pose3, Rot3, Unit3, noiseModel
-from gtsam.symbol_shorthand import B, C, G, L, M, S, U, V, X
+from gtsam.symbol_shorthand import L, S, U, V, X
 
 from ..recording import JOINTS, FloatArray, IntArray
 from ..window.problem import JointMeasurements, Window
-from ..window.shared import SharedLayout
+from .imu_factors import add_increments
+from .shared_prior import add_shared
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
-#: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
-#: not become so much stiffer than the rest that the solver calls the rest free.
-INTEGRATION_VARIANCE = 1e-6
-#: IMU noise goes up in steps of this factor, so that intervals share their parameters.
-DENSITY_STEP = 1.25
 
 
 def bias_of_intervals(window: Window) -> IntArray:
@@ -61,7 +56,7 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     _add_constant_velocity(graph, window)
     _add_attitude(graph, window)
     _add_field(graph, window)
-    _add_shared(graph, values, window, biases)
+    add_shared(graph, values, window, biases)
     return graph, values
 
 
@@ -70,198 +65,6 @@ def _add_states(values: gtsam.Values, window: Window) -> None:
     for i in range(len(window.t)):
         values.insert(X(i), Pose3(Rot3(states.R[i]), states.p[i]))
         values.insert(V(i), states.v[i])
-
-
-def add_increments(
-    graph: gtsam.NonlinearFactorGraph,
-    window: Window,
-    biases: IntArray,
-    symbols: tuple[Callable[[int], int], ...] = (X, V, B),
-    first_node: int = 0,
-) -> None:
-    """`ImuFactorWithGravityDirection` between neighbours.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    window : Window
-        Its increments, times and noise.
-    biases : ndarray of int, shape (n - 1,)
-        Which bias variable each of the intervals uses.
-    symbols : tuple of callable
-        Letters of pose, velocity and bias.
-    first_node : int
-        Number of the window's first node.
-    """
-    pose, velocity, bias_of = symbols
-    increments = window.increments
-    bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
-    acc = increments.acc + increments.bias[:3]
-    gyro = increments.gyro + increments.bias[3:]
-    first = increments.first
-    levels = _noise_levels(window)
-    params = {level: _parameters(window, *level) for level in set(levels)}
-    for i in range(len(window.t) - 1):
-        pim = gtsam.PreintegratedImuMeasurements(params[levels[i]], bias)
-        for step in range(first[i], first[i + 1]):
-            pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
-            pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
-        a, b = first_node + i, first_node + i + 1
-        states = pose(a), velocity(a), pose(b), velocity(b)
-        graph.add(
-            gtsam.ImuFactorWithGravityDirection(
-                *states, bias_of(biases[i]), G(0), pim, window.gravity_magnitude
-            )
-        )
-
-
-def _noise_levels(window: Window) -> list[tuple[int, int]]:
-    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
-    increments, noise = window.increments, window.noise
-    count = np.diff(increments.first)
-    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - window.gravity_magnitude
-    rate = np.linalg.norm(increments.gyro, axis=1)
-    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
-    turning = np.add.reduceat(rate, increments.first[:-1]) / count
-    impacts = increments.velocity_error / np.sqrt(np.diff(window.t))
-    acc = np.hypot(
-        np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
-        impacts / noise.accelerometer_density,
-    )
-    gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
-    level = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
-    return [(int(a), int(g)) for a, g in level]
-
-
-def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationParams:
-    """Noise of the preintegration at a level."""
-    noise = window.noise
-    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
-    params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
-    params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
-    params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)
-    return params
-
-
-def shared_keys(window: Window, biases: IntArray) -> list[int]:
-    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle.
-
-    Parameters
-    ----------
-    window : Window
-    biases : ndarray of int, shape (n - 1,)
-        From `bias_of_intervals`.
-
-    Returns
-    -------
-    keys : list of int
-        As many as there are shared quantities.
-    """
-    layout = window.priors.layout
-    keys = [B((int(biases[-1]) + 1) // 2), G(0)]
-    keys += [U(0)] if layout.has_upper_arm else []
-    keys += [L(JOINTS.index(joint)) for joint in layout.joints]
-    if layout.has_upper_imu:
-        keys += [M(JOINTS.index(joint)) for joint in layout.upper_levers]
-        keys += [C((int(biases[-1]) + 1) // 2)]
-    return keys
-
-
-def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
-    """Shared vector's change for a change of GTSAM's own coordinates.
-
-    They differ for gravity (its tangent basis, `Unit3.basis`) and for the upper arm: the range factor's
-    error is range + U - length, so the length falls as U grows.
-
-    Parameters
-    ----------
-    layout : SharedLayout
-    down : gtsam.Unit3
-        Gravity's direction in {K}.
-
-    Returns
-    -------
-    jacobian : ndarray, shape (s, s)
-    """
-    jacobian = np.eye(layout.size)
-    jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
-    jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
-    return jacobian
-
-
-def _add_shared(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, biases: IntArray
-) -> None:
-    """One joint Gaussian prior (`HessianFactor`), a random walk of the biases (`BetweenFactor..`)."""
-    priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
-    bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:6])
-    count = int(biases[-1]) + 1
-    for k in range(count):
-        values.insert(B(k), bias)
-    walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
-    for k in range(count - 1):
-        graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), gtsam.imuBias.ConstantBias(), walk))
-    down = Unit3(layout.down(mean))
-    values.insert(G(0), down)
-    if layout.has_upper_arm:
-        values.insert(U(0), 0.0)
-    for joint in layout.joints:
-        values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
-    if layout.has_upper_imu:
-        upper_bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2))
-        for k in range(count):
-            values.insert(C(k), upper_bias)
-        for k in range(count - 1):
-            graph.add(gtsam.BetweenFactorConstantBias(C(k), C(k + 1), gtsam.imuBias.ConstantBias(), walk))
-        for joint, rows in layout.upper_levers.items():
-            values.insert(M(JOINTS.index(joint)), mean[rows])
-    # the prior's mean is the initial value, so only its information matrix is needed
-    jacobian = shared_jacobian(layout, down)
-    information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
-    keys = shared_keys(window, biases)
-    factor = _gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
-    at = gtsam.Values()
-    at.insert(keys[0], bias)
-    at.insert(G(0), down)
-    if layout.has_upper_arm:
-        at.insert(U(0), 0.0)
-    for joint in layout.joints:
-        at.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
-    if layout.has_upper_imu:
-        at.insert(keys[-1], upper_bias)
-        for joint, rows in layout.upper_levers.items():
-            at.insert(M(JOINTS.index(joint)), mean[rows])
-    graph.add(gtsam.LinearContainerFactor(factor, at))
-
-
-def _blocks(layout: SharedLayout) -> list[slice]:
-    upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
-    levers = [layout.lever(joint) for joint in layout.joints]
-    upper_imu = [*layout.upper_levers.values(), layout.upper_bias] if layout.has_upper_imu else []
-    return [layout.bias, layout.gravity, *upper_arm, *levers, *upper_imu]
-
-
-def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArray) -> gtsam.HessianFactor:
-    """A zero-mean Gaussian over any number of variables, put together from its pairs."""
-    pairs = gtsam.GaussianFactorGraph()
-    for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
-        size = rows.stop - rows.start
-        pairs.add(gtsam.HessianFactor(key, information[rows, rows], np.zeros(size), 0.0))
-        for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
-            width = columns.stop - columns.start
-            pairs.add(
-                gtsam.HessianFactor(
-                    key,
-                    other,
-                    np.zeros((size, size)),
-                    information[rows, columns],
-                    np.zeros(size),
-                    np.zeros((width, width)),
-                    np.zeros(width),
-                    0.0,
-                )
-            )
-    return gtsam.HessianFactor(pairs)
 
 
 def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:

@@ -18,8 +18,10 @@ from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 
 from ..linalg import interpolate
 from ..recording import JOINTS, FloatArray, IntArray
-from ..window.problem import States, UpperRun, UpperSolution, Window
-from .build import add_increments, bias_of_intervals, build, gaussian, isotropic
+from ..window.problem import States, UpperRun, Window
+from ..window.solution import UpperSolution
+from .build import bias_of_intervals, build, gaussian, isotropic
+from .imu_factors import add_increments
 
 _ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
 #: The elbow on the forearm's side: the strap sits firmer at the wrist, and its lever arm is a variable, m.

@@ -18,8 +18,8 @@ from ..linalg import skew
 from ..recording import JOINTS, FloatArray, IntArray
 from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
 from ..window.problem import Window
-from .build import shared_jacobian, shared_keys
 from .linear_system import LinearSystem
+from .shared_prior import shared_jacobian, shared_keys
 
 #: Rows of an `ImuFactorWithGravityDirection`, and of a joint's or the shoulder's factor.
 IMU_ROWS, JOINT_ROWS = 9, 3

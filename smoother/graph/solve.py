@@ -12,14 +12,16 @@ from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
-from ..window.problem import Message, Solution, States, Window
+from ..window.problem import States, Window
 from ..window.shared import Gaussian
-from .build import bias_of_intervals, shared_jacobian, shared_keys
+from ..window.solution import Message, Solution
+from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
 from .clock_information import offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
 from .optimise import optimise
+from .shared_prior import shared_jacobian, shared_keys
 
 #: Where `solve` stops by default.
 RELATIVE_TOLERANCE = 1e-4

@@ -17,7 +17,8 @@ from ..selfcal.clock_fit import ClockScore, clock_score
 from ..selfcal.rounds import reject_by_direction
 from ..window.cut import cut_times
 from ..window.prepare import prepare
-from ..window.problem import FieldMeasurements, Message, Priors
+from ..window.problem import FieldMeasurements, Priors
+from ..window.solution import Message
 from ..window.trajectory import merge_windows
 from .magnetometer import observe
 from .sections import SectionData, Sections

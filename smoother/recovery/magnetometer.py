@@ -19,8 +19,9 @@ import numpy as np
 from ..linalg import skew
 from ..recording import BoolArray, FloatArray, ImuStream
 from ..result import Recovery
-from ..window.problem import FieldMeasurements, Solution, Window
+from ..window.problem import FieldMeasurements, Window
 from ..window.shared import axes_across
+from ..window.solution import Solution
 
 #: The field is averaged over so long: a place's disturbance lasts about as long as the arm stays.
 MEAN_S = 2.0

@@ -15,7 +15,7 @@ from ..recording import JOINTS, FloatArray, Recording
 from ..result import Estimates, FrameResiduals, Recovery
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration
-from ..window.problem import Message
+from ..window.solution import Message
 from ..window.trajectory import share_after
 from .blending import between_quaternions, blend
 from .magnetometer import Magnetometer

@@ -10,7 +10,7 @@ from ..graph.optimise import LONG_S
 from ..graph.solve import solve
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
-from ..window.problem import Message
+from ..window.solution import Message
 from ..window.trajectory import merge_windows
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section

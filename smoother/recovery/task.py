@@ -20,7 +20,8 @@ from ..window.cut import PreparedSegment, cut
 from ..window.pooling import pooled
 from ..window.prepare import prepare
 from ..window.priors import calibration_from, first_priors, noise_of
-from ..window.problem import Message, NoiseModel, Priors, Window
+from ..window.problem import NoiseModel, Priors, Window
+from ..window.solution import Message
 from ..window.trajectory import Trajectory
 from ..window.upper_times import with_start
 from .magnetometer import FieldObservation, takes_part

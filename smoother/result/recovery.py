@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import ArmCalibration
 from ..errors import UnoccludeError
+from ..linalg import rotation_sigma_deg
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks, arm_words
 from ..trunk_motion import TrunkMotion
@@ -179,7 +180,7 @@ class Recovery:
     @property
     def sigma_deg(self) -> FloatArray:
         """(N,) square root of the trace of the orientation covariance, degrees."""
-        return np.degrees(np.sqrt(np.trace(self.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))
+        return rotation_sigma_deg(self.pose_covariance[:, 3:, 3:])
 
     def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
         """(N,) a value of each sample, with little more than itself in memory."""

@@ -9,7 +9,8 @@ from scipy.optimize import nnls
 
 from ..measurements.joint_noise import JointNoise
 from ..recording import JOINTS, FloatArray
-from ..window.problem import Solution, Window
+from ..window.problem import Window
+from ..window.solution import Solution
 
 #: Autocorrelation is followed up to this lag, s, where so many pairs of samples speak.
 LONGEST_LAG_S = 1.5

@@ -15,7 +15,8 @@ import numpy as np
 
 from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
 from ..recording import FloatArray, IntArray
-from ..window.problem import Solution, Window
+from ..window.problem import Window
+from ..window.solution import Solution
 
 #: Offsets of synthetic stamps are estimated so far apart, s; others a window at a time.
 SYNTHETIC_SPACING_S = 0.5

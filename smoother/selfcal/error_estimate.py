@@ -16,7 +16,8 @@ from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
 from ..recording import JOINTS, FloatArray, IntArray
 from ..window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE, STRAP_ERRORS, Considered
-from ..window.problem import Priors, Solution, Window
+from ..window.problem import Priors, Window
+from ..window.solution import Solution
 from .joint_bias import JointBias
 from .pooled_evidence import PooledEvidence
 

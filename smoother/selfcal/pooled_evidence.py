@@ -9,7 +9,8 @@ import numpy as np
 
 from ..recording import FloatArray, IntArray
 from ..window.constant_errors import SIZE
-from ..window.problem import Priors, Solution, Window
+from ..window.problem import Priors, Window
+from ..window.solution import Solution
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,8 @@ from ..window.priors import (
     upper_arm_length_sigma,
     upper_arm_seen,
 )
-from ..window.problem import Priors, Solution, Window
+from ..window.problem import Priors, Window
+from ..window.solution import Solution
 from ..window.trajectory import Trajectory, at_times, merge_windows
 from .camera_noise import joint_noise, sigma_by_joint
 from .clock_fit import refined_clocks

@@ -15,8 +15,9 @@ import numpy as np
 
 from ..linalg import inverse
 from ..recording import FloatArray
-from .problem import Message, Priors
+from .problem import Priors
 from .shared import Gaussian
+from .solution import Message
 
 #: Slow change of the biases over a recording: m/s^2/sqrt(s) and rad/s/sqrt(s).
 SLOW_WALK = np.array([2e-3] * 3 + [5e-5] * 3)

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FloatArray
-from .problem import Solution, States, Window
+from .problem import States, Window
+from .solution import Solution
 
 #: Neighbouring windows are blended over this time on both sides of their border, s.
 BLEND_HALF_S = 0.5

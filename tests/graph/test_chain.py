@@ -10,10 +10,11 @@ import pytest
 from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 from scenes import arm, last_pass
 
-from smoother.graph.build import bias_of_intervals, shared_keys
+from smoother.graph.build import bias_of_intervals
 from smoother.graph.chain import build_arm
 from smoother.graph.error_columns import node_of_variables
 from smoother.graph.linear_system import LinearSystem
+from smoother.graph.shared_prior import shared_keys
 from smoother.graph.solve import solve
 from smoother.recording import JOINTS
 from smoother.window.problem import Window

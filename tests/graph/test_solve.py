@@ -14,11 +14,13 @@ from slow_window import Answer, SlowWindow
 import smoother.graph.solve
 import smoother.window.nodes
 from smoother.errors import SolveError
-from smoother.graph.build import DENSITY_STEP, bias_of_intervals
+from smoother.graph.build import bias_of_intervals
+from smoother.graph.imu_factors import DENSITY_STEP
 from smoother.graph.solve import solve
 from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
-from smoother.window.problem import Solution, Window
+from smoother.window.problem import Window
+from smoother.window.solution import Solution
 
 #: How far the two may be apart, in sigmas: the graph stops at a relative decrease of 1e-4 of its error
 #: (measured 0.016) and turns the covariance of an interval by the interval's own rotation (0.2 rad).

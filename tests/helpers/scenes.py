@@ -19,7 +19,8 @@ from smoother.calibration import ArmCalibration
 from smoother.evaluation import Validation, validate
 from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
-from smoother.window.problem import Solution, Window
+from smoother.window.problem import Window
+from smoother.window.solution import Solution
 
 #: One process: the tests share two cores, and a recording of 30 s is no work.
 ALONE = Config.model_validate({"windows": {"processes": 1}})

@@ -18,6 +18,7 @@ from smoother.io.mcap.container import Container
 from smoother.io.mcap.losses import plain_name
 from smoother.io.mcap.records import CHUNK, HEAD, MAGIC, find
 from smoother.io.mcap.unpack import LIMIT_NAME
+from tools.fault_bytes import places, put
 
 COUNT = 300
 Rows = list[tuple[str, int, bytes]]
@@ -53,20 +54,6 @@ def read(path: Path, data: bytes) -> tuple[Rows, Container]:
     return [(m.topic.name, m.log_ns, bytes(m.data)) for m in container.messages()], container
 
 
-def places(data: bytes, opcode: int) -> list[int]:
-    """Where records of a kind begin at the top level."""
-    found, position = [], len(MAGIC)
-    while position + HEAD.size <= len(data) - len(MAGIC):
-        kind, length = HEAD.unpack_from(data, position)
-        found += [position] * (kind == opcode)
-        position += HEAD.size + length
-    return found
-
-
-def change(data: bytes, at: int, value: bytes) -> bytes:
-    return data[:at] + value + data[at + len(value) :]
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "damaged.mcap"
@@ -77,7 +64,7 @@ def test_a_damaged_first_chunk_costs_that_chunk_alone(path: Path):
     chunks = places(whole, Opcode.CHUNK)
     everything, _ = read(path, whole)
     start = chunks[0] + HEAD.size + CHUNK.size + 4 + 8 + 100
-    rows, container = read(path, change(whole, start, bytes([whole[start] ^ 1])))
+    rows, container = read(path, put(whole, start, bytes([whole[start] ^ 1])))
     lost = [row for row in everything if row not in rows]
     assert 0 < len(lost) < COUNT / (len(chunks) - 2)
     assert rows == everything[len(lost) :]
@@ -92,7 +79,7 @@ def test_a_chunk_is_told_by_what_is_in_it(path: Path, opcode: int):
     whole = written()
     everything, sound = read(path, whole)
     assert not sound.notes
-    rows, container = read(path, change(whole, places(whole, Opcode.CHUNK)[3], bytes([opcode])))
+    rows, container = read(path, put(whole, places(whole, Opcode.CHUNK)[3], bytes([opcode])))
     assert rows == everything
     assert "opcode" in container.notes[0]
 
@@ -102,7 +89,7 @@ def test_a_damaged_length_costs_no_chunk(path: Path, length: int):
     whole = written()
     everything, _ = read(path, whole)
     for place in (len(MAGIC), places(whole, Opcode.CHUNK)[4]):  # the header's, and a chunk's
-        rows, container = read(path, change(whole, place + 1, struct.pack("<Q", length)))
+        rows, container = read(path, put(whole, place + 1, struct.pack("<Q", length)))
         assert rows == everything
         assert container.notes
 
@@ -112,7 +99,7 @@ def test_zeros_in_the_middle_cost_what_they_cover(path: Path, chunked: bool):
     whole = written(chunked=chunked)
     everything, _ = read(path, whole)
     for begin, size in ((3000, 200), (len(whole) // 2, 3000), (0, 2000)):
-        rows, container = read(path, change(whole, begin, bytes(size)))
+        rows, container = read(path, put(whole, begin, bytes(size)))
         assert len(set(rows) - set(everything)) <= (not chunked)  # zeros in a payload, without a checksum
         assert rows[-1] == everything[-1]
         assert len(rows) > COUNT - 120 and len(rows) < COUNT
@@ -124,7 +111,7 @@ def test_zeros_in_the_middle_cost_what_they_cover(path: Path, chunked: bool):
 def test_one_message_outside_chunks_is_damaged(path: Path, opcode: int):
     whole = written(chunked=False)
     everything, _ = read(path, whole)
-    rows, container = read(path, change(whole, places(whole, Opcode.MESSAGE)[100], bytes([opcode])))
+    rows, container = read(path, put(whole, places(whole, Opcode.MESSAGE)[100], bytes([opcode])))
     assert rows == everything[:100] + everything[101:]
     assert "damaged" in container.notes[0] and sum(container.missing.values()) == 1
 
@@ -133,7 +120,7 @@ def test_a_damaged_length_outside_chunks_costs_a_message(path: Path):
     whole = written(chunked=False)
     everything, _ = read(path, whole)
     for length in (23, 500, 2**50):
-        damaged = change(whole, places(whole, Opcode.MESSAGE)[100] + 1, struct.pack("<Q", length))
+        damaged = put(whole, places(whole, Opcode.MESSAGE)[100] + 1, struct.pack("<Q", length))
         rows, container = read(path, damaged)
         assert rows == everything[:100] + everything[101:]
         assert container.notes
@@ -172,7 +159,7 @@ def test_a_damaged_message_in_a_chunk_without_checksum(path: Path):
     start = chunk + HEAD.size + CHUNK.size + 8
     message = start + 5 * (HEAD.size + 22 + 40)
     for value in (struct.pack("<Q", 2**33), bytes(9)):
-        rows, container = read(path, change(whole, message + (len(value) == 8), value))
+        rows, container = read(path, put(whole, message + (len(value) == 8), value))
         assert len(rows) == COUNT - 1 and set(rows) < set(everything)
         assert "passed over" in container.notes[0]
 
@@ -209,7 +196,7 @@ def test_bits_anywhere_are_never_silent(path: Path):
         for _ in range(60):
             at = rng.randrange(len(whole))
             try:
-                rows, container = read(path, change(whole, at, bytes([whole[at] ^ 1 << rng.randrange(8)])))
+                rows, container = read(path, put(whole, at, bytes([whole[at] ^ 1 << rng.randrange(8)])))
             except RecordingError:
                 pytest.fail(f"nothing was read with byte {at} changed")
             assert len(rows) == COUNT or container.notes

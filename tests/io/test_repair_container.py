@@ -12,11 +12,12 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
-from test_damaged_container import COUNT, change, places, read, written
+from test_damaged_container import COUNT, read, written
 
 from smoother.cli.run import run
 from smoother.io import open_recording
 from smoother.io.mcap.repair_container import repair_container
+from tools.fault_bytes import places, put
 
 
 def by_package(data: bytes) -> set[tuple[int, int, bytes]]:
@@ -45,8 +46,8 @@ def test_never_fewer_than_the_package_reads(tmp_path: Path, way: dict[str, bool]
     for number in range(60):
         at = rng.randrange(60, len(whole))
         kind = ("cut", "bit", "zero")[number % 3]
-        broken = {"cut": whole[:at], "bit": change(whole, at, bytes([whole[at] ^ 8]))}.get(kind)
-        broken = broken or change(whole, at, bytes(min(300, len(whole) - at)))
+        broken = {"cut": whole[:at], "bit": put(whole, at, bytes([whole[at] ^ 8]))}.get(kind)
+        broken = broken or put(whole, at, bytes(min(300, len(whole) - at)))
         path.write_bytes(broken)
         expected = by_package(broken) & original  # the package takes a damaged payload for a message
         if not expected and kind == "cut":
@@ -75,7 +76,7 @@ def test_the_command_lists_what_was_lost(tmp_path: Path, capsys: pytest.CaptureF
     whole = written()
     chunk = places(whole, Opcode.CHUNK)[5]
     path, output, figures = (tmp_path / name for name in ("a.mcap", "b.mcap", "c.json"))
-    path.write_bytes(change(whole, chunk, bytes(1000)))
+    path.write_bytes(put(whole, chunk, bytes(1000)))
     assert run(["repair", str(path), "-o", str(output), "--json", str(figures)]) == 0
     lost = json.loads(figures.read_text())
     assert lost["missing"] and lost["losses"] and lost["notes"]

@@ -24,8 +24,9 @@ from smoother.runtime.pool import Pool
 from smoother.runtime.store import Store
 from smoother.selfcal.clock_fit import ClockScore
 from smoother.window.pooling import leave_one_out_priors
-from smoother.window.problem import FieldMeasurements, Message, Priors
+from smoother.window.problem import FieldMeasurements, Priors
 from smoother.window.shared import Gaussian, SharedLayout
+from smoother.window.solution import Message
 
 #: Windows of each section; sections of one window and neighbours of equal count are among them.
 WINDOWS = (2, 1, 3, 3, 2)

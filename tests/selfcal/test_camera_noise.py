@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 from smoother.measurements.joint_noise import JointNoise
 from smoother.recording import JOINTS, FloatArray
 from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, joint_noise, sigma_by_joint
-from smoother.window.problem import JointMeasurements, Solution, Window
+from smoother.window.problem import JointMeasurements, Window
+from smoother.window.solution import Solution
 
 STEP_S = 1 / 30
 

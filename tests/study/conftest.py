@@ -8,8 +8,12 @@ from pathlib import Path
 import pytest
 from studies import BROKEN, NAMES
 
+from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
+from smoother.study.fingerprint import Fingerprint, config_hash
+from smoother.study.job import Job
+from smoother.study.run import study_folder
 
 
 @pytest.fixture(scope="session")
@@ -31,3 +35,13 @@ def recordings(made: Path, tmp_path: Path) -> Path:
     shutil.copytree(made, tmp_path / "in")
     (tmp_path / "in" / BROKEN).write_bytes(b"this is no recording")
     return tmp_path / "in"
+
+
+@pytest.fixture
+def job(made: Path, tmp_path: Path) -> Job:
+    """The first recording's job in a study of its own."""
+    folder = study_folder(tmp_path / "out")
+    word = folder.open()
+    config, choice = Config(), Fingerprint()
+    source, hashed = str(made / NAMES[0]), config_hash(config, choice)
+    return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)

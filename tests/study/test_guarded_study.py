@@ -15,10 +15,8 @@ import pytest
 from pyarrow import parquet
 from studies import BROKEN, NAMES, batch
 
-from smoother.config import Config
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row
-from smoother.study.fingerprint import Fingerprint, config_hash
 from smoother.study.inputs import find_entries
 from smoother.study.job import Job, run_job
 from smoother.study.ledger import Ledger
@@ -26,15 +24,6 @@ from smoother.study.limits import Limits, TimeUp, limited
 from smoother.study.run import study_folder
 
 Capture = pytest.CaptureFixture[str]
-
-
-@pytest.fixture
-def job(made: Path, tmp_path: Path) -> Job:
-    folder = study_folder(tmp_path / "out")
-    word = folder.open()
-    config, choice = Config(), Fingerprint()
-    source, hashed = str(made / NAMES[0]), config_hash(config, choice)
-    return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
 
 
 @pytest.fixture

@@ -26,22 +26,11 @@ from studies import (
     until_stopped,
 )
 
-from smoother.config import Config
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row
-from smoother.study.fingerprint import Fingerprint, config_hash
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger
 from smoother.study.run import study_folder
-
-
-@pytest.fixture
-def job(made: Path, tmp_path: Path) -> Job:
-    folder = study_folder(tmp_path / "out")
-    word = folder.open()
-    config, choice = Config(), Fingerprint()
-    source, hashed = str(made / NAMES[0]), config_hash(config, choice)
-    return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")

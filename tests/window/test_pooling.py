@@ -15,8 +15,9 @@ from smoother.window.pooling import (
     leave_one_out,
     leave_one_out_priors,
 )
-from smoother.window.problem import Message, Priors
+from smoother.window.problem import Priors
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.solution import Message
 
 Draw = Callable[[], FloatArray]
 

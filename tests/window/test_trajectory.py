@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from smoother.measurements.inertial import InertialSignal, integrate
 from smoother.recording import FloatArray
-from smoother.window.problem import Solution, States, Window
+from smoother.window.problem import States, Window
+from smoother.window.solution import Solution
 from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, merge_windows
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.file import read_calibration
 from smoother.errors import UnoccludeError
-from smoother.io.devices.files import FileReader
+from smoother.io.devices.file_reader import FileReader
 from smoother.io.markers.c3d import read_c3d
 from smoother.io.markers.trc import read_trc
 from smoother.io.mcap.container import Container

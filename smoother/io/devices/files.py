@@ -9,21 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import JOINTS, FloatArray, JointState
-from ..mcap.stamps import nanoseconds
-from ..recording.clean import clean_arm, clean_imu
-from ..recording.joint_rows import JointRows
-from ..recording.skeletons import joint_code
+from ...recording import FloatArray, median_rate_hz
 from ..recording.stream_names import named_side, role
 from ..recording.streams import ImuSamples, RecordingFile
-from .head import read_head
+from .file_reader import FileReader
+from .into_recording import add_imu, add_skeleton, times_of
 from .pairing import paired
 from .protocol import DeviceFormat, ImuTable, SkeletonTable
-from .registry import format_named, recognise, unknown_file
 from .repair import repaired_imu, repaired_skeleton
 from .starts import Timed, shifts
-
-Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
 
 
 @dataclass(frozen=True)
@@ -77,69 +71,6 @@ class FileReport:
     count: int = 0
     units: str = ""
     notes: list[str] = field(default_factory=list)
-
-
-class FileReader:
-    """Reads device files, each once.
-
-    Parameters
-    ----------
-    imu_format, skeleton_format : str, optional
-        Keys of importers that overrule what is recognised.
-    """
-
-    def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
-        self._named = {"imu": imu_format, "skeleton": skeleton_format}
-        self._tables: dict[tuple[Path, str], Tables] = {}
-        self._formats: dict[Path, DeviceFormat | None] = {}
-
-    def format_of(self, path: Path, kind: str) -> DeviceFormat:
-        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
-
-        Raises
-        ------
-        RecordingError
-            No importer recognises it, or it is of the other kind.
-        """
-        if (key := self._named.get(kind)) is not None:
-            return format_named(key)
-        importer = self.recognised(path, (kind, "recording") if kind else ())
-        if importer is None:
-            raise unknown_file(read_head(path))
-        if kind and importer.kind not in (kind, "recording"):
-            other = "--skeleton" if importer.kind == "skeleton" else "--imu"
-            raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
-        return importer
-
-    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
-        """The importer of a file, looked for once; those of the kinds first."""
-        known = self._formats.get(path)
-        if known is None or (kinds and known.kind not in kinds):
-            known = self._formats[path] = recognise(read_head(path), kinds)
-        return known
-
-    def read(self, path: Path, importer: DeviceFormat) -> Tables:
-        """All tables of a file.
-
-        Raises
-        ------
-        RecordingError
-            In one sentence: the file, what it was recognised as, and what is wrong with it.
-        """
-        key = (path, importer.key)
-        if key not in self._tables:
-            try:
-                self._tables[key] = importer.read(path)
-            except RecordingError:
-                raise
-            except Exception as error:  # a damaged file fails anywhere, in libraries too
-                raise RecordingError(
-                    f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"
-                    " export or copy it again."
-                ) from error
-            if not self._tables[key]:
-                raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
-        return self._tables[key]
 
 
 def import_files(
@@ -211,7 +142,7 @@ def _skeleton(
     tables = [repaired_skeleton(table, str(path)) for table in tables]
     report = _report(reports, path, importer)
     frames = _all_times(tables)
-    report.count, report.rate_hz, report.units = len(frames), _rate(frames), tables[0].units
+    report.count, report.rate_hz, report.units = len(frames), median_rate_hz(frames), tables[0].units
     report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
     numbers = f"{len(tables)} bodies" if len(tables) > 1 else "1 body"
     report.sentence = _line(path.name, importer.title, report, f"{report.count:,} frames, {numbers}")
@@ -243,7 +174,7 @@ def _sensors(
             raise RecordingError(f"{path} ({importer.title}) holds no IMU; name it with --skeleton alone.")
         tables = [repaired_imu(table, str(path)) for table in tables]
         report = _report(reports, path, importer)
-        report.count, report.rate_hz = len(times_of(tables[0])), _rate(times_of(tables[0]))
+        report.count, report.rate_hz = len(times_of(tables[0])), median_rate_hz(times_of(tables[0]))
         report.units = tables[0].units
         report.notes += [f"{path.name}: {note}" for note in dict.fromkeys(n for t in tables for n in t.notes)]
         names = f"{len(tables)} sensors ({', '.join(t.name for t in tables)}), " if len(tables) > 1 else ""
@@ -289,73 +220,6 @@ def _named(
     return named
 
 
-def add_skeleton(
-    file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
-) -> None:
-    """Put the arms of a file's bodies into a recording; all of them share its frames.
-
-    Parameters
-    ----------
-    file : RecordingFile
-        The recording.
-    tables : list of SkeletonTable
-        Bodies with mended times.
-    source : str
-        The file, for messages.
-    topic : str
-        What to write them to.
-    shift_s : float, s
-        What to add to the times.
-
-    Raises
-    ------
-    RecordingError
-        No joint of a forearm is tracked, or the positions are in no metres.
-    """
-    stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
-    frames = np.unique(np.concatenate(stamps))
-    rows = JointRows()
-    for table, stamp in zip(tables, stamps, strict=True):
-        frame = np.searchsorted(frames, stamp)
-        body = np.full(len(stamp), table.body, np.int64)
-        for name, position in table.position.items():
-            code = joint_code(name)
-            if code is None:
-                continue
-            side, joint = (np.full(len(stamp), value, np.int64) for value in code)
-            state = table.state[name].astype(np.int64)
-            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
-            rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
-    first = tables[0]
-    arms = rows.arms(frames, topic, "camera", first.frame)
-    for arm in arms:
-        if arm.tracked:
-            clean_arm(arm, source)
-    if not any(arm.tracked for arm in arms):
-        raise RecordingError(
-            f"{source}: no elbow, wrist, hand or strap is tracked in any frame ({', '.join(JOINTS)} are"
-            " read); record again with the arm in view."
-        )
-    file.arms += arms
-    if file.camera_frame is None and file.gravity_hint is None:
-        file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
-
-
-def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
-    """Put an IMU with mended times into a recording, if its units can be; as `add_skeleton`."""
-    assert table.acc is not None and table.gyro is not None
-    stamp = nanoseconds(times_of(table) + shift_s, 0)
-    samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
-    clean_imu(samples, source)
-    file.imus.append(samples)
-
-
-def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
-    """Times of a table that was mended."""
-    assert table.t_s is not None
-    return table.t_s
-
-
 def _report(reports: list[FileReport], path: Path, importer: DeviceFormat) -> FileReport:
     report = FileReport(str(path), importer.key, "")
     reports.append(report)
@@ -369,7 +233,3 @@ def _line(name: str, title: str, report: FileReport, count: str, names: str = ""
 
 def _all_times(tables: list[SkeletonTable]) -> FloatArray:
     return np.unique(np.concatenate([times_of(table) for table in tables]))
-
-
-def _rate(t_s: FloatArray) -> float:
-    return float(1 / np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")

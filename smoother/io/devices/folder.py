@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import RecordingError
-from .files import FileReader, ImuFiles
+from .file_reader import FileReader
+from .files import ImuFiles
 from .head import first_rows, read_head
 from .protocol import ImuTable, SkeletonTable
 from .registry import keys, unknown_file

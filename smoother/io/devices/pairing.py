@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...linalg import interpolate
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
-from ...recording import BoolArray, FloatArray
+from ...recording import BoolArray, FloatArray, median_rate_hz
 from .head import amount
 from .imu_checks import turn_notes, with_settled_unit
 from .protocol import ImuTable
@@ -58,8 +58,8 @@ def paired(tables: list[ImuTable], source: str) -> ImuTable:
     mag = next((t for t in tables if t.mag is not None and t.t_s is not None), None)
     notes = [note for table in tables for note in table.notes]
     notes.append(
-        f"The accelerometer ({_rate(acc.t_s):.1f} Hz) was interpolated to the gyroscope's times"
-        f" ({_rate(at):.1f} Hz)."
+        f"The accelerometer ({median_rate_hz(acc.t_s):.1f} Hz) was interpolated to the gyroscope's times"
+        f" ({median_rate_hz(at):.1f} Hz)."
     )
     if not keep.all():
         count = int((~keep).sum())
@@ -111,7 +111,3 @@ def _in_a_pause(t_s: FloatArray, at: FloatArray) -> BoolArray:
 
 def _at(t_s: FloatArray | None, values: FloatArray | None, at: FloatArray) -> FloatArray | None:
     return None if t_s is None or values is None else interpolate(t_s, values, at)
-
-
-def _rate(t_s: FloatArray) -> float:
-    return float(1 / np.median(np.diff(t_s)))

@@ -14,8 +14,8 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import FloatArray, IntArray, JointState, Recording
 from ...runtime.inputs import check_input, inside
-from ..devices.files import add_imu, add_skeleton, times_of
 from ..devices.head import shown
+from ..devices.into_recording import add_imu, add_skeleton, times_of
 from ..devices.pairing import paired
 from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton

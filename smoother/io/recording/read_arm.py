@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 from ...calibration import ArmCalibration
 from ...measurements.remedy import Remedy
 from .read import read_recording, read_recordings
-from .selection import Selection
+from .selection import FileReading
 
 if TYPE_CHECKING:
     from ...recording import Recording
@@ -21,11 +21,8 @@ def read_arm(
     path: str | os.PathLike[str],
     calibration_file: str | os.PathLike[str] | None = None,
     *,
-    store: Store | None = None,
-    truth: bool = True,
     remedy: Remedy | None = None,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> tuple[Recording, ArmCalibration | None]:
     """Read a recording, corrected by what a calibration file knows of its sensors.
 
@@ -37,12 +34,10 @@ def read_arm(
         The recording, MCAP.
     calibration_file : path-like, optional
         TOML; None where everything is to be found.
-    store : Store, optional
-    truth : bool
-        Where samples lie, and whether the reference motion is read: see `read_recording`.
     remedy : Remedy, optional
         Mistakes of the set-up to undo as it is read.
-    swap_sides : bool
+    store : Store, optional
+    truth, swap_sides : bool
         See `read_recording`.
     imu, skeleton, side : str, optional
     body : int, optional
@@ -62,15 +57,10 @@ def read_arm(
         A file cannot be used, or the two do not fit.
     """
     ((recording, calibration),) = _read(
-        path,
         calibration_file,
-        lambda prefer: [
-            read_recording(
-                path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
-            )
-        ],
+        lambda prefer: [read_recording(path, prefer_side=prefer, **reading)],
         remedy or Remedy(),
-        store,
+        reading.get("store"),
     )
     return recording, calibration
 
@@ -79,11 +69,8 @@ def read_arms(
     path: str | os.PathLike[str],
     calibration_file: str | os.PathLike[str] | None = None,
     *,
-    store: Store | None = None,
-    truth: bool = True,
     remedy: Remedy | None = None,
-    swap_sides: bool = False,
-    **selection: Unpack[Selection],
+    **reading: Unpack[FileReading],
 ) -> list[tuple[Recording, ArmCalibration | None]]:
     """Read every arm of a recording that has an IMU, with its calibration; as `read_arm`.
 
@@ -99,18 +86,14 @@ def read_arms(
         See `read_arm`.
     """
     return _read(
-        path,
         calibration_file,
-        lambda prefer: read_recordings(
-            path, prefer_side=prefer, store=store, truth=truth, swap_sides=swap_sides, **selection
-        ),
+        lambda prefer: read_recordings(path, prefer_side=prefer, **reading),
         remedy or Remedy(),
-        store,
+        reading.get("store"),
     )
 
 
 def _read(
-    path: str | os.PathLike[str],
     calibration_file: str | os.PathLike[str] | None,
     read: Callable[[str | None], list[Recording]],
     remedy: Remedy,

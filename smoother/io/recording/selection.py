@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 from .streams import ArmFrames, ImuSamples, PoseSamples
+
+if TYPE_CHECKING:
+    from ...runtime.store import Store
 
 
 class Selection(TypedDict, total=False):
@@ -25,6 +28,24 @@ class Selection(TypedDict, total=False):
     skeleton: str | None
     side: str | None
     body: int | None
+
+
+class FileReading(Selection, total=False):
+    """How a file is read, and what of it: keywords that are handed on to `read_recording`.
+
+    Attributes
+    ----------
+    store : Store, optional
+        Where samples and frames are to lie.
+    truth : bool
+        False passes over the reference motion.
+    swap_sides : bool
+        The skeleton's left arm is the right one, and the other way round.
+    """
+
+    store: Store | None
+    truth: bool
+    swap_sides: bool
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 
@@ -22,9 +22,7 @@ _FLOAT32, _UINT8 = 7, 1  # foxglove.PackedElementField.NumericType
 _STRIDE = 16
 
 
-def bead_clouds(
-    position: FloatArray, occluded: BoolArray, frame_id: str
-) -> Iterator[tuple[IntArray, wire.Template, Callable[[IntArray], dict[str, NDArray]]]]:
+def bead_clouds(position: FloatArray, occluded: BoolArray, frame_id: str) -> Iterator[wire.AlikeRows]:
     """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -26,7 +26,7 @@ _IDENTITY = wire.join(wire.message(1, wire.constants(0, 0, 0)), wire.message(2, 
 
 def drawings(
     position: FloatArray, shade: IntArray, colors: tuple[Color, ...], frame_id: str, entity: str
-) -> Iterator[tuple[IntArray, wire.Template, Callable[[IntArray], dict[str, NDArray]]]]:
+) -> Iterator[wire.AlikeRows]:
     """Rows that are drawn alike, the message that draws them, and its columns.
 
     Parameters

@@ -18,14 +18,11 @@ from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.container import Container
 from ..mcap.losses import plain_name
-from ..mcap.messages import Topic, TopicMessages
+from ..mcap.messages import Topic
 from ..mcap.stamps import seconds
-from ..recording.decode import proto_grouper
 from ..recording.read import RESULT_PREFIX
-from ..recording.skeletons import SkeletonDecoder, joint_code
-from ..wire import protobuf_decode as proto
-from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .metadata import calibration_of, gaps_of
+from .topic_tables import TABLES, CameraTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT
 
 #: What values of a result that somebody else wrote, or that are damaged, end in.
@@ -66,15 +63,15 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     container = Container(path)
 
     def wanted(topic: Topic) -> bool:
-        return topic.name.startswith(RESULT_PREFIX) and _kind(topic) in _TABLES
+        return topic.name.startswith(RESULT_PREFIX) and kind_of(topic) in TABLES
 
-    tables: dict[str, _Table] = {}
+    tables: dict[str, TopicTable] = {}
     try:
         for batch in container.by_topic(wanted):
             for position, messages in batch.items():
                 topic = container.topics[position]
                 if topic.name not in tables:
-                    tables[topic.name] = _TABLES[_kind(topic)](topic)
+                    tables[topic.name] = TABLES[kind_of(topic)](topic)
                 tables[topic.name].feed(messages)
     except BROKEN_RESULT as error:
         raise RecordingError(
@@ -88,7 +85,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     return [_recovery(Path(path), container, tables, name) for name in names]
 
 
-def _recovery(path: Path, container: Container, tables: dict[str, _Table], name: str) -> Recovery:
+def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], name: str) -> Recovery:
     suffix = name.removeprefix(RESULT)
     try:
         values: dict[str, Any] = {key: json.loads(text) for key, text in container.metadata[name].items()}
@@ -138,7 +135,7 @@ def shown(error: BaseException) -> str:
     return f"{type(error).__name__} {plain_name(str(error))}"
 
 
-def _upper(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None) -> UpperMotion | None:
+def _upper(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | None) -> UpperMotion | None:
     """An upper-arm IMU's poses at the samples (n,)."""
     if values is None:
         return None
@@ -151,7 +148,7 @@ def _upper(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None)
     )
 
 
-def _trunk(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None) -> TrunkMotion | None:
+def _trunk(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | None) -> TrunkMotion | None:
     """The thorax's orientation at the samples (n,)."""
     if values is None:
         return None
@@ -166,7 +163,7 @@ def _trunk(stamp: IntArray, table: _Table | None, values: dict[str, Any] | None)
     )
 
 
-def _rows(stamp: IntArray, table: _Table | None) -> tuple[IntArray, dict[str, NDArray]]:
+def _rows(stamp: IntArray, table: TopicTable | None) -> tuple[IntArray, dict[str, NDArray]]:
     """Rows of the samples that have a pose, and the poses."""
     if table is None:
         return np.empty(0, np.int64), {}
@@ -209,21 +206,21 @@ def _unknown(covariance: FloatArray) -> FloatArray:
     return covariance
 
 
-def _arm(table: _Table | None, name: str, origin: int) -> JointTracks:
+def _arm(table: TopicTable | None, name: str, origin: int) -> JointTracks:
     nothing = np.full((0, len(JOINTS), 3), np.nan)
     if table is None:
         return JointTracks(name, np.empty(0), nothing, np.zeros((0, len(JOINTS)), np.int8))
-    assert isinstance(table, _CameraTable)
+    assert isinstance(table, CameraTable)
     return table.tracks(name, origin)
 
 
-def _residuals(table: _Table | None, origin: int) -> FrameResiduals:
+def _residuals(table: TopicTable | None, origin: int) -> FrameResiduals:
     if table is None:
         shape = (0, len(JOINTS))
         return FrameResiduals(
             np.empty(0), np.empty((*shape, 3)), np.zeros(shape, bool), np.zeros(shape, np.uint8)
         )
-    assert isinstance(table, _ResidualTable)
+    assert isinstance(table, ResidualTable)
     values = table.done()
     return FrameResiduals(
         seconds(values["stamp"], origin),
@@ -234,116 +231,5 @@ def _residuals(table: _Table | None, origin: int) -> FrameResiduals:
     )
 
 
-def _get(tables: dict[str, _Table], kind: str, suffix: str) -> _Table:
+def _get(tables: dict[str, TopicTable], kind: str, suffix: str) -> TopicTable:
     return tables[f"{RESULT_PREFIX}{kind}{suffix}"]
-
-
-class _Table:
-    """Columns of one topic, gathered batch by batch in the file's order."""
-
-    def __init__(self, topic: Topic):
-        self.grouper: Grouper = proto_grouper(topic.schema)
-        self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
-        self.fed = 0
-
-    def feed(self, messages: TopicMessages) -> None:
-        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
-            stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
-            self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
-        self.fed += len(messages.start)
-
-    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
-        raise NotImplementedError
-
-    def done(self) -> dict[str, NDArray]:
-        names = {name for _, columns in self.parts for name in columns}
-        # Times within a topic increase; messages of different layouts come one layout after the other.
-        order = np.argsort(np.concatenate([columns["stamp"] for _, columns in self.parts]), kind="stable")
-        return {name: np.concatenate([columns[name] for _, columns in self.parts])[order] for name in names}
-
-
-class _OdometryTable(_Table):
-    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
-        rows = len(block)
-        turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
-        velocity = np.full((rows, 3), np.nan)
-        if "linear_velocity.x" in layout.fields:
-            velocity = layout.vector(block, axes("linear_velocity"))
-        return {
-            "position": layout.vector(block, axes("pose.position")),
-            "quaternion": layout.vector(block, axes("pose.orientation", "wxyz")),
-            "velocity": velocity,
-            "covariance": layout.get(block, "pose_covariance"),
-            "velocity_covariance": layout.get(block, "velocity_covariance"),
-            "turned": np.full(rows, turned),
-        }
-
-
-class _SkeletonTable(_Table):
-    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
-        columns: dict[str, NDArray] = {"occluded": layout.integer(block, "occluded")}
-        for i in range(layout.counts.get("joints", 0)):
-            code = joint_code(layout.texts[f"joints.{i}.name"])
-            if code is None:
-                continue
-            joint = JOINTS[code[1]]
-            columns[joint] = layout.vector(block, axes(f"joints.{i}.position"))
-            columns[f"{joint}_covariance"] = layout.get(block, f"joints.{i}.position_covariance")
-        return columns
-
-
-class _ResidualTable(_Table):
-    def __init__(self, topic: Topic):
-        super().__init__(topic)
-        self.reasons = [""]
-
-    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
-        rows = len(block)
-        residual = np.full((rows, len(JOINTS), 3), np.nan)
-        used = np.zeros((rows, len(JOINTS)), np.int64)
-        reason = np.zeros(len(JOINTS), np.uint8)
-        for i in range(layout.counts.get("joints", 0)):
-            joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
-            residual[:, joint] = layout.vector(block, axes(f"joints.{i}.residual"))
-            used[:, joint] = layout.integer(block, f"joints.{i}.used")
-            reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
-        return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
-
-    def _code(self, sentence: str) -> int:
-        """Number of a sentence, in the order in which they are met."""
-        if sentence not in self.reasons:
-            self.reasons.append(sentence)
-        return self.reasons.index(sentence)
-
-
-class _CameraTable(_Table):
-    def __init__(self, topic: Topic):
-        super().__init__(topic)
-        self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
-
-    def feed(self, messages: TopicMessages) -> None:
-        self.decoder.feed(messages)
-
-    def tracks(self, name: str, origin: int) -> JointTracks:
-        stamp, arms = self.decoder.found()
-        if not arms:
-            nothing = np.full((len(stamp), len(JOINTS), 3), np.nan)
-            return JointTracks(
-                name, seconds(stamp, origin), nothing, np.zeros((len(stamp), len(JOINTS)), np.int8)
-            )
-        return JointTracks(name, seconds(arms[0].stamp_ns, origin), arms[0].position, arms[0].state)
-
-
-_TABLES: dict[str, type[_Table]] = {
-    "forearm": _OdometryTable,
-    "upper_arm": _OdometryTable,
-    "trunk": _OdometryTable,
-    "skeleton": _SkeletonTable,
-    "residuals": _ResidualTable,
-    "camera": _CameraTable,
-}
-
-
-def _kind(topic: Topic) -> str:
-    """What follows the prefix of a result's topics, without the arm."""
-    return topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]

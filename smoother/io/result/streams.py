@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +17,12 @@ from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
-from ..wire.schemas import message_class
 from . import drawing as scene
 from .beads import bead_clouds
+from .gap_messages import gap_messages
+from .odometry import odometry, thorax_poses, upper_arm_poses
+from .residual_messages import ResidualMessages
 from .world import world_transform
-
-Columns = Callable[[IntArray], dict[str, NDArray]]
 
 
 class RecoveryStreams:
@@ -61,8 +61,8 @@ class RecoveryStreams:
         self.world = world_transform(down, frame_id)
         self.body = "forearm_imu" + suffix.replace("/", "_")
         self.camera_joints = joints_there(recovery.arm.state)
-        self.residual_joints = [] if recovery.residuals is None else _present(recovery.residuals)
-        self._residual_templates: dict[tuple[int, ...], wire.Template] = {}  # by reasons
+        residuals = recovery.residuals
+        self.residual_messages = None if residuals is None else ResidualMessages(residuals, frame_id)
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
 
     def axes(self) -> list[TimeAxis]:
@@ -80,9 +80,7 @@ class RecoveryStreams:
         nearest, inside = self._at_frames(samples, part)
         return [
             self._skeleton(part),
-            *self._odometry(part),
-            *self._upper_arm(part),
-            *self._trunk(part),
+            *self._poses(part),
             *self._camera(part),
             *self._residuals(part_residuals),
             *self._drawn(part, nearest, inside),
@@ -101,7 +99,7 @@ class RecoveryStreams:
         template: wire.Template,
         stamp: IntArray,
         rows: IntArray,
-        columns: Columns,
+        columns: wire.Columns,
     ) -> Outgoing:
         """Some rows of stamps (n,) on a topic."""
 
@@ -112,80 +110,16 @@ class RecoveryStreams:
         channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
         return Outgoing(channel, stamp[rows] + self.shift, encode)
 
-    def _upper_arm(self, r: Recovery) -> Iterator[Outgoing]:
-        """An upper-arm IMU's poses, without velocities."""
-        if r.upper is None:
-            return
-        upper = replace(
-            r,
-            position=r.upper.position,
-            quaternion=r.upper.quaternion,
-            pose_covariance=r.upper.pose_covariance,
-            velocity=np.full_like(r.velocity, np.nan),
-        )
-        yield from self._odometry(upper, "upper_arm", self.body.replace("forearm", "upper_arm"))
-
-    def _trunk(self, r: Recovery) -> Iterator[Outgoing]:
-        """The thorax's orientation, drawn at the arm's shoulder."""
-        if r.trunk is None:
-            return
-        known = np.asarray(np.isfinite(r.trunk.quaternion).all(axis=1))
-        covariance = np.zeros((len(r), 6, 6))
-        covariance[:, 3:, 3:] = r.trunk.covariance
-        at = np.nan_to_num(r.joints["shoulder"]) if "shoulder" in r.joints else np.zeros((len(r), 3))
-        thorax = replace(
-            r,
-            position=np.where(known[:, None], at, np.nan),
-            quaternion=r.trunk.quaternion,
-            pose_covariance=covariance,
-            velocity=np.full_like(r.velocity, np.nan),
-        )
-        yield from self._odometry(thorax, "trunk", self.body.replace("forearm_imu", "thorax"))
-
-    def _odometry(self, r: Recovery, topic: str = "forearm", body: str | None = None) -> Iterator[Outgoing]:
-        from scipy.spatial.transform import Rotation
-
+    def _poses(self, r: Recovery) -> Iterator[Outgoing]:
+        """Of the forearm's IMU, and where there are, of the upper arm's and the trunk's."""
+        poses = {"forearm": (r, self.body)}
+        if (upper := upper_arm_poses(r)) is not None:
+            poses["upper_arm"] = upper, self.body.replace("forearm", "upper_arm")
+        if (thorax := thorax_poses(r)) is not None:
+            poses["trunk"] = thorax, self.body.replace("forearm_imu", "thorax")
         stamp = self._stamps(r.t_s)
-        has_position = np.isfinite(r.position).all(axis=1)
-        has_turn = np.isfinite(r.quaternion).all(axis=1)
-        has_velocity = np.isfinite(r.velocity).all(axis=1)
-        head = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
-        for turned in (True, False):
-            for moving in (True, False):
-                mine = has_position & (has_turn == turned) & (has_velocity == moving)
-                if not mine.any():
-                    continue
-                turn = wire.vector(2, "quaternion", (1, 2, 3, 0))
-                if not turned:
-                    turn = wire.message(2, wire.constants(0, 0, 0, 1))
-                parts = [
-                    *head,
-                    wire.text(3, (body or self.body) if turned else self.frame_id),
-                    wire.message(4, wire.vector(1, "position"), turn),
-                ]
-                if moving:
-                    parts.append(wire.vector(5, "velocity"))
-                parts += [wire.packed(7, "covariance", 36), wire.packed(8, "velocity_covariance", 36)]
-
-                def columns(rows: IntArray, turned: bool = turned) -> dict[str, NDArray]:
-                    velocity, spread = r.velocity[rows], r.velocity_covariance[rows]
-                    if turned:
-                        quaternion = r.quaternion[rows]
-                        back = Rotation.from_quat(quaternion, scalar_first=True).inv().as_matrix()
-                        velocity = np.einsum("nij,nj->ni", back, velocity)
-                        spread = back @ spread @ back.transpose(0, 2, 1)
-                    whole = np.zeros((len(rows), 6, 6))
-                    whole[:, :3, :3] = spread
-                    return {
-                        "position": r.position[rows],
-                        "quaternion": r.quaternion[rows],
-                        "velocity": velocity,
-                        "covariance": np.nan_to_num(r.pose_covariance[rows], nan=0.0),
-                        "velocity_covariance": np.nan_to_num(whole, nan=0.0),
-                    }
-
-                rows = np.flatnonzero(mine)
-                template = wire.join(*parts)
+        for topic, (moving, body) in poses.items():
+            for rows, template, columns in odometry(moving, self.frame_id, body):
                 yield self._stream(topic, "foxglove.Odometry", template, stamp, rows, columns)
 
     def _skeleton(self, r: Recovery) -> Outgoing:
@@ -227,29 +161,11 @@ class RecoveryStreams:
         yield Outgoing(stream.channel, stream.time_ns + self.shift, stream.encode)
 
     def _residuals(self, residuals: FrameResiduals | None) -> Iterator[Outgoing]:
-        if residuals is None or not len(residuals):
+        if self.residual_messages is None or residuals is None or not len(residuals):
             return
         stamp = self._stamps(residuals.t_s)
-
-        def columns(rows: IntArray) -> dict[str, NDArray]:
-            flat = residuals.residual[rows].reshape(len(rows), -1)
-            return {"residual": flat, "used": residuals.used[rows].astype(np.int64)}
-
-        for pattern, rows in wire.alike(residuals.reason):
-            if pattern not in self._residual_templates:
-                reasons = [residuals.reasons[code].sentence for code in pattern]
-                self._residual_templates[pattern] = self._residual_template(reasons)
-            template = self._residual_templates[pattern]
+        for rows, template, columns in self.residual_messages.of_batch(residuals):
             yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
-
-    def _residual_template(self, reasons: list[str]) -> wire.Template:
-        """One message: each joint's residual, and why its sample was rejected."""
-        parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
-        for i in self.residual_joints:
-            value = wire.vector(2, "residual", (3 * i, 3 * i + 1, 3 * i + 2))
-            used, why = wire.flag(3, "used", i), wire.text(4, reasons[i])
-            parts.append(wire.message(3, wire.text(1, JOINTS[i]), value, used, why))
-        return wire.join(*parts)
 
     def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
         whole, stamp = self.recovery, self._stamps(r.arm.t_s)
@@ -314,26 +230,9 @@ class RecoveryStreams:
         gaps = r.gaps
         if not gaps:
             return
-        events, lines = [], []
         start = self._stamps(np.array([gap.start_s for gap in gaps]))
         end = self._stamps(np.array([gap.end_s for gap in gaps]))
-        for gap, start_ns, end_ns in zip(gaps, start.tolist(), end.tolist(), strict=True):
-            event = message_class("foxglove.Event")()
-            event.start_time.FromNanoseconds(start_ns)
-            event.end_time.FromNanoseconds(end_ns)
-            values = {"kind": "occluded", "length_s": f"{gap.length_s:.3f}"}
-            values |= {"side": r.side} if r.side else {}
-            values |= {"open": "start"} if gap.open_start else {}
-            values |= {"open": "end"} if gap.open_end else {}
-            for key, value in values.items():
-                event.metadata.add(key=key, value=value)
-            events.append(event.SerializeToString(deterministic=True))
-            line = message_class("foxglove.Log")()
-            line.timestamp.FromNanoseconds(start_ns)
-            line.level = line.WARNING
-            line.message = f"{r.side} forearm occluded for {gap.length_s:.2f} s".lstrip()
-            line.name = "unocclude"
-            lines.append(line.SerializeToString(deterministic=True))
+        events, lines = gap_messages(gaps, start, end, r.side)
         for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
             channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
             yield Outgoing(channel, start + self.shift, data.__getitem__)
@@ -362,12 +261,3 @@ def elbow_flexion(joints: dict[str, FloatArray]) -> FloatArray | None:
     forearm = joints["wrist"] - joints["elbow"]
     across = np.linalg.norm(np.cross(upper, forearm), axis=1)
     return np.arctan2(across, np.einsum("ni,ni->n", upper, forearm))
-
-
-def _present(residuals: FrameResiduals) -> list[int]:
-    """Joints of which there is anything to say."""
-    present = np.zeros(len(JOINTS), bool)
-    for part in residuals.batches():
-        present |= np.isfinite(part.residual).any(axis=(0, 2)) | part.used.any(axis=0)
-        present |= (part.reason != 0).any(axis=0)
-    return np.flatnonzero(present).tolist()

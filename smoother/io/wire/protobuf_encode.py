@@ -8,11 +8,13 @@ fill all samples of a stream together: 0.57 s for the result of 6 minutes, again
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ...recording import IntArray
 
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 #: Widths of padded varints: any 64-bit number, any 32-bit number, a flag or small enum.
@@ -86,6 +88,12 @@ class Template:
             first = HEAD_BYTES + slot.offset
             block[:, first : first + 8 * slot.count] = raw
         return block
+
+
+#: From some rows to their values, a column each.
+Columns = Callable[[IntArray], dict[str, NDArray]]
+#: Rows that are written alike: which, the message that holds each, and its columns.
+AlikeRows = tuple[IntArray, Template, Columns]
 
 
 def alike(codes: NDArray[np.integer]) -> list[tuple[tuple[int, ...], NDArray[np.int64]]]:

@@ -201,7 +201,7 @@ def test_every_real_file_that_holds_raw_data(datasets: Path):
     for path in sorted((datasets / "devices").iterdir()):
         if path.name == "README.md":
             continue
-        from smoother.io.devices.files import FileReader
+        from smoother.io.devices.file_reader import FileReader
         from smoother.io.devices.folder import sort_files
 
         if path.name in refused:

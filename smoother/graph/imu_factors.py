@@ -1,0 +1,89 @@
+"""The preintegrated IMU between the nodes of a window. Preintegration: Forster et al., TRO 2017."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, G, V, X
+
+from ..recording import IntArray
+from ..window.problem import Window
+
+#: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
+#: not become so much stiffer than the rest that the solver calls the rest free.
+INTEGRATION_VARIANCE = 1e-6
+#: IMU noise goes up in steps of this factor, so that intervals share their parameters.
+DENSITY_STEP = 1.25
+
+
+def add_increments(
+    graph: gtsam.NonlinearFactorGraph,
+    window: Window,
+    biases: IntArray,
+    symbols: tuple[Callable[[int], int], ...] = (X, V, B),
+    first_node: int = 0,
+) -> None:
+    """`ImuFactorWithGravityDirection` between neighbours.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    window : Window
+        Its increments, times and noise.
+    biases : ndarray of int, shape (n - 1,)
+        Which bias variable each of the intervals uses.
+    symbols : tuple of callable
+        Letters of pose, velocity and bias.
+    first_node : int
+        Number of the window's first node.
+    """
+    pose, velocity, bias_of = symbols
+    increments = window.increments
+    bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
+    acc = increments.acc + increments.bias[:3]
+    gyro = increments.gyro + increments.bias[3:]
+    first = increments.first
+    levels = _noise_levels(window)
+    params = {level: _parameters(window, *level) for level in set(levels)}
+    for i in range(len(window.t) - 1):
+        pim = gtsam.PreintegratedImuMeasurements(params[levels[i]], bias)
+        for step in range(first[i], first[i + 1]):
+            pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
+            pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
+        a, b = first_node + i, first_node + i + 1
+        states = pose(a), velocity(a), pose(b), velocity(b)
+        graph.add(
+            gtsam.ImuFactorWithGravityDirection(
+                *states, bias_of(biases[i]), G(0), pim, window.gravity_magnitude
+            )
+        )
+
+
+def _noise_levels(window: Window) -> list[tuple[int, int]]:
+    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
+    increments, noise = window.increments, window.noise
+    count = np.diff(increments.first)
+    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - window.gravity_magnitude
+    rate = np.linalg.norm(increments.gyro, axis=1)
+    moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
+    turning = np.add.reduceat(rate, increments.first[:-1]) / count
+    impacts = increments.velocity_error / np.sqrt(np.diff(window.t))
+    acc = np.hypot(
+        np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
+        impacts / noise.accelerometer_density,
+    )
+    gyro = np.hypot(1.0, noise.gyroscope_share / noise.gyroscope_density * turning)
+    level = np.round(np.log(np.stack([acc, gyro], axis=1)) / np.log(DENSITY_STEP)).astype(int)
+    return [(int(a), int(g)) for a, g in level]
+
+
+def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationParams:
+    """Noise of the preintegration at a level."""
+    noise = window.noise
+    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
+    params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
+    params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
+    params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)
+    return params

@@ -1,0 +1,143 @@
+"""The prior on what all windows share: bias, gravity, upper-arm length, lever arms."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from gtsam import Unit3, noiseModel
+from gtsam.symbol_shorthand import B, C, G, L, M, U
+
+from ..recording import JOINTS, FloatArray, IntArray
+from ..window.problem import Window
+from ..window.shared import SharedLayout
+
+
+def add_shared(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, biases: IntArray
+) -> None:
+    """One joint Gaussian prior (`HessianFactor`), a random walk of the biases (`BetweenFactor..`).
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Both are added to.
+    window : Window
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+    """
+    priors, layout, mean = window.priors, window.priors.layout, window.priors.shared.mean
+    bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:6])
+    count = int(biases[-1]) + 1
+    for k in range(count):
+        values.insert(B(k), bias)
+    walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
+    for k in range(count - 1):
+        graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), gtsam.imuBias.ConstantBias(), walk))
+    down = Unit3(layout.down(mean))
+    _insert_constant(values, layout, mean, down)
+    if layout.has_upper_imu:
+        upper_bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2))
+        for k in range(count):
+            values.insert(C(k), upper_bias)
+        for k in range(count - 1):
+            graph.add(gtsam.BetweenFactorConstantBias(C(k), C(k + 1), gtsam.imuBias.ConstantBias(), walk))
+    # the prior's mean is the initial value, so only its information matrix is needed
+    jacobian = shared_jacobian(layout, down)
+    information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
+    keys = shared_keys(window, biases)
+    factor = _gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
+    at = gtsam.Values()
+    at.insert(keys[0], bias)
+    _insert_constant(at, layout, mean, down)
+    if layout.has_upper_imu:
+        at.insert(keys[-1], upper_bias)
+    graph.add(gtsam.LinearContainerFactor(factor, at))
+
+
+def _insert_constant(values: gtsam.Values, layout: SharedLayout, mean: FloatArray, down: Unit3) -> None:
+    """Initial values of what is one variable a window: all but the biases."""
+    values.insert(G(0), down)
+    if layout.has_upper_arm:
+        values.insert(U(0), 0.0)
+    for joint in layout.joints:
+        values.insert(L(JOINTS.index(joint)), mean[layout.lever(joint)])
+    if layout.has_upper_imu:
+        for joint, rows in layout.upper_levers.items():
+            values.insert(M(JOINTS.index(joint)), mean[rows])
+
+
+def shared_keys(window: Window, biases: IntArray) -> list[int]:
+    """Keys of the shared variables in the order of the shared vector; the bias of the window's middle.
+
+    Parameters
+    ----------
+    window : Window
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+
+    Returns
+    -------
+    keys : list of int
+        As many as there are shared quantities.
+    """
+    layout = window.priors.layout
+    keys = [B((int(biases[-1]) + 1) // 2), G(0)]
+    keys += [U(0)] if layout.has_upper_arm else []
+    keys += [L(JOINTS.index(joint)) for joint in layout.joints]
+    if layout.has_upper_imu:
+        keys += [M(JOINTS.index(joint)) for joint in layout.upper_levers]
+        keys += [C((int(biases[-1]) + 1) // 2)]
+    return keys
+
+
+def shared_jacobian(layout: SharedLayout, down: Unit3) -> FloatArray:
+    """Shared vector's change for a change of GTSAM's own coordinates.
+
+    They differ for gravity (its tangent basis, `Unit3.basis`) and for the upper arm: the range factor's
+    error is range + U - length, so the length falls as U grows.
+
+    Parameters
+    ----------
+    layout : SharedLayout
+    down : gtsam.Unit3
+        Gravity's direction in {K}.
+
+    Returns
+    -------
+    jacobian : ndarray, shape (s, s)
+    """
+    jacobian = np.eye(layout.size)
+    jacobian[layout.upper_arm, layout.upper_arm] *= -1.0
+    jacobian[layout.gravity, layout.gravity] = layout.gravity_axes @ down.basis()
+    return jacobian
+
+
+def _blocks(layout: SharedLayout) -> list[slice]:
+    upper_arm = [layout.upper_arm] if layout.has_upper_arm else []
+    levers = [layout.lever(joint) for joint in layout.joints]
+    upper_imu = [*layout.upper_levers.values(), layout.upper_bias] if layout.has_upper_imu else []
+    return [layout.bias, layout.gravity, *upper_arm, *levers, *upper_imu]
+
+
+def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArray) -> gtsam.HessianFactor:
+    """A zero-mean Gaussian over any number of variables, put together from its pairs."""
+    pairs = gtsam.GaussianFactorGraph()
+    for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
+        size = rows.stop - rows.start
+        pairs.add(gtsam.HessianFactor(key, information[rows, rows], np.zeros(size), 0.0))
+        for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
+            width = columns.stop - columns.start
+            pairs.add(
+                gtsam.HessianFactor(
+                    key,
+                    other,
+                    np.zeros((size, size)),
+                    information[rows, columns],
+                    np.zeros(size),
+                    np.zeros((width, width)),
+                    np.zeros(width),
+                    0.0,
+                )
+            )
+    return gtsam.HessianFactor(pairs)

@@ -1,0 +1,75 @@
+"""Device files read by their importers, each file once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...errors import RecordingError
+from .head import read_head
+from .protocol import DeviceFormat, ImuTable, SkeletonTable
+from .registry import format_named, recognise, unknown_file
+
+Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
+
+
+class FileReader:
+    """Reads device files, each once.
+
+    Parameters
+    ----------
+    imu_format, skeleton_format : str, optional
+        Keys of importers that overrule what is recognised.
+    """
+
+    def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
+        self._named = {"imu": imu_format, "skeleton": skeleton_format}
+        self._tables: dict[tuple[Path, str], Tables] = {}
+        self._formats: dict[Path, DeviceFormat | None] = {}
+
+    def format_of(self, path: Path, kind: str) -> DeviceFormat:
+        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
+
+        Raises
+        ------
+        RecordingError
+            No importer recognises it, or it is of the other kind.
+        """
+        if (key := self._named.get(kind)) is not None:
+            return format_named(key)
+        importer = self.recognised(path, (kind, "recording") if kind else ())
+        if importer is None:
+            raise unknown_file(read_head(path))
+        if kind and importer.kind not in (kind, "recording"):
+            other = "--skeleton" if importer.kind == "skeleton" else "--imu"
+            raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
+        return importer
+
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+        """The importer of a file, looked for once; those of the kinds first."""
+        known = self._formats.get(path)
+        if known is None or (kinds and known.kind not in kinds):
+            known = self._formats[path] = recognise(read_head(path), kinds)
+        return known
+
+    def read(self, path: Path, importer: DeviceFormat) -> Tables:
+        """All tables of a file.
+
+        Raises
+        ------
+        RecordingError
+            In one sentence: the file, what it was recognised as, and what is wrong with it.
+        """
+        key = (path, importer.key)
+        if key not in self._tables:
+            try:
+                self._tables[key] = importer.read(path)
+            except RecordingError:
+                raise
+            except Exception as error:  # a damaged file fails anywhere, in libraries too
+                raise RecordingError(
+                    f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"
+                    " export or copy it again."
+                ) from error
+            if not self._tables[key]:
+                raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
+        return self._tables[key]

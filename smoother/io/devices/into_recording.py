@@ -1,0 +1,81 @@
+"""Tables of devices, with mended times, put into a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import JOINTS, FloatArray, JointState
+from ..mcap.stamps import nanoseconds
+from ..recording.clean import clean_arm, clean_imu
+from ..recording.joint_rows import JointRows
+from ..recording.skeletons import joint_code
+from ..recording.streams import ImuSamples, RecordingFile
+from .protocol import ImuTable, SkeletonTable
+
+
+def add_skeleton(
+    file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
+) -> None:
+    """Put the arms of a file's bodies into a recording; all of them share its frames.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        The recording.
+    tables : list of SkeletonTable
+        Bodies with mended times.
+    source : str
+        The file, for messages.
+    topic : str
+        What to write them to.
+    shift_s : float, s
+        What to add to the times.
+
+    Raises
+    ------
+    RecordingError
+        No joint of a forearm is tracked, or the positions are in no metres.
+    """
+    stamps = [nanoseconds(times_of(table) + shift_s, 0) for table in tables]
+    frames = np.unique(np.concatenate(stamps))
+    rows = JointRows()
+    for table, stamp in zip(tables, stamps, strict=True):
+        frame = np.searchsorted(frames, stamp)
+        body = np.full(len(stamp), table.body, np.int64)
+        for name, position in table.position.items():
+            code = joint_code(name)
+            if code is None:
+                continue
+            side, joint = (np.full(len(stamp), value, np.int64) for value in code)
+            state = table.state[name].astype(np.int64)
+            state[~np.isfinite(position).all(axis=1)] = JointState.NOT_TRACKED
+            rows.add_joints(frame, body, side, joint, state, np.array(position, dtype=float))
+    first = tables[0]
+    arms = rows.arms(frames, topic, "camera", first.frame)
+    for arm in arms:
+        if arm.tracked:
+            clean_arm(arm, source)
+    if not any(arm.tracked for arm in arms):
+        raise RecordingError(
+            f"{source}: no elbow, wrist, hand or strap is tracked in any frame ({', '.join(JOINTS)} are"
+            " read); record again with the arm in view."
+        )
+    file.arms += arms
+    if file.camera_frame is None and file.gravity_hint is None:
+        file.camera_frame, file.gravity_hint = first.frame, first.gravity_hint
+
+
+def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift_s: float) -> None:
+    """Put an IMU with mended times into a recording, if its units can be; as `add_skeleton`."""
+    assert table.acc is not None and table.gyro is not None
+    stamp = nanoseconds(times_of(table) + shift_s, 0)
+    samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
+    clean_imu(samples, source)
+    file.imus.append(samples)
+
+
+def times_of(table: ImuTable | SkeletonTable) -> FloatArray:
+    """Times of a table that was mended."""
+    assert table.t_s is not None
+    return table.t_s

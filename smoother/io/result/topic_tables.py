@@ -1,0 +1,148 @@
+"""The topics of a result as columns, gathered batch by batch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import JOINTS, IntArray, JointTracks
+from ..mcap.messages import Topic, TopicMessages
+from ..mcap.stamps import seconds
+from ..recording.decode import proto_grouper
+from ..recording.read import RESULT_PREFIX
+from ..recording.skeletons import SkeletonDecoder, joint_code
+from ..wire import protobuf_decode as proto
+from ..wire.layout import Block, Grouper, MessageLayout, axes
+
+
+class TopicTable:
+    """Columns of one topic, gathered batch by batch in the file's order.
+
+    Parameters
+    ----------
+    topic : Topic
+        With the schema that its messages are decoded by.
+    """
+
+    def __init__(self, topic: Topic):
+        self.grouper: Grouper = proto_grouper(topic.schema)
+        self.parts: list[tuple[IntArray, dict[str, NDArray]]] = []
+        self.fed = 0
+
+    def feed(self, messages: TopicMessages) -> None:
+        """Decode some messages."""
+        for index, block, layout in self.grouper.groups_in(messages.chunk, messages.start, messages.stop):
+            stamp = proto.stamps(block, layout, np.zeros(len(index), np.int64))
+            self.parts.append((index + self.fed, {"stamp": stamp, **self.columns(block, layout)}))
+        self.fed += len(messages.start)
+
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
+        """Columns of messages of one layout, besides their stamps."""
+        raise NotImplementedError
+
+    def done(self) -> dict[str, NDArray]:
+        """All columns, in order of time."""
+        names = {name for _, columns in self.parts for name in columns}
+        # Times within a topic increase; messages of different layouts come one layout after the other.
+        order = np.argsort(np.concatenate([columns["stamp"] for _, columns in self.parts]), kind="stable")
+        return {name: np.concatenate([columns[name] for _, columns in self.parts])[order] for name in names}
+
+
+class OdometryTable(TopicTable):
+    """Poses and velocities of an IMU."""
+
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
+        """Columns; `turned` is False where a message has no orientation."""
+        rows = len(block)
+        turned = layout.texts.get("frame_id") != layout.texts.get("body_frame_id")
+        velocity = np.full((rows, 3), np.nan)
+        if "linear_velocity.x" in layout.fields:
+            velocity = layout.vector(block, axes("linear_velocity"))
+        return {
+            "position": layout.vector(block, axes("pose.position")),
+            "quaternion": layout.vector(block, axes("pose.orientation", "wxyz")),
+            "velocity": velocity,
+            "covariance": layout.get(block, "pose_covariance"),
+            "velocity_covariance": layout.get(block, "velocity_covariance"),
+            "turned": np.full(rows, turned),
+        }
+
+
+class JointsTable(TopicTable):
+    """Recovered joints with their covariance."""
+
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
+        """Columns by joint, and `JOINT_covariance`."""
+        columns: dict[str, NDArray] = {"occluded": layout.integer(block, "occluded")}
+        for i in range(layout.counts.get("joints", 0)):
+            code = joint_code(layout.texts[f"joints.{i}.name"])
+            if code is None:
+                continue
+            joint = JOINTS[code[1]]
+            columns[joint] = layout.vector(block, axes(f"joints.{i}.position"))
+            columns[f"{joint}_covariance"] = layout.get(block, f"joints.{i}.position_covariance")
+        return columns
+
+
+class ResidualTable(TopicTable):
+    """Residuals of the camera's joints, and the sentences that their reasons number."""
+
+    def __init__(self, topic: Topic):
+        super().__init__(topic)
+        self.reasons = [""]
+
+    def columns(self, block: Block, layout: MessageLayout) -> dict[str, NDArray]:
+        """Columns; `reason` is an index into `reasons`."""
+        rows = len(block)
+        residual = np.full((rows, len(JOINTS), 3), np.nan)
+        used = np.zeros((rows, len(JOINTS)), np.int64)
+        reason = np.zeros(len(JOINTS), np.uint8)
+        for i in range(layout.counts.get("joints", 0)):
+            joint = JOINTS.index(layout.texts[f"joints.{i}.name"])
+            residual[:, joint] = layout.vector(block, axes(f"joints.{i}.residual"))
+            used[:, joint] = layout.integer(block, f"joints.{i}.used")
+            reason[joint] = self._code(layout.texts.get(f"joints.{i}.reason", ""))
+        return {"residual": residual, "used": used, "reason": np.tile(reason, (rows, 1))}
+
+    def _code(self, sentence: str) -> int:
+        """Number of a sentence, in the order in which they are met."""
+        if sentence not in self.reasons:
+            self.reasons.append(sentence)
+        return self.reasons.index(sentence)
+
+
+class CameraTable(TopicTable):
+    """The camera's joints on the IMU's clock."""
+
+    def __init__(self, topic: Topic):
+        super().__init__(topic)
+        self.decoder = SkeletonDecoder(topic, proto_grouper(topic.schema))
+
+    def feed(self, messages: TopicMessages) -> None:
+        """Decode some messages."""
+        self.decoder.feed(messages)
+
+    def tracks(self, name: str, origin: int) -> JointTracks:
+        """The joints of the one arm; `origin` in ns."""
+        stamp, arms = self.decoder.found()
+        if not arms:
+            nothing = np.full((len(stamp), len(JOINTS), 3), np.nan)
+            return JointTracks(
+                name, seconds(stamp, origin), nothing, np.zeros((len(stamp), len(JOINTS)), np.int8)
+            )
+        return JointTracks(name, seconds(arms[0].stamp_ns, origin), arms[0].position, arms[0].state)
+
+
+TABLES: dict[str, type[TopicTable]] = {
+    "forearm": OdometryTable,
+    "upper_arm": OdometryTable,
+    "trunk": OdometryTable,
+    "skeleton": JointsTable,
+    "residuals": ResidualTable,
+    "camera": CameraTable,
+}
+
+
+def kind_of(topic: Topic) -> str:
+    """What follows the prefix of a result's topics, without the arm."""
+    return topic.name.removeprefix(RESULT_PREFIX).partition("/")[0]
