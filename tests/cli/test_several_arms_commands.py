@@ -89,6 +89,28 @@ def test_export_writes_a_file_an_arm(folder: Path, capsys: pytest.CaptureFixture
     assert "--body 4" in said and "left arm, right arm" in said
 
 
+def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(folder / "both.mcap"), "--json", str(folder / "i.json")]) == 0
+    said = capsys.readouterr().out
+    assert "cannot be recovered" not in said and "ready for `unocclude smooth`" in said
+    assert "left arm: taken" in said and "right arm: allows gaps up to" in said
+    about = figures(folder / "i.json")
+    assert [(arm["side"], arm["imu"]) for arm in about["arms"]] == [
+        ("left", "/imu/forearm_left"),
+        ("right", "/imu/forearm_right"),
+    ]
+    assert about["side"] == "left" and about["ready"] is True and "smooth" not in about["missing"]
+    assert run(["info", str(folder / "both.mcap"), "--side", "right"]) == 0
+    assert "right arm: taken" not in (said := capsys.readouterr().out) and "right arm of /skeleton" in said
+    check = ["check", str(folder / "both.mcap"), "--json", str(folder / "ch.json"), "--processes", "1"]
+    assert run(check) == 0
+    said = capsys.readouterr().out
+    assert "--- left arm ---" in said and "--- right arm ---" in said
+    checked = figures(folder / "ch.json")
+    assert [arm["side"] for arm in checked["arms"]] == ["left", "right"] and checked["trusted"] is True
+    assert all(arm["allows"]["longest_gap_s"] != 0 for arm in checked["arms"])
+
+
 def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["gaps", str(folder / "both.mcap"), "--lengths", "0.5", "--gaps-per-run", "1"]
     arguments += ["--methods", "pchip", "--calibration", str(folder / "cal.toml")]
