@@ -51,10 +51,11 @@ def test_smooth_recovers_both(folder: Path) -> None:
 def test_one_page_has_both_arms(folder: Path) -> None:
     page = (folder / "r.html").read_text()
     assert page.count('<section id="arm-') == 2 and 'href="#arm-left"' in page
-    ids = re.findall(r'<div id="(figure-[^"]+)"', page)
+    ids = re.findall(r'<div class="plot" id="(figure-[^"]+)"', page)
     assert len(ids) == len(set(ids)) and {i.rpartition("-")[2] for i in ids} == {"left", "right"}
-    for one in ids:  # each is drawn
-        assert f'"{one}"' in page.split("Plotly.newPlot(", 1)[1]
+    for one in ids:  # each has its curves beside it
+        after = page.split(f'id="{one}"', 1)[1].partition(">")[2]
+        assert after.startswith('</div><script type="application/json">{"data":[{')
     assert "Left arm: The recording lasts" in page and "Right arm: The recording lasts" in page
 
 
@@ -128,7 +129,7 @@ def test_compare_takes_every_arm(folder: Path, capsys: pytest.CaptureFixture[str
     made = figures(folder / "c.json")
     assert [arm["side"] for arm in made["arms"]] == ["left", "right"]
     page = (folder / "c.html").read_text()
-    ids = re.findall(r'<div id="(figure-[^"]+)"', page)
+    ids = re.findall(r'<div class="plot" id="(figure-[^"]+)"', page)
     assert ids and len(ids) == len(set(ids)) and "<h1>Left arm</h1>" in page
 
 
