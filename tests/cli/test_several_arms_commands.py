@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from smoother.cli.run import run
-from smoother.io import open_recording, read_recovery, write_recording
+from smoother.errors import RecordingError
+from smoother.io import open_recording, read_recording, read_recovery, write_recording
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +104,8 @@ def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFi
     assert about["side"] == "left" and about["ready"] is True and "smooth" not in about["missing"]
     assert run(["info", str(folder / "both.mcap"), "--side", "right"]) == 0
     assert "right arm: taken" not in (said := capsys.readouterr().out) and "right arm of /skeleton" in said
+    with pytest.raises(RecordingError, match=r"one arm is wanted here; choose with --side\.$"):
+        read_recording(folder / "both.mcap")
     check = ["check", str(folder / "both.mcap"), "--json", str(folder / "ch.json"), "--processes", "1"]
     assert run(check) == 0
     said = capsys.readouterr().out
