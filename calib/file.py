@@ -228,41 +228,11 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
     """
     path = Path(path)
     text = ""
-    if path.exists():
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    if path.exists() and path.stat().st_size:
         read_calibration(path)
         text = path.read_text(encoding="utf-8")
-    text = calibration_text(calibration, text, path)
-    try:
-        with writing(path, force=True) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
-    except UnoccludeError as error:
-        raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
-
-
-def calibration_text(calibration: CalibrationFile, text: str = "", path: Path | None = None) -> str:
-    """A calibration as the text of a file, merged into another's text as `write_calibration` does.
-
-    Parameters
-    ----------
-    calibration : CalibrationFile
-        What to write.
-    text : str
-        Of the file so far; "" for a new one.
-    path : Path, optional
-        The file, for messages.
-
-    Returns
-    -------
-    str
-        TOML.
-
-    Raises
-    ------
-    CalibrationError
-        A value is wrong.
-    """
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, **tomllib.loads(text)}
-    path = path or Path("to write")
+        document |= tomllib.loads(text)
     for name in {"format", "version", "arm"} & set(calibration.tables):
         raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
     sections = {side: _to_section(arm) for side, arm in calibration.arms.items()}
@@ -272,7 +242,12 @@ def calibration_text(calibration: CalibrationFile, text: str = "", path: Path | 
         _check(section, f"arm.{side}", path)
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
-    return to_toml(document, text)
+    text = to_toml(document, text)
+    try:
+        with writing(path, force=True) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    except UnoccludeError as error:
+        raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
 
 
 def _merged(held: Any, new: Any, depth: int) -> Any:

@@ -54,7 +54,7 @@ def test_a_wheel_holds_every_module_once(wheel: Path) -> None:
         "unocclude",
     }
     assert (wheel / "unocclude" / "py.typed").exists() and (
-        wheel / "smoother" / "report" / "page.html"
+        wheel / "smoother" / "report" / "web" / "page.html"
     ).exists()
 
 

@@ -33,14 +33,13 @@ SAID: dict[str, tuple[str, str]] = {
     "skeleton_of_another_recording": ("seems to be of the other arm or of another recording", ""),
     "sensor_on_the_upper_arm": ("the IMU seems to sit on the upper arm", ""),
     "imu_at_10_hz": ("the IMU has 10 samples a second", ""),
-    "imu_zero_for_a_second": ("the IMU sends zeros", ""),
     "radians_called_degrees": ("the gyroscope's rates seem 57 times too small", ""),
     "metres_called_millimetres": ("the camera's positions seem 1000 times too small", ""),
     "wrong_camera_frame": ("the camera's axes seem to be kinect", "--camera-frame kinect"),
     "calibration_of_another_mounting": ("the calibration seems to be of another person or mounting", ""),
 }
 #: Right all the same: replaced, rejected or found; a refusal is as good.
-HARMLESS = {"clocks_apart", "one_wild_gyroscope_sample", "frames_far_away"}
+HARMLESS = {"clocks_apart", "imu_zero_for_a_second", "one_wild_gyroscope_sample", "frames_far_away"}
 #: Slower errors, which need the whole of a recording: never wrong and trusted, and no more is asked here.
 GRADUAL = {
     "hand_given_as_wrist",

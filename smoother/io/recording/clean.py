@@ -17,10 +17,10 @@ from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
 #: A stream that loses more of its samples than this is refused.
 _LIMIT = 0.05
-#: No camera sees a person nearer, m.
-_NEAREST_M = 0.02
+#: A sensor that sends zeros, or the same over and over, for a larger share of the time was not recorded.
+_MOST_PAUSED = 0.5
 #: Elbow and wrist are farther apart than this, m an axis.
-_ONE_POINT_M = 1e-3
+_ONE_POINT_M = 1e-5
 _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 #: No depth camera sees a person farther away, m an axis.
 _FARTHEST_M = 20.0
@@ -142,12 +142,6 @@ def _drop_points(position: FloatArray, state: NDArray[np.int8], label: str, sour
     if not same.any():
         return []
     if same.sum() > _LIMIT * claimed.sum():
-        away_m = float(np.median(np.abs(position[same][:, _WRIST]).max(axis=1)))
-        if 0.0 < away_m < _NEAREST_M:
-            raise RecordingError(
-                f"{source}: the camera's positions seem 1000 times too small, the wrist of {label} is"
-                f" {1000 * away_m:.1f} mm from the camera; import them again in their unit (position_unit)."
-            )
         raise RecordingError(
             f"{source}: elbow and wrist of {label} coincide in {same.sum()} of {claimed.sum()} frames,"
             " which is too many to drop; check the body tracking."
@@ -249,11 +243,14 @@ def _keep(
             causes.append(f"{count} {cause}")
     if stamps := int((measured & ~keep).sum()):
         causes.append(f"{stamps} with repeated or backward stamps")
-    if dropped > _LIMIT * total:
-        zeros = int(unusable[ZERO].sum()) if ZERO in unusable else 0
-        cause = "the IMU sends zeros: " if 2 * zeros > dropped else ""
+    # a sensor that sent nothing for a while paused; what is around it counts
+    paused = np.zeros(total, bool)
+    for cause in (FROZEN, ZERO):
+        paused |= unusable.get(cause, paused)
+    pauses = int(paused.sum())
+    if dropped - pauses > _LIMIT * (total - pauses) or pauses > _MOST_PAUSED * total:
         raise RecordingError(
-            f"{source}: {cause}{dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
+            f"{source}: {dropped} of {total} {what} of {topic} cannot be used ({', '.join(causes)}), "
             "which is too many to drop; check the recorder."
         )
     return keep, [f"{topic}: {dropped} of {total} {what} dropped ({', '.join(causes)})."]
