@@ -242,6 +242,8 @@ class Recording:
         The camera's number of the person, where several are told apart.
     trunk : TrunkSensors, optional
         An IMU on the same person's trunk.
+    undone : tuple of str
+        Mistakes of the set-up that were undone in it, as options: "--mirror x".
     """
 
     imu: ImuStream
@@ -258,6 +260,7 @@ class Recording:
     upper_imu: ImuStream | None = None
     body: int | None = None
     trunk: TrunkSensors | None = None
+    undone: tuple[str, ...] = ()
 
     @property
     def arm_label(self) -> str:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 FORMATS = ("csv", "trc", "mot", "c3d", "parquet", "osim", "rrd")
 ORIGINS = ("camera", "shoulder")
 FRAMES = ("camera", "opensim")
+#: Endings of files that are none of these.
+NO_FORMATS = ("mcap", "html", "json", "toml", "xlsx", "mat")
 
 
 def export(
@@ -73,6 +75,7 @@ def export(
     arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
     _check(format_name, frame, rate, origin)
+    _check_ending(output, format_name)
     recoveries = load_recoveries(result, one_side(side), body)
     together = format_name == "rrd"
     files = [output] if together else output_names(output, recoveries)
@@ -86,7 +89,8 @@ def export(
     figures = []
     for recovery, path, ready in zip(recoveries, files, exports, strict=False):
         ready.write(path, force)
-        say(f"written: {path} ({ready.rows} rows)")
+        rows = "" if format_name == "osim" else f" ({ready.rows} row{'s' if ready.rows != 1 else ''})"
+        say(f"written: {path}{rows}")
         figures.append(
             {
                 "file": str(path),
@@ -118,6 +122,15 @@ def output_names(output: Path, recoveries: list[Recovery]) -> list[Path]:
         mark = f"{side}{again + 1}" if again else side
         names.append(output.with_name(f"{output.stem}_{mark}{output.suffix}"))
     return names
+
+
+def _check_ending(output: Path, format_name: str) -> None:
+    """Refuse a name whose ending says another format."""
+    ending = output.suffix.lower().removeprefix(".")
+    if ending != format_name and ending in (*FORMATS, *NO_FORMATS):
+        other = f", or --format {ending}" if ending in FORMATS else ""
+        name = output.with_suffix(f".{format_name}")
+        raise typer.BadParameter(f"{output}: what is written is {format_name}; name it {name}{other}")
 
 
 def _check(format_name: str, frame: str | None, rate: float | None, origin: str | None) -> None:

@@ -47,18 +47,21 @@ def print_arm(about: RecordingInfo) -> None:
     rows: list[tuple[str, object]] = [("IMU found", text) for text in about.imus]
     rows += [("skeleton found", text) for text in about.skeletons]
     rows += [("truth found", text) for text in about.poses]
-    if about.imu:
+    for arm in about.arms:
+        of = f"{arm.label}: " if len(about.arms) > 1 else ""
+        body = "" if arm.body is None else f" (body {arm.body})"
         rows += [
-            ("taken", f"{about.imu}, {about.side or 'no side'} arm of {about.skeleton}"),
-            *([("on the upper arm", about.upper_imu)] if about.upper_imu else []),
-            *([("on the trunk", about.trunk_imu)] if about.trunk_imu else []),
-            ("joints", ", ".join(about.joints) or "none tracked"),
-            ("camera frame", about.camera_frame or "not stated"),
-            ("both recorded, s", about.duration_s),
-            ("gaps", about.gaps),
-            ("occluded, s", about.gap_total_s),
-            ("longest gap, s", about.gap_longest_s),
+            (f"{of}taken", f"{arm.imu}, {arm.side or 'no side'} arm of {arm.skeleton}{body}"),
+            *([(f"{of}on the upper arm", arm.upper_imu)] if arm.upper_imu else []),
+            *([(f"{of}on the trunk", arm.trunk_imu)] if arm.trunk_imu else []),
+            (f"{of}joints", ", ".join(arm.joints) or "none tracked"),
+            (f"{of}both recorded, s", arm.duration_s),
+            (f"{of}gaps", arm.gaps),
+            (f"{of}occluded, s", arm.gap_total_s),
+            (f"{of}longest gap, s", arm.gap_longest_s),
         ]
+    if about.arms:
+        rows.append(("camera frame", about.camera_frame or "not stated"))
     for topic, clock in about.clocks.items():
         behind = clock.get("log_time_behind_s")
         lag = "" if behind is None else f", logged {1000 * behind:.1f} ms later"
@@ -72,11 +75,12 @@ def print_missing(about: RecordingInfo) -> None:
         say(f"cannot be recovered: {about.missing['smooth']}")
     elif about.result:
         say("holds a result: validate and export read it")
-    elif about.ready:
-        say(about.allows)
-        say("ready for `unocclude smooth`")
     else:
-        say(f"not ready for `unocclude smooth`: it {about.allows}")
+        for arm in about.arms:
+            of = f"{arm.label}: " if len(about.arms) > 1 else ""
+            say(of + (arm.allows if arm.ready else f"not ready for `unocclude smooth`: it {arm.allows}"))
+        if about.ready:
+            say("ready for `unocclude smooth`")
     for step, reason in about.missing.items():
         if step != "smooth":
             say(f"{step}: {reason}")

@@ -41,9 +41,26 @@ Side = Annotated[str | None, typer.Option("--side", metavar="left|right", help="
 Body = Annotated[
     int | None, typer.Option("--body", metavar="N", help="The person, where the camera saw several.")
 ]
+#: Endings of what a report is not.
+_NO_PAGE = {".pdf", ".doc", ".docx", ".odt", ".png", ".json", ".csv", ".toml", ".txt", ".md"}
+
+
+def _page(path: Path | None) -> Path | None:
+    """Refuse a report whose ending says that it is no page, before any work is done for it."""
+    if path is not None and path.suffix.lower() in _NO_PAGE:
+        name = path.with_suffix(".html")
+        raise typer.BadParameter(f"a report is an HTML page; name it {name} (a browser prints it to PDF)")
+    return path
+
+
 Report = Annotated[
     Path | None,
-    typer.Option("--report", metavar="OUT.html", help="Also write a report, one page that opens anywhere."),
+    typer.Option(
+        "--report",
+        metavar="OUT.html",
+        help="Also write a report, one page that opens anywhere.",
+        callback=_page,
+    ),
 ]
 Processes = Annotated[
     int | None, typer.Option("--processes", metavar="N", min=0, help="Worker processes; 0 = one a core.")

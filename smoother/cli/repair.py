@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import Force, Json
-from .output import check_outputs, print_notes, print_table, say, say_written, write_json
+from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
     from ..io.mcap.repair_container import RepairReport
@@ -30,6 +30,7 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
     """
     from ..io.mcap.repair_container import repair_container
 
+    check_mcap(output)
     check_outputs(force, [output, json_file], [broken_file])
     report = repair_container(broken_file, output, force)
     print_losses(report)

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from .option_groups import with_signature
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, print_table, say_written, write_json
+from .output import check_mcap, check_outputs, print_table, say_written, write_json
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -115,6 +115,7 @@ def arm(
         raise typer.BadParameter("--mocap captures one arm; leave out --arms both")
     files = MocapFiles.beside(output, calibration_out) if mocap else None
     calibration_out = files.calibration if files else calibration_out
+    check_mcap(output)
     outputs = [output, calibration_out, *(files.markers if files else ()), json_file]
     check_outputs(force, outputs)
     both = simulate_both_arms(config, seed) if arms == "both" else (simulate_arm(config, seed),)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from .options import Force, Json, Output, Seed
-from .output import check_outputs, print_table, say_written, write_json
+from .output import check_mcap, check_outputs, print_table, say_written, write_json
 from .simulate import PresetName, preset_names
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def people(
         usual = {"protocol": "random", "duration_s": 20.0}
         parsed = {name: parsed_setting(name, value) for name, value in changes.items()}
         config = ArmSimulation.preset(preset, **(usual | parsed))
+        check_mcap(output)
         check_outputs(force, [output, json_file])
         simulated = simulate_people(crowd, config, seed)
     except ValidationError as error:

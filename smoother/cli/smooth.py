@@ -200,7 +200,8 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
             say(f"sign: {sign}")
     say(
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
-        f" {len(rows)} gaps, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
+        f" {len(rows)} {'gap' if len(rows) == 1 else 'gaps'},"
+        f" {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
     if rows:
         columns = (

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Unpack
 
 from ..errors import RecordingError
-from ..measurements.allowance import allowance
-from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import Recording
-from .recording.read import METADATA, open_recording, select_recording
+from .arm_info import ArmInfo, describe_arm, finite
+from .recording.read import METADATA, open_recording
+from .recording.select import select_recordings
 from .recording.selection import Selection
 from .recording.stream_names import named_side, role
 from .recording.streams import RecordingFile
@@ -57,8 +56,10 @@ class RecordingInfo:
         All topics.
     imus, skeletons, poses : list of str
         Streams found, as sentences a line each.
+    arms : list of ArmInfo
+        The arms that would be recovered; empty where that is not settled.
     imu, skeleton, side : str
-        What would be taken; empty where that is not settled.
+        What would be taken for the first of them, as all that follows; empty where that is not settled.
     upper_imu : str
         The one on the same upper arm that would take part; empty without one.
     trunk_imu : str
@@ -84,7 +85,7 @@ class RecordingInfo:
     allows : str
         What the recording allows, in a line; empty where it cannot be recovered.
     ready : bool
-        It can be recovered, and nothing says that no answer could be trusted.
+        All arms can be recovered, and nothing says that no answer could be trusted.
     result : bool
         The file holds a recovery already.
     notes : list of str
@@ -117,6 +118,7 @@ class RecordingInfo:
     upper_imu: str = ""
     trunk_imu: str = ""
     notes: list[str] = field(default_factory=list)
+    arms: list[ArmInfo] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON."""
@@ -127,7 +129,7 @@ def describe(
     path: str | os.PathLike[str],
     **selection: Unpack[Selection],
 ) -> RecordingInfo:
-    """Describe an MCAP file; options as in `read_recording`.
+    """Describe an MCAP file; options as in `read_recordings`.
 
     A file that cannot be smoothed is described all the same: what is wrong stands under
     `missing["smooth"]`.
@@ -138,7 +140,7 @@ def describe(
         The file.
     imu, skeleton, side : str, optional
     body : int, optional
-        As in `read_recording`.
+        As in `read_recordings`.
 
     Returns
     -------
@@ -155,9 +157,7 @@ def describe(
         path=str(file.path),
         size_bytes=Path(path).stat().st_size,
         topics=[
-            TopicRow(
-                topic.name, topic.schema, topic.count, _finite(topic.rate_hz), round(topic.duration_s, 3)
-            )
+            TopicRow(topic.name, topic.schema, topic.count, finite(topic.rate_hz), round(topic.duration_s, 3))
             for topic in file.topics
         ],
         imus=[
@@ -174,45 +174,41 @@ def describe(
         clocks=_clocks(file),
         notes=list(file.notes),
     )
-    recording = None
+    recordings: list[Recording] = []
     try:
-        recording = select_recording(file, **selection)
+        recordings = select_recordings(file, **selection)
     except RecordingError as error:
         info.missing["smooth"] = str(error)
-    if recording is not None:
-        _take(info, recording)
-        info.missing |= _missing(recording)
-        allowed = allowance(recording)
-        info.allows, info.ready = allowed.sentence, allowed.ready
-    info.optional = _optional(file, recording)
+    if recordings:
+        _take(info, recordings)
+    info.optional = _optional(file, recordings[0] if recordings else None)
     info.result = any(RESULT in name for name in file.metadata)
     return info
 
 
-def _take(info: RecordingInfo, recording: Recording) -> None:
-    arm, imu = recording.arm, recording.imu
-    info.imu, info.skeleton, info.side = imu.name, arm.name, recording.side
-    info.upper_imu = "" if recording.upper_imu is None else recording.upper_imu.name
-    info.trunk_imu = "" if recording.trunk is None else recording.trunk.imu.name
-    info.joints = list(arm.present)
-    info.imu_rate_hz, info.camera_rate_hz = _finite(imu.rate_hz), _finite(arm.rate_hz)
-    info.camera_frame = None if recording.camera_frame is None else str(recording.camera_frame)
-    info.notes = list(recording.notes)
-    start, end = max(imu.t_s[0], arm.t_s[0]), min(imu.t_s[-1], arm.t_s[-1])
-    info.duration_s = round(float(end - start), 3)
-    gaps = find_gaps(arm.t_s, visible_frames(arm, accepted_samples(arm)), float(start), float(end))
-    info.gaps = len(gaps)
-    info.gap_total_s = round(sum((gap.length_s for gap in gaps), 0.0), 3)
-    info.gap_longest_s = round(max((gap.length_s for gap in gaps), default=0.0), 3)
+def _take(info: RecordingInfo, recordings: list[Recording]) -> None:
+    """The arms that would be recovered; what holds of one arm is that of the first."""
+    info.arms = [describe_arm(recording) for recording in recordings]
+    first, frame = info.arms[0], recordings[0].camera_frame
+    info.imu, info.skeleton, info.side = first.imu, first.skeleton, first.side
+    info.upper_imu, info.trunk_imu, info.joints = first.upper_imu, first.trunk_imu, first.joints
+    info.imu_rate_hz, info.camera_rate_hz = first.imu_rate_hz, first.camera_rate_hz
+    info.camera_frame = None if frame is None else str(frame)
+    info.duration_s, info.gaps = first.duration_s, first.gaps
+    info.gap_total_s, info.gap_longest_s = first.gap_total_s, first.gap_longest_s
+    info.allows, info.ready = first.allows, all(arm.ready for arm in info.arms)
+    info.notes = list(dict.fromkeys(note for recording in recordings for note in recording.notes))
+    for recording in reversed(recordings):
+        info.missing |= _missing(recording, recording.arm_label if len(recordings) > 1 else "")
 
 
-def _missing(recording: Recording) -> dict[str, str]:
-    """What keeps the recording from being recovered well, by what suffers from it."""
+def _missing(recording: Recording, label: str) -> dict[str, str]:
+    """What keeps an arm from being recovered well, by what suffers; `label` where there are several arms."""
     missing = {}
     present = recording.arm.present
     lacking = [joint for joint in ("shoulder", "elbow", "wrist") if joint not in present]
     if lacking:
-        missing["whole arm"] = (
+        missing[f"whole {label or 'arm'}"] = (
             f"{' and '.join(lacking)} never tracked; the IMU's path is recovered all the same."
         )
     if recording.camera_frame is None and recording.gravity_hint is None:
@@ -250,7 +246,3 @@ def _clocks(file: RecordingFile) -> dict[str, dict[str, float]]:
             clock["log_time_behind_s"] = shift / 1e9
         clocks[topic] = clock
     return clocks
-
-
-def _finite(value: float) -> float | None:
-    return round(value, 3) if math.isfinite(value) else None

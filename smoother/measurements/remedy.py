@@ -51,13 +51,18 @@ class Remedy:
     @property
     def options(self) -> str:
         """As on the command line; "" where there is nothing to undo."""
+        return " ".join(self.each_option)
+
+    @property
+    def each_option(self) -> tuple[str, ...]:
+        """The same, each option with its value."""
         options = [
             ("mirror", self.mirror),
             ("swap", ",".join(self.swap)),
             ("negate", ",".join(self.negate)),
             ("camera-frame", str(self.camera_frame or "")),
         ]
-        return " ".join(f"--{name} {value}" for name, value in options if value)
+        return tuple(f"--{name} {value}" for name, value in options if value)
 
     def applied(self, recording: Recording, store: Store | None = None) -> Recording:
         """The recording with these mistakes undone, and a note of each.
@@ -89,6 +94,7 @@ class Remedy:
             trunk=trunk,
             camera_frame=self.camera_frame or recording.camera_frame,
             notes=(*recording.notes, *self._notes()),
+            undone=(*recording.undone, *self.each_option),
         )
 
     def _notes(self) -> list[str]:

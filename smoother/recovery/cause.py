@@ -28,7 +28,7 @@ from ..selfcal.closed_form import ClosedForm, closed_form
 from ..selfcal.coarse_clock import synchronise_coarsely
 from ..selfcal.excerpts import informative_recording
 from .alternatives import Alternative, alternatives, frames_with_down
-from .limb_lengths import SWAPPED, swapped_joints
+from .limb_lengths import swapped_joints
 from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults
 
 #: The IMU was not on this forearm where nothing that was tried fits, the forearm's direction is off by more
@@ -108,9 +108,8 @@ def likeliest_cause(
     `recording` and `given` as in `selfcal.closed_form.closed_form`; `measured` is the clock by which the
     camera's stamps were moved, where one was given.
     """
-    if any(swapped_joints(recording.arm)):
-        remedy = Remedy(swap=("elbow", "wrist"))
-        return Cause(f"{SWAPPED}; run again with {remedy.options}", (remedy,))
+    for sentence in swapped_joints(recording.arm):
+        return _undone_by(sentence, (Remedy(swap=("elbow", "wrist")),), recording.undone)
     recording = informative_recording(recording, Timeline.of(recording))
     hint = down_hint(recording)
     down = hint if hint.any() else None
@@ -133,7 +132,7 @@ def likeliest_cause(
             )
     candidates = _that_fit(recording, down, as_it_is)
     if candidates:
-        return _named(candidates)
+        return _named(candidates, recording.undone)
     is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
     if is_elsewhere and not any(input_faults(recording)):
         return Cause(
@@ -163,7 +162,7 @@ def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> C
         return None
     candidates = _that_fit(recording, down, fit)
     if candidates:
-        return _named(candidates)
+        return _named(candidates, recording.undone)
     frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
     if recording.gravity_hint is not None or not frames:
         return Cause(
@@ -198,12 +197,20 @@ def _that_fit(
     return fitting
 
 
-def _named(candidates: list[tuple[float, Alternative]]) -> Cause:
+def _named(candidates: list[tuple[float, Alternative]], given: tuple[str, ...]) -> Cause:
     """The best alternative, and those that are as likely."""
     best = min(misfit for misfit, _ in candidates)
     likely = [alternative for misfit, alternative in candidates if misfit < AS_LIKELY * best]
     remedies = tuple(each.remedy for each in likely if each.remedy is not None)
     mistake = ", or ".join(each.mistake for each in likely)
     if len(remedies) == len(likely):
-        return Cause(f"{mistake}; run again with {' or '.join(each.options for each in remedies)}", remedies)
+        return _undone_by(mistake, remedies, given)
     return Cause(f"{mistake}; {'; or '.join(each.advice for each in likely)}", remedies)
+
+
+def _undone_by(mistake: str, remedies: tuple[Remedy, ...], given: tuple[str, ...]) -> Cause:
+    """A mistake that an option undoes; where that very option was given, it is what made the mistake."""
+    made = [remedy.options for remedy in remedies if remedy.options in given]
+    if made:
+        return Cause(f"with {made[0]} {mistake}; run again without {made[0]}")
+    return Cause(f"{mistake}; run again with {' or '.join(each.options for each in remedies)}", remedies)

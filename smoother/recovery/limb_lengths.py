@@ -7,20 +7,24 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..linalg import robust_sigma
-from ..recording import JointTracks
+from ..recording import FloatArray, JointTracks
 
 #: A bone's length varies less than this, m, and less than this part of what is no bone: upper arms vary by
 #: 0.01 to 0.03, shoulder to wrist by 0.06 to 0.12 as the elbow bends.
 BONE_SIGMA_M, BONE_PART = 0.05, 0.4
 FEWEST_FRAMES, MOST_FRAMES = 50, 20_000
+#: A hand is some 0.08 m from the wrist and 0.3 m from the elbow.
+NEARER = 0.6
 
 SWAPPED = (
     "elbow and wrist seem swapped: from the shoulder the wrist keeps its distance, and the elbow does not"
 )
+HAND_AT_ELBOW = "elbow and wrist seem swapped: the hand is nearer to the elbow than to the wrist"
 
 
 def swapped_joints(arm: JointTracks) -> Iterator[str]:
-    """A sentence where the joint called wrist is as far from the shoulder as only an elbow is.
+    """A sentence where the joint called wrist is as far from the shoulder as only an elbow is, or the hand at
+    the one called elbow.
 
     Parameters
     ----------
@@ -28,15 +32,26 @@ def swapped_joints(arm: JointTracks) -> Iterator[str]:
     """
     step = max(len(arm) // MOST_FRAMES, 1)
     arm = arm.select(slice(None, None, step))
-    elbow_m, wrist_m = (_variation(arm, joint) for joint in ("elbow", "wrist"))
-    if elbow_m > BONE_SIGMA_M and wrist_m < BONE_PART * elbow_m:
+    elbow_m, wrist_m = (_distances(arm, "shoulder", joint) for joint in ("elbow", "wrist"))
+    to_elbow_m, to_wrist_m = (_distances(arm, "hand", joint) for joint in ("elbow", "wrist"))
+    if _variation(elbow_m) > BONE_SIGMA_M and _variation(wrist_m) < BONE_PART * _variation(elbow_m):
         yield SWAPPED
+    elif _middle(to_elbow_m) < NEARER * _middle(to_wrist_m):
+        yield HAND_AT_ELBOW
 
 
-def _variation(arm: JointTracks, joint: str) -> float:
-    """How much a joint's distance from the shoulder varies, m; nan where both were hardly visible."""
-    both = arm.tracked("shoulder") & arm.tracked(joint)
+def _distances(arm: JointTracks, first: str, second: str) -> FloatArray:
+    """Between two joints where both are tracked, m; none where that was hardly the case."""
+    both = arm.tracked(first) & arm.tracked(second)
     if np.count_nonzero(both) < FEWEST_FRAMES:
-        return float("nan")
-    length = np.linalg.norm((arm.joint(joint) - arm.joint("shoulder"))[both], axis=1)
-    return float(robust_sigma(length - np.median(length)))
+        return np.zeros(0)
+    return np.linalg.norm((arm.joint(second) - arm.joint(first))[both], axis=1)
+
+
+def _middle(distances_m: FloatArray) -> float:
+    return float(np.median(distances_m)) if len(distances_m) else float("nan")
+
+
+def _variation(distances_m: FloatArray) -> float:
+    """How much a distance varies, m; nan where it is not known."""
+    return float(robust_sigma(distances_m - _middle(distances_m))) if len(distances_m) else float("nan")

@@ -23,12 +23,15 @@ if TYPE_CHECKING:
     from smoother import JointState as JointState
     from smoother import JointTracks as JointTracks
     from smoother import Recording as Recording
+    from smoother import Recoveries as Recoveries
     from smoother import Recovery as Recovery
     from smoother import Truth as Truth
     from smoother import UnoccludeError as UnoccludeError
     from smoother import read_calibration as read_calibration
     from smoother import read_recording as read_recording
+    from smoother import read_recordings as read_recordings
     from smoother import read_recovery as read_recovery
+    from smoother import smooth_arms as smooth_arms
     from smoother import validate as validate
     from smoother import write_recording as write_recording
     from smoother import write_recovery as write_recovery

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from smoother.cli.run import run
-from smoother.io import open_recording, read_recovery, write_recording
+from smoother.errors import RecordingError
+from smoother.io import open_recording, read_recording, read_recovery, write_recording
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +87,30 @@ def test_export_writes_a_file_an_arm(folder: Path, capsys: pytest.CaptureFixture
         capsys, ["export", str(folder / "out.mcap"), "--format", "csv", "-o", "x.csv", "--body", "4"], 1
     )
     assert "--body 4" in said and "left arm, right arm" in said
+
+
+def test_info_and_check_speak_of_each_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(folder / "both.mcap"), "--json", str(folder / "i.json")]) == 0
+    said = capsys.readouterr().out
+    assert "cannot be recovered" not in said and "ready for `unocclude smooth`" in said
+    assert "left arm: taken" in said and "right arm: allows gaps up to" in said
+    about = figures(folder / "i.json")
+    assert [(arm["side"], arm["imu"]) for arm in about["arms"]] == [
+        ("left", "/imu/forearm_left"),
+        ("right", "/imu/forearm_right"),
+    ]
+    assert about["side"] == "left" and about["ready"] is True and "smooth" not in about["missing"]
+    assert run(["info", str(folder / "both.mcap"), "--side", "right"]) == 0
+    assert "right arm: taken" not in (said := capsys.readouterr().out) and "right arm of /skeleton" in said
+    with pytest.raises(RecordingError, match=r"one arm is wanted here; choose with --side\.$"):
+        read_recording(folder / "both.mcap")
+    check = ["check", str(folder / "both.mcap"), "--json", str(folder / "ch.json"), "--processes", "1"]
+    assert run(check) == 0
+    said = capsys.readouterr().out
+    assert "--- left arm ---" in said and "--- right arm ---" in said
+    checked = figures(folder / "ch.json")
+    assert [arm["side"] for arm in checked["arms"]] == ["left", "right"] and checked["trusted"] is True
+    assert all(arm["allows"]["longest_gap_s"] != 0 for arm in checked["arms"])
 
 
 def test_gaps_have_a_table_an_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

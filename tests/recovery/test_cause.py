@@ -17,6 +17,7 @@ from smoother import smooth
 from smoother.calibration import ArmCalibration
 from smoother.errors import SolveError
 from smoother.measurements.clock import constant_clock
+from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
 from smoother.recovery.cause import likeliest_cause, naming_the_cause
 from smoother.recovery.limb_lengths import swapped_joints
@@ -87,8 +88,31 @@ def test_without_a_shoulder_no_names_are_doubted(sound: Recording) -> None:
         Job(setup_cases.sound, 5, "realistic", 14.0).setup()
     ).recording.arm
     assert list(swapped_joints(swapped))
-    hidden = swapped.hide(np.ones(len(swapped), bool), ("shoulder",))
+    hidden = swapped.hide(np.ones(len(swapped), bool), ("shoulder", "hand"))
     assert not list(swapped_joints(hidden))
+
+
+@pytest.mark.parametrize(
+    "needless",
+    [Remedy(mirror="x"), Remedy(negate=("accelerometer",)), Remedy(swap=("elbow", "wrist"))],
+    ids=lambda remedy: remedy.options,
+)
+def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needless: Remedy) -> None:
+    synchronised, _ = synchronise_coarsely(sound)
+    cause = likeliest_cause(needless.applied(synchronised))
+    assert cause is not None and cause.remedies == ()
+    assert cause.sentence.startswith(f"with {needless.options} ")
+    assert cause.sentence.endswith(f"run again without {needless.options}")
+    # undone twice it is as it was
+    mended = needless.applied(needless.applied(synchronised))
+    assert likeliest_cause(mended) is None
+
+
+def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
+    bent = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder",)))
+    assert not list(swapped_joints(bent.arm))
+    (sentence,) = swapped_joints(Remedy(swap=("elbow", "wrist")).applied(bent).arm)
+    assert "the hand is nearer to the elbow" in sentence
 
 
 def test_a_refusal_names_its_cause(sound: Recording) -> None:

@@ -198,6 +198,11 @@ def _by_motion(
         options += [("--side", len({a.side for _, a in offered}) > 1)]
         options += [("--body", len({(a.topic, a.body) for _, a in offered}) > 1)]
         needed = " and ".join(name for name, is_needed in options if is_needed)
+        if _named_apart(offered):
+            raise RecordingError(
+                f"{file.path} has an IMU on each of several arms ({_listing(file)}), and one arm is wanted"
+                " here; choose with --side."
+            )
         raise RecordingError(
             f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
             f"choose with {needed}."
@@ -209,6 +214,12 @@ def _by_motion(
         if match.limb and pair[0] is not pairs[order[0]][0]
     ]
     return pairs[order[0]], "; ".join([why, *further])
+
+
+def _named_apart(pairs: list[tuple[ImuSamples, ArmFrames]]) -> bool:
+    """Whether names say which IMU is on which arm, and only the arm is open."""
+    sides = {named_side(imu.topic, imu.frame_id) for imu, _ in pairs}
+    return "" not in sides and len(sides) == len(pairs)
 
 
 def _matches(

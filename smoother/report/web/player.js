@@ -119,9 +119,9 @@
     };
 
     function describe() {
-      const number = gaps.findIndex(([start, end]) => t >= start && t <= end);
+      const now = gaps.flatMap(([start, end, of], k) => (t >= start && t <= end ? `${of}gap ${k + 1} of ${gaps.length}` : []));
       const parts = [`${t.toFixed(2)} s of ${to.toFixed(1)} s`];
-      parts.push(number < 0 ? "seen by the camera" : `recovered: ${gaps[number][2]}gap ${number + 1} of ${gaps.length}`);
+      parts.push(now.length ? `recovered: ${now.join("; ")}` : "seen by the camera");
       for (const arm of arms) {
         const l = arm.row("sigma", t);
         if (!l || Number.isNaN(l[0])) continue;
