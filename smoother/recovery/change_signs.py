@@ -17,6 +17,7 @@ from ..measurements.rejection import Rejection
 from ..measurements.segment import without_spikes
 from ..recording import FloatArray, ImuStream, Recording
 from ..result import Recovery
+from .gyroscope_drift import gyroscope_drift
 
 #: Down before and after a moment is averaged over these times, s; both must show the jump.
 BEFORE_AFTER_S = (3.0, 5.0)
@@ -24,6 +25,12 @@ STEP_S = 0.5
 #: A jump of down is one from here on, degrees, and so many times what is usual in the recording: simulated
 #: arms and BROAD's fast trials stay below 9, a strap that slips by 15 shows 9 to 18.
 JUMP_DEG, JUMP_TIMES_USUAL = 9.0, 3.0
+#: A smaller one, of a forearm that stood upright, is one where the answer leaves the gyroscope as well, by so
+#: many degrees and sigmas within some seconds: sound simulated arms stay below 5.2 and 3 degrees.
+SMALL_JUMP_DEG, SMALL_TIMES_USUAL = 7.0, 2.5
+LEFT_DEG, LEFT_SIGMAS = 5.0, 1.7
+#: Both happen within this time, s.
+TOGETHER_S = 4.0
 #: The IMU is looked at in batches of this length, s.
 BATCH_S = 60.0
 #: Samples farther apart than this, in usual distances, are a pause.
@@ -38,7 +45,9 @@ MEAN_SIGMA_DEG = 0.4
 FEW_FILLED = 5
 
 
-def strap_slipped(imu: ImuStream, gyroscope_bias: FloatArray) -> Iterator[str]:
+def strap_slipped(
+    imu: ImuStream, gyroscope_bias: FloatArray, recovery: Recovery | None = None
+) -> Iterator[str]:
     """The IMU's down jumps although the gyroscope felt no turn.
 
     Parameters
@@ -46,6 +55,8 @@ def strap_slipped(imu: ImuStream, gyroscope_bias: FloatArray) -> Iterator[str]:
     imu : ImuStream
     gyroscope_bias : ndarray, shape (3,), rad/s
         As it was estimated.
+    recovery : Recovery, optional
+        The answer, whose turning against the gyroscope makes a smaller jump count.
     """
     found = [
         jumps
@@ -56,11 +67,29 @@ def strap_slipped(imu: ImuStream, gyroscope_bias: FloatArray) -> Iterator[str]:
         return
     jumps = np.concatenate(found)
     angle_deg, at_s = jumps[int(np.argmax(jumps[:, 1]))][::-1]
-    if angle_deg > max(JUMP_DEG, JUMP_TIMES_USUAL * float(np.median(jumps[:, 1]))):
+    usual_deg = float(np.median(jumps[:, 1]))
+    slipped = angle_deg > max(JUMP_DEG, JUMP_TIMES_USUAL * usual_deg)
+    if (
+        not slipped
+        and recovery is not None
+        and angle_deg > max(SMALL_JUMP_DEG, SMALL_TIMES_USUAL * usual_deg)
+    ):
+        slipped = _left_the_gyroscope(recovery, imu, gyroscope_bias, float(at_s))
+    if slipped:
         yield (
             f"at about {at_s:.0f} s the IMU's sense of down jumps by {angle_deg:.0f} degrees without a turn"
             " that its gyroscope felt: the strap slipped, the sensor was taken off, or samples are missing"
         )
+
+
+def _left_the_gyroscope(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArray, at_s: float) -> bool:
+    """Whether the answer turns about that time as the gyroscope did not."""
+    if len(recovery) != len(imu):
+        return False
+    drift = gyroscope_drift(recovery, imu, gyroscope_bias)
+    near = np.abs(drift.at_s - at_s) <= TOGETHER_S
+    left = (drift.angle_deg > LEFT_DEG) & (drift.angle_deg > LEFT_SIGMAS * drift.sigma_deg)
+    return bool((near & left).any())
 
 
 def _batches(imu: ImuStream) -> Iterator[tuple[int, int]]:

@@ -89,7 +89,7 @@ def judged(
         *_rate(recording.imu, TOO_SLOW_HZ),
         *_zeros(recording.imu),
         *_clipped(recording.imu, PLATEAU_SHARE),
-        *strap_slipped(recording.imu, _gyroscope_bias(recovery)),
+        *strap_slipped(recording.imu, _gyroscope_bias(recovery), recovery),
         *swapped_joints(recording.arm),
         *misfits,
         *_measured_clock(recovery, measured),
