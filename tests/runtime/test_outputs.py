@@ -263,7 +263,11 @@ def test_a_disk_that_is_full_or_read_only(tmp_path: Path, options: str):
 def test_sigterm_removes_what_is_half_written(tmp_path: Path):
     """The command's handler lets outputs be removed at once, not only by the next command."""
     code = (
-        "import sys, time\nimport smoother.cli.doctor as d\nfrom smoother.runtime.atomic import writing\n"
+        "import signal, sys, time\n"
+        # who runs the tests may ignore them, as nohup does, which a program then keeps to
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGTERM, signal.SIG_DFL)\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        "import smoother.cli.doctor as d\nfrom smoother.runtime.atomic import writing\n"
         "def wait(*_):\n"
         "  with writing(sys.argv[1]) as t: t.write_text('half'); print('begun', flush=True); time.sleep(60)\n"
         "d.memory = wait\nfrom smoother.cli import main\nsys.argv = ['x', sys.argv[1]]\n"
