@@ -7,47 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from imu_files import GRAVITY, motion, printed, rows
+from imu_files import GRAVITY, printed, rows
+from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, TIME, check, read, written, xyz
 
 from smoother.errors import RecordingError
 from smoother.io.devices.head import read_head
-from smoother.io.devices.protocol import ImuTable
-from smoother.io.devices.registry import format_named, formats, recognise
-
-ACC, GYRO = motion()
-COUNT = len(ACC)
-DEG = np.degrees(GYRO)
-TIME = np.arange(COUNT) * 0.01
-MICROS = (np.arange(COUNT) * 10_000 + 4_000_000).astype(np.int64)
-
-
-def written(tmp_path: Path, *lines: str, newline: str = "\n") -> Path:
-    path = tmp_path / "anything.dat"
-    path.write_text(newline.join(lines) + newline, encoding="utf-8")
-    return path
-
-
-def read(path: Path, key: str) -> list[ImuTable]:
-    importer = recognise(read_head(path), ("imu",))
-    assert importer is not None and importer.key == key
-    return importer.read(path)
-
-
-def check(
-    table: ImuTable, acc: np.ndarray | None, gyro: np.ndarray | None, t_s: np.ndarray | None = None
-) -> None:
-    for values, expected in ((table.acc, acc), (table.gyro, gyro)):
-        if expected is None:
-            assert values is None
-        else:
-            np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
-    if t_s is not None:
-        np.testing.assert_allclose(table.t_s, t_s, rtol=0, atol=1e-6)
-
-
-def xyz(name: str, form: str = "{}_{}") -> list[str]:
-    return [form.format(name, axis) for axis in "XYZ"]
-
+from smoother.io.devices.registry import format_named, formats
 
 # ---------------------------------------------------------------------------------------- Xsens DOT
 PREAMBLE = (
@@ -234,7 +199,6 @@ def test_nilspod(tmp_path: Path):
 
 
 # ---------------------------------------------------------------------------------------- MetaMotion
-EPOCH = 1_520_000_000_000 + 10 * np.arange(COUNT)
 
 
 def metamotion(values: np.ndarray, header: str) -> list[str]:
@@ -259,121 +223,10 @@ def test_metamotion(tmp_path: Path, header: str):
     assert gyro.units == "deg/s" and (bool(header) or "by the size" in " ".join(gyro.notes))
 
 
-# ---------------------------------------------------------------------------------------- phones
-@pytest.mark.parametrize("units", [True, False])
-@pytest.mark.parametrize("source", ["raw", "motion", "both"])
-def test_sensorlog_turns_gravity_to_specific_force(tmp_path: Path, units: bool, source: str):
-    up = np.array([0.0, 0.0, 1.0])
-    columns, names = [], []
-    for name, unit, values, kind in (
-        ("accelerometerAcceleration", "G", -ACC / GRAVITY, "raw"),
-        ("gyroRotation", "rad/s", GYRO, "raw"),
-        ("motionUserAcceleration", "G", up - ACC / GRAVITY, "motion"),
-        ("motionGravity", "G", np.tile(-up, (COUNT, 1)), "motion"),
-        ("motionRotationRate", "rad/s", GYRO + 0.25, "motion"),
-    ):
-        names += [f"{name}{a}({unit})" if units else f"{name}{a}" for a in "XYZ"]
-        off = source not in (kind, "both")
-        columns.append([",,"] * COUNT if off else rows(values))
-    stamps = [f"2020-01-10 14:23:{5 + t:06.3f} +0100" for t in TIME]
-    header = [
-        "loggingTime(txt)",
-        "accelerometerTimestamp_sinceReboot(s)",
-        "motionTimestamp_sinceReboot(s)",
-        *names,
-    ]
-    body = [
-        ",".join((stamp, f"{7 + t:.6f}", f"{9 + t:.6f}", *cells))
-        for stamp, t, *cells in zip(stamps, TIME, *columns, strict=True)
-    ]
-    (table,) = read(written(tmp_path, ",".join(header), *body), "sensorlog")
-    assert np.allclose(table.acc, ACC, atol=3e-5)  # two numbers of six decimals in g
-    np.testing.assert_allclose(table.gyro, printed(GYRO + 0.25 * (source == "motion")), atol=1e-12)
-    assert table.t_s[0] == (9 if source == "motion" else 7)
-    assert "gravity, which points down" in " ".join(table.notes)
-
-
-def test_sensorlog_without_gyroscope(tmp_path: Path):
-    header = ",".join(["loggingTime(txt)", *(f"accelerometerAcceleration{a}(G)" for a in "XYZ")])
-    body = [f"2020-01-10 14:23:05.{k:03d} +0100,{row}" for k, row in enumerate(rows(ACC / GRAVITY))]
-    with pytest.raises(RecordingError, match="Device Motion"):
-        read(written(tmp_path, header, *body), "sensorlog")
-
-
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
-def test_phyphox(tmp_path: Path, separator: str):
-    names = [
-        "Time (s)",
-        *(f"Acceleration {a} (m/s^2)" for a in "xyz"),
-        *(f"Gyroscope {a} (rad/s)" for a in "xyz"),
-    ]
-    header = separator.join(f'"{name}"' for name in [*names, "Absolute (rad/s)"])
-    body = rows(TIME, ACC, GYRO, np.ones(COUNT), separator=separator, form="{:.9E}")
-    if separator != ",":
-        body = [row.replace(".", ",") for row in body]
-    (table,) = read(written(tmp_path, header, *body), "phyphox")
-    check(table, ACC, GYRO, TIME)
-
-
-def test_phyphox_in_two_files(tmp_path: Path):
-    header = '"Time (s)","X (m/s^2)","Y (m/s^2)","Z (m/s^2)"'
-    check(read(written(tmp_path, header, *rows(TIME, ACC)), "phyphox")[0], printed(ACC), None)
-    turning = header.replace("m/s^2", "rad/s")
-    check(read(written(tmp_path, turning, *rows(TIME, GYRO)), "phyphox")[0], None, printed(GYRO))
-    linear = header.replace('"X', '"Linear Acceleration x').replace('"Y', '"Linear Acceleration y')
-    for without in (header, linear.replace('"Z', '"Linear Acceleration z')):
-        with pytest.raises(RecordingError, match="Acceleration with g"):
-            read(written(tmp_path, without, *rows(TIME, np.full((COUNT, 3), 0.3))), "phyphox")
-
-
-NANOS = (np.arange(COUNT) * 10_000_000 + 123_456_789_000).astype(np.int64)
-
-
-@pytest.mark.parametrize(
-    "header, t, scale",
-    [
-        ("timestamp,x,y,z", NANOS, 1e-9),
-        ("", NANOS, 1e-9),
-        ("time_ms,X,Y,Z,accuracy", NANOS // 1_000_000, 1e-3),
-        ("seconds_elapsed,acc_x,acc_y,acc_z", TIME, 1.0),
-        ("Timestamp [us],Accel X,Accel Y,Accel Z", NANOS // 1000, 1e-6),
-    ],
-)
-def test_android_accelerometer(tmp_path: Path, header: str, t: np.ndarray, scale: float):
-    extra = [np.full(COUNT, 3)] if "accuracy" in header else []
-    (table,) = read(written(tmp_path, *([header] if header else []), *rows(t, ACC, *extra)), "android")
-    check(table, printed(ACC), None, t * scale)
-
-
-def test_android_gyroscope_and_order_of_axes(tmp_path: Path):
-    (table,) = read(
-        written(tmp_path, "time,seconds_elapsed,z,y,x", *rows(NANOS, TIME, GYRO[:, ::-1])), "android"
-    )
-    check(table, None, printed(GYRO), NANOS * 1e-9)
-    assert "a gyroscope in rad/s" in " ".join(table.notes)
-
-
-@pytest.mark.parametrize("unit, factor", [("rad/s", 1.0), ("deg/s", 180 / np.pi)])
-def test_both_sensors_without_units_are_settled_by_gravity(tmp_path: Path, unit: str, factor: float):
-    slow = GYRO * factor  # 90 deg/s at most: too slow for its size to settle the unit of one in deg/s
-    header = "timestamp,ax,ay,az,gx,gy,gz"
-    (table,) = read(written(tmp_path, header, *rows(NANOS, ACC / GRAVITY, slow)), "android")
-    check(table, printed(ACC / GRAVITY) * GRAVITY, printed(slow) / factor)
-    assert table.units == f"g, {unit}"
-
-
-def test_android_log_with_names_of_sensors(tmp_path: Path):
-    body = [
-        row
-        for k in range(COUNT)
-        for row in (
-            f"{EPOCH[k]},{10 * k},accel_g,{rows(ACC[k : k + 1] / GRAVITY)[0]}",
-            f"{EPOCH[k]},{10 * k},gyro_dps,{rows(DEG[k : k + 1])[0]}",
-        )
-    ]
-    acc, gyro = read(written(tmp_path, "epoch_ms,elapsed_ms,sensor,x,y,z", *body), "android")
-    check(acc, printed(ACC / GRAVITY) * GRAVITY, None, EPOCH * 1e-3)
-    check(gyro, None, np.radians(printed(DEG)), EPOCH * 1e-3)
+def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
+    header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
+    with pytest.raises(RecordingError, match="without gravity; record the accelerometer"):
+        read(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
 
 
 # ---------------------------------------------------------------------------------------- all
@@ -411,54 +264,3 @@ def test_fifty_thousand_rows_in_under_a_second(tmp_path: Path):
     start = time.process_time()  # of this process alone: others may keep the machine busy
     (table,) = read(path, "xsens-dot")
     assert time.process_time() - start < 1.0 and len(table.acc) == 50_000
-
-
-@pytest.mark.parametrize(
-    "header, units",
-    [
-        ("Time,Accel-X (g),Accel-Y (g),Accel-Z (g),Gyro-X (d/s),Gyro-Y (d/s),Gyro-Z (d/s)", "g, d/s"),
-        ("time_ns,acc_x_g,acc_y_g,acc_z_g,gyro_x_dps,gyro_y_dps,gyro_z_dps", "g, dps"),
-        ("Timestamp;accX;accY;accZ;gyrX;gyrY;gyrZ", "g, deg/s"),
-        ("timestamp,gyroscope_x,gyroscope_y,gyroscope_z,accelerometer_x,accelerometer_y,accelerometer_z", ""),
-    ],
-)
-def test_other_plain_tables(tmp_path: Path, header: str, units: str):
-    separator = ";" if ";" in header else ","
-    first, second = (ACC / GRAVITY, DEG) if units else (GYRO, ACC)
-    (table,) = read(written(tmp_path, header, *rows(NANOS, first, second, separator=separator)), "android")
-    if units:
-        check(table, printed(ACC / GRAVITY) * GRAVITY, np.radians(printed(DEG)), NANOS * 1e-9)
-        assert table.units == units
-    else:
-        check(table, printed(ACC), printed(GYRO), NANOS * 1e-9)
-
-
-def test_metamotion_of_fusion_says_what_to_record(tmp_path: Path):
-    header = "epoch (ms),time (-13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
-    with pytest.raises(RecordingError, match="without gravity; record the accelerometer"):
-        read(written(tmp_path, *metamotion(GYRO / 30, header)), "metamotion")
-
-
-def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
-    from smoother.io.devices.pairing import paired
-
-    slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
-    (gyro,) = read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")
-    assert gyro.gyro_unit_assumed and gyro.units == "rad/s"
-    acc, _ = motion(seed=1, slower=4)
-    (acc_table,) = read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, acc)), "android")
-    table = paired([acc_table, gyro], "two files")
-    np.testing.assert_allclose(table.gyro, np.radians(printed(slow)), atol=1e-12)
-    assert "only if that is in deg/s" in " ".join(table.notes) and table.units == "m/s^2, deg/s"
-
-
-@pytest.mark.parametrize(
-    "values, said",
-    [
-        (45 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True) + 0.3 * GYRO, "looks like a magnetometer"),
-        (9.80665 * ACC / np.linalg.norm(ACC, axis=1, keepdims=True), "gravity as the system estimates it"),
-    ],
-)
-def test_other_vectors_of_a_phone_are_no_imu(tmp_path: Path, values: np.ndarray, said: str):
-    with pytest.raises(RecordingError, match=said):
-        read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, values)), "android")
