@@ -227,12 +227,36 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
         written.
     """
     path = Path(path)
-    text = ""
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    if path.exists() and path.stat().st_size:
+    held = ""
+    if path.exists():
         read_calibration(path)
-        text = path.read_text(encoding="utf-8")
-        document |= tomllib.loads(text)
+        held = path.read_text(encoding="utf-8")
+    text = calibration_text(calibration, path, held)
+    try:
+        with writing(path, force=True) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    except UnoccludeError as error:
+        raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
+
+
+def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -> str:
+    """A calibration as the text of its file, merged into the text that the file holds.
+
+    Parameters
+    ----------
+    calibration : CalibrationFile
+        What to write.
+    path : Path
+        The file, for messages.
+    held : str
+        Of a calibration that can be read; "" for a new file.
+
+    Raises
+    ------
+    CalibrationError
+        A value is wrong.
+    """
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | tomllib.loads(held)
     for name in {"format", "version", "arm"} & set(calibration.tables):
         raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
     sections = {side: _to_section(arm) for side, arm in calibration.arms.items()}
@@ -242,12 +266,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
         _check(section, f"arm.{side}", path)
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
-    text = to_toml(document, text)
-    try:
-        with writing(path, force=True) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
-    except UnoccludeError as error:
-        raise CalibrationError(f"Calibration {path} cannot be written: {error}") from error
+    return to_toml(document, held)
 
 
 def _merged(held: Any, new: Any, depth: int) -> Any:

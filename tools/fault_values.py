@@ -253,11 +253,6 @@ def _payload(edit_one: Callable[[bytes, Rng], bytes], share: float) -> Callable[
     return edit
 
 
-def _flipped(data: bytes, rng: Rng) -> bytes:
-    at = int(rng.integers(len(data)))
-    return data[:at] + bytes([data[at] ^ (1 << int(rng.integers(8)))]) + data[at + 1 :]
-
-
 MESSAGES: dict[str, Callable[[list[Any], Rng], list[Any]]] = {
     "log time 2^63": _log(2**63),
     "log time 2^64 - 1": _log(2**64 - 1),

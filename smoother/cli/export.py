@@ -87,7 +87,8 @@ def export(
         else _prepared(result, recoveries, format_name, frame, rate, origin or "camera")
     )
     figures = []
-    for recovery, path, ready in zip(recoveries, files, exports, strict=False):
+    shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
+    for recovery, path, ready in zip(shown, files, exports, strict=True):
         ready.write(path, force)
         rows = "" if format_name == "osim" else f" ({ready.rows} row{'s' if ready.rows != 1 else ''})"
         say(f"written: {path}{rows}")

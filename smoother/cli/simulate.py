@@ -161,7 +161,7 @@ def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
 
 
 def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force: bool) -> None:
-    from calib.file import CalibrationFile, write_calibration
+    from calib.file import CalibrationFile, calibration_text
 
     from ..runtime.atomic import writing
 
@@ -171,7 +171,7 @@ def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force:
     if markers is not None:
         file = file.with_table("camera_from_mocap", markers.extrinsics)
     with writing(path, force) as temporary:
-        write_calibration(temporary, file)
+        temporary.write_text(calibration_text(file, path), encoding="utf-8", newline="\n")
 
 
 def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import FloatArray, ImuStream
 from ..result import Recovery
 
 #: Over so long a time, s; looked at so often, s.
 OVER_S, STEP_S = 4.0, 0.5
-#: Samples farther apart than this, in usual distances, are a pause.
-PAUSE_SAMPLES = 5.0
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 #: A strap that wanders along the forearm by more than this part of it was at times something else.
 WANDER = 0.06
-FEW, MANY = 0.3, 0.7
+FEW = 0.3
 
 _ADVICE = {
     "nothing on the forearm is dark enough": "wear a black strap on a bare or light forearm, and light"

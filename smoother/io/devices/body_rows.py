@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,14 +135,6 @@ def time_unit(time: FloatArray, stated: float | None) -> float | None:
         if _RATES_HZ[0] <= 1.0 / (typical * scale) <= _RATES_HZ[1]:
             return scale
     return stated
-
-
-def states_from(values: FloatArray, codes: Mapping[int, JointState]) -> NDArray[np.int8]:
-    """States (N,) by code; what has no code, or no number, is not tracked."""
-    state = np.zeros(len(values), np.int8)
-    for code, value in codes.items():
-        state[values == code] = value
-    return state
 
 
 def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[np.int8]:

@@ -25,12 +25,12 @@ from .outlying import drop_outlying
 from .select import select_recording, select_recordings
 from .selection import Selection
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
+from .stream_names import OTHER_SIDE
 from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
 
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
-OTHER_SIDE = {"left": "right", "right": "left"}
 
 #: Of the notes in a file's metadata so many are repeated, and so much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000

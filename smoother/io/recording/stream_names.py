@@ -6,6 +6,7 @@ import re
 
 from .streams import ImuSamples, RecordingFile
 
+OTHER_SIDE = {"left": "right", "right": "left"}
 _FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
 _BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
 _TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")

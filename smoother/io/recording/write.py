@@ -25,6 +25,7 @@ from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
 from .read import METADATA
+from .stream_names import OTHER_SIDE
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 CAMERA = "camera"
@@ -129,7 +130,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
             trunk = one.trunk.imu
             stamp = nanoseconds(trunk.t_s, one.origin_ns)
             file.imus.append(ImuSamples("/imu/trunk", "trunk", stamp, trunk.acc, trunk.gyro))
-            other_side = {"left": "right", "right": "left"}.get(one.side, "")
+            other_side = OTHER_SIDE.get(one.side, "")
             if one.trunk.other_arm is not None and other_side:
                 others[body, other_side] = (one.trunk.other_arm, one.origin_ns)
         if one.truth is not None:
