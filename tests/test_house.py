@@ -14,7 +14,18 @@ ROOT = Path(__file__).parents[1]
 #: The core from the bottom up; each floor may import those below it and itself.
 STACK = (
     ("errors",),
-    ("recording", "recording_arrays", "recording_view", "calibration", "config", "linalg", "sketch", "units"),
+    (
+        "recording",
+        "recording_arrays",
+        "recording_view",
+        "calibration",
+        "config",
+        "filters",
+        "linalg",
+        "sketch",
+        "splines",
+        "units",
+    ),
     ("runtime",),
     ("measurements",),
     ("result", "result_view", "upper_motion", "trunk_motion", "joint_angles", "shoulder_angles", "matching"),

@@ -25,9 +25,9 @@ from trunk_accuracy import compare_trunk
 from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
-from smoother.evaluation import evaluate_gaps, validate
+from smoother.evaluation.gaps import evaluate_gaps
 from smoother.evaluation.metrics import Figures
-from smoother.evaluation.validate import sample_errors
+from smoother.evaluation.validate import sample_errors, validate
 from smoother.io import import_broad, import_utd_mhad
 from smoother.linalg import interpolate
 from smoother.recording import Recording

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.cli.load import camera_frame_of
-from smoother.evaluation import read_reference
+from smoother.evaluation.reference import read_reference
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recovery
 

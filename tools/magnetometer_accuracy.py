@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from shared import datasets, rms
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
-from smoother.evaluation import evaluate_gaps
+from smoother.evaluation.gaps import evaluate_gaps
 from smoother.io import import_broad
 from smoother.recording import Recording
 from smoother.result import Recovery

@@ -40,8 +40,8 @@ from .several_figures import arms_figures, each_arm, say_arm
 from .strap import with_strap
 
 if TYPE_CHECKING:
-    from ..evaluation import ReferenceAlignment
     from ..evaluation.compare import Comparison
+    from ..evaluation.reference import ReferenceAlignment
     from ..recording import Recording, Truth
     from ..result import Recovery
 
@@ -212,7 +212,7 @@ def truth_for(
     """
     from calib.file import read_calibration
 
-    from ..evaluation import ReferenceAlignment, read_reference
+    from ..evaluation.reference import ReferenceAlignment, read_reference
     from ..io.markers.files import MARKER_FORMATS
 
     if truth_file is None:

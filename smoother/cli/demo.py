@@ -43,7 +43,7 @@ def demo(
     from calib.motion.estimates import with_given
 
     from .. import smooth
-    from ..evaluation import validate
+    from ..evaluation.validate import validate
     from ..io import read_recording, write_recovery
     from ..report import write_report
     from .config_file import read_config, with_processes

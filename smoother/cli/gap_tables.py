@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .output import percent, print_table
 
 if TYPE_CHECKING:
-    from ..evaluation import GapTable
+    from ..evaluation.gaps import GapTable
     from ..evaluation.real_gaps import RealGaps
     from ..evaluation.sigma_factor import LengthFactor
     from ..recording import Recording

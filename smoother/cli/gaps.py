@@ -40,7 +40,7 @@ from .strap import with_strap
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..evaluation import GapTable
+    from ..evaluation.gaps import GapTable
     from ..evaluation.sigma_factor import LengthFactor
     from ..recording import Recording
 

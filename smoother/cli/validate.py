@@ -16,8 +16,8 @@ from .output import centimetres, check_outputs, percent, print_notes, print_tabl
 from .several_figures import arms_figures, say_arm
 
 if TYPE_CHECKING:
-    from ..evaluation import Validation
     from ..evaluation.agreement import Agreement
+    from ..evaluation.validate import Validation
     from ..recording import CameraFrame, Truth
     from ..result import Recovery
 
@@ -64,7 +64,8 @@ def validate(
     Of a result with several arms each is compared with its own truth (topics /truth/left, /truth/right); a
     truth that names no side is of one arm, chosen with --side.
     """
-    from ..evaluation import read_reference, validate
+    from ..evaluation.reference import read_reference
+    from ..evaluation.validate import validate
 
     check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
     recoveries = load_recoveries(result, one_side(side), body)

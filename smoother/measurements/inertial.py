@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray, ImuStream, IntArray
+from ..splines import cubic_spline
 
 #: Longest fine step of the integration, s.
 FINE_STEP_S = 1.0 / 240.0
@@ -54,7 +54,7 @@ class InertialSignal:
         samples = np.hstack([imu.acc, imu.gyro])
         integral = np.zeros((len(self.edges), 6))
         np.cumsum(samples * np.diff(self.edges)[:, None], axis=0, out=integral[1:])
-        self._integral = CubicSpline(self.edges, integral)
+        self._integral = cubic_spline(self.edges, integral)
         self._impacts = np.concatenate(([0.0], np.cumsum((_impact_size(imu) * np.diff(self.edges)) ** 2)))
 
     def __reduce__(self) -> tuple[type[InertialSignal], tuple[ImuStream]]:
@@ -107,6 +107,10 @@ class InertialSignal:
             Specific force and angular rate in {A}.
         """
         return (self._integral(end_s) - self._integral(start_s)) / (end_s - start_s)[..., None]
+
+    def means(self, edges_s: FloatArray) -> FloatArray:
+        """Mean of the signal between neighbouring times (..., n + 1): (..., n, 6), as `mean` has it."""
+        return np.asarray(np.diff(self._integral(edges_s), axis=-2) / np.diff(edges_s)[..., None])
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ def integrate_between(
         count = int(np.ceil(STEP_FACTOR**number - 1e-9))
         h = dt[rows] / count
         edges = start_s[rows, None] + h[:, None] * np.arange(count + 1)
-        rate = signal.mean(edges[:, :-1], edges[:, 1:]) - bias[rows, None]
+        rate = signal.means(edges) - bias[rows, None]
         turns = (0.5 * h[:, None, None] * rate[..., 3:]).reshape(-1, 3)
         halves = Rotation.from_rotvec(turns).as_matrix().reshape(len(rows), count, 3, 3)
         R, v, p = np.tile(np.eye(3), (len(rows), 1, 1)), np.zeros((len(rows), 3)), np.zeros((len(rows), 3))

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
+from ..filters import moving_median
 from ..linalg import runs, unit
 from ..recording import JOINTS, BoolArray, FloatArray
 from .alignment import Alignment
@@ -187,7 +187,7 @@ def _jumps(segment: Segment, column: int) -> BoolArray:
     if len(rows) < JUMP_FRAMES:
         return wrong
     x = segment.position[rows, column]
-    middle = median_filter(x, size=(JUMP_FRAMES, 1), mode="nearest")
+    middle = moving_median(x, JUMP_FRAMES)
     half = JUMP_FRAMES // 2
     t = segment.frame_t_camera[rows]
     spread = np.full(len(rows), np.inf)

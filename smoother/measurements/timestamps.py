@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
+from ..filters import moving_mean
 from ..linalg import robust_sigma
 from ..recording import FloatArray, ImuStream
 
@@ -62,11 +62,11 @@ def dejitter(t: FloatArray) -> FloatArray:
     slope, start = np.polyfit(count, t, 1)
     departure = t - (start + slope * count)
     width = max(int(JITTER_AVERAGE_S / slope), 3) | 1
-    slow = uniform_filter1d(departure, width, mode="nearest")
+    slow = moving_mean(departure, width)
     jitter = departure - slow
     # a missing sample makes a step of a whole tick: then nothing is better than the stamps
     half = width // 2
-    step = np.abs(uniform_filter1d(jitter, max(width // 8, 3), mode="nearest")[half:-half])
+    step = np.abs(moving_mean(jitter, max(width // 8, 3))[half:-half])
     if not len(step) or step.max() > 0.4 * slope:
         return t
     even_t = start + slope * count + slow

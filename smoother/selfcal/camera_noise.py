@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
+from ..linalg import nonnegative_pair
 from ..measurements.joint_noise import JointNoise
 from ..recording import JOINTS, FloatArray
 from ..window.problem import Window
@@ -96,7 +96,8 @@ def _fitted(rho: FloatArray, counts: FloatArray, step_s: float) -> _Memory:
     best, found = np.inf, _Memory(1.0, 1.0, 0.0)
     for tau_s in TIMES_S:
         decay = np.exp(-lag_s[known] / tau_s)
-        (a, b), misfit = nnls(weight[:, None] * np.stack([decay, -np.ones_like(decay)], axis=1), weight * y)
+        columns = weight[:, None] * np.stack([decay, -np.ones_like(decay)], axis=1)
+        (a, b), misfit = nonnegative_pair(columns, weight * y)
         if misfit < best:
             # neighbours are no news of a slow error, so the share's own error goes by its memory
             independent = counts[0] * step_s / (step_s + 2.0 * tau_s)

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from ..errors import CalibrationError
-from ..linalg import masked_correlation
+from ..filters import gaussian_smoothed
+from ..linalg import masked_correlation, peaks
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.timeline import Timeline
 from ..recording import FloatArray, ImuStream, JointTracks, Recording
@@ -229,8 +228,8 @@ class _Peak:
     def highest_lags_s(self) -> FloatArray:
         """The shifts of the highest peaks, the highest first."""
         score = np.where(np.isfinite(self.score), self.score, 0.0)
-        rows, _ = find_peaks(score, height=PEAK_SHARE * score.max(), distance=round(PEAK_APART_S * GRID_HZ))
-        return self.lags_s[rows[np.argsort(-score[rows])][:PEAKS]]
+        apart = round(PEAK_APART_S * GRID_HZ)
+        return self.lags_s[peaks(score, PEAK_SHARE * float(score.max()), apart, PEAKS)]
 
     @property
     def is_clear(self) -> bool:
@@ -251,7 +250,7 @@ def _camera_speed(arm: JointTracks) -> tuple[FloatArray, FloatArray]:
     grid = np.arange(t[0], t[-1], 1 / GRID_HZ)
     direction = along[length > 0] / length[length > 0, None]
     on_grid = np.stack([np.interp(grid, t, axis) for axis in direction.T], axis=1)
-    rate = gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0, order=1) * GRID_HZ
+    rate = gaussian_smoothed(on_grid, SMOOTH_S * GRID_HZ, derivative=True) * GRID_HZ
     after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
     missing = t[after] - t[after - 1] > BRIDGED_S
     return grid, np.where(missing, np.nan, np.linalg.norm(rate, axis=1))
@@ -267,5 +266,5 @@ def _imu_speed(imu: ImuStream) -> tuple[FloatArray, FloatArray]:
     on_grid = np.stack([np.interp(grid, t, axis) for axis in rate.T], axis=1)
     after = np.clip(np.searchsorted(t, grid, side="right"), 1, len(t) - 1)
     missing = t[after] - t[after - 1] > BRIDGED_S
-    speed = np.linalg.norm(gaussian_filter1d(on_grid, SMOOTH_S * GRID_HZ, axis=0), axis=1)
+    speed = np.linalg.norm(gaussian_smoothed(on_grid, SMOOTH_S * GRID_HZ), axis=1)
     return grid, np.where(missing, np.nan, speed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from ..calibration import ArmCalibration
 from ..measurements.alignment import Alignment, align, lever_of, pairs
@@ -12,6 +11,7 @@ from ..measurements.clock import Clock
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
+from ..splines import PiecewiseCubic
 from .cut import PreparedSegment
 from .nodes import GAP_NODE_S, GAP_NODE_UPPER_S, decimate, group_frames, insert_nodes
 from .problem import States
@@ -194,7 +194,7 @@ def states_from_camera(t: FloatArray, R: FloatArray, frame_t_imu: FloatArray, po
     p, v = _local_lines(frame_t_imu, position)
     if len(frame_t_imu) == 1:
         return States(R, np.tile(p[0], (len(t), 1)), np.zeros((len(t), 3)))
-    curve = CubicHermiteSpline(frame_t_imu, p, v)
+    curve = PiecewiseCubic(frame_t_imu, p, v)
     inside = np.clip(t, frame_t_imu[0], frame_t_imu[-1])
     out = t != inside
     velocity = curve(inside, 1)

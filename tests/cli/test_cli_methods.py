@@ -21,7 +21,7 @@ from smoother.cli.methods import (
 )
 from smoother.cli.run import run
 from smoother.errors import SolveError
-from smoother.evaluation import evaluate_gaps
+from smoother.evaluation.gaps import evaluate_gaps
 from smoother.io import read_recovery
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point

@@ -11,7 +11,7 @@ from scenes import ALONE, there
 from calib.motion.several_recordings import calibrate_motion
 from smoother import Recovery, smooth
 from smoother.calibration import ArmCalibration
-from smoother.evaluation import GapTable, evaluate_gaps
+from smoother.evaluation.gaps import GapTable, evaluate_gaps
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 

@@ -10,7 +10,7 @@ from scenes import ALONE, there
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from smoother import smooth
-from smoother.evaluation import Validation, validate
+from smoother.evaluation.validate import Validation, validate
 from smoother.io import import_broad
 from smoother.recording import Recording
 

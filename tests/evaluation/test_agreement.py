@@ -9,10 +9,10 @@ import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
 from smoother.calibration import ArmCalibration
-from smoother.evaluation import validate
 from smoother.evaluation.agreement import agreement, icc_a1, memory, unwound_deg
 from smoother.evaluation.lag import lag_s
 from smoother.evaluation.reference import ReferenceAlignment
+from smoother.evaluation.validate import validate
 
 #: Shrout and Fleiss, Psychological Bulletin 86 (1979), table 2: 6 targets by 4 judges.
 SHROUT_FLEISS = np.array(

@@ -10,8 +10,7 @@ import pytest
 from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import RecordingError, SolveError
-from smoother.evaluation import evaluate_gaps
-from smoother.evaluation.gaps import hide
+from smoother.evaluation.gaps import evaluate_gaps, hide
 from smoother.evaluation.placement import place_gaps, visible_runs
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
 

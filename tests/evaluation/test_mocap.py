@@ -11,9 +11,10 @@ from arms import LEVERS, make_recording, make_recovery, path, turn
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import CalibrationError, RecordingError
-from smoother.evaluation import read_reference, validate
 from smoother.evaluation.mocap.frame import stated_frame
 from smoother.evaluation.mocap.rigid import plate_axes
+from smoother.evaluation.reference import read_reference
+from smoother.evaluation.validate import validate
 from smoother.io.export.trc import write_trc
 from smoother.recording import CameraFrame
 

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from test_mocap import MAP, NAMES, captured
 
 from smoother.errors import RecordingError
-from smoother.evaluation import read_reference, validate
+from smoother.evaluation.reference import read_reference
 from smoother.evaluation.truth_file import read_truth
+from smoother.evaluation.validate import validate
 from smoother.io.export.c3d import C3dContent, write_c3d
 from smoother.io.export.trc import write_trc
 from smoother.io.markers.files import read_markers

@@ -9,7 +9,8 @@ import pytest
 from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import RecordingError
-from smoother.evaluation import read_truth, validate
+from smoother.evaluation.truth_file import read_truth
+from smoother.evaluation.validate import validate
 
 
 @pytest.fixture(scope="module")

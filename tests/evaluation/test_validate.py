@@ -10,7 +10,7 @@ from arms import make_recording, make_recovery, make_truth
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
-from smoother.evaluation import validate
+from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 from smoother.result import Recovery
 

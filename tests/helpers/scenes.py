@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import smoother.graph.solve
 from smoother import Config, Recovery, smooth
 from smoother.calibration import ArmCalibration
-from smoother.evaluation import Validation, validate
+from smoother.evaluation.validate import Validation, validate
 from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Window

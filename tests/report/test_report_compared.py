@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
-from smoother.evaluation import ReferenceAlignment, validate
+from smoother.evaluation.reference import ReferenceAlignment
+from smoother.evaluation.validate import validate
 from smoother.report import write_report
 from smoother.report.truth_comparison import angle_curves, bland_altman, compared, error_over_time
 

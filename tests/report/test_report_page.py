@@ -11,7 +11,7 @@ import pytest
 from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import UnoccludeError
-from smoother.evaluation import validate
+from smoother.evaluation.validate import validate
 from smoother.measurements.visibility import Gap
 from smoother.recording import CameraFrame, Recording
 from smoother.report import write_report

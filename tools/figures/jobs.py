@@ -11,7 +11,7 @@ import numpy as np
 from calib.motion.several_recordings import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.methods import METHODS, make_methods
-from smoother.evaluation import evaluate_gaps
+from smoother.evaluation.gaps import evaluate_gaps
 from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
