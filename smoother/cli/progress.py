@@ -27,7 +27,10 @@ def progress_bar(text: str) -> Iterator[Progress]:
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
+        auto_refresh=False,  # it would take a thread, and worker processes start fastest without
     )
     with bar:
         task = bar.add_task(text, total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=printable(text))
+        yield lambda fraction, text: bar.update(
+            task, completed=fraction, description=printable(text), refresh=True
+        )

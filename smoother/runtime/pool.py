@@ -11,7 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from types import ModuleType, TracebackType
-from typing import Generic, TypeVar
+from typing import Generic, Literal, TypeVar
 
 from ..errors import UnoccludeError
 from .worker import interrupts_wait, prepare_worker
@@ -48,6 +48,19 @@ def one_thread_each() -> Iterator[None]:
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
+
+
+def _start_method() -> Literal["fork", "spawn"]:
+    """How workers start: a fork has everything loaded, which takes a spawned one most of a second.
+
+    Other threads' locks do not survive a fork: it is used where this process has no other thread, of Python
+    or of a library (GTSAM, BLAS, a progress bar, a notebook), and where the system is known to allow it.
+    """
+    try:
+        alone = sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1
+    except OSError:
+        alone = False
+    return "fork" if alone else "spawn"
 
 
 def _wake() -> None:
@@ -114,9 +127,8 @@ class Pool:
             yield self._answer(job, waiting)
 
     def _started(self) -> ProcessPoolExecutor:
-        """Workers that load their libraries while the caller prepares."""
-        # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
-        context = multiprocessing.get_context("spawn")
+        """Workers that load their libraries, where they have to, while the caller prepares."""
+        context = multiprocessing.get_context(_start_method())
         with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
             executor = ProcessPoolExecutor(self._count, mp_context=context, initializer=prepare_worker)
             for _ in range(self._count):

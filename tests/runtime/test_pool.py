@@ -83,6 +83,27 @@ def test_a_plain_script_without_a_guard(how: str, tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+START = """
+import sys, threading, time
+from smoother.runtime.pool import _start_method
+print(_start_method())
+threading.Thread(target=time.sleep, args=(5,), daemon=True).start()
+print(_start_method())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
+def test_workers_are_forked_where_there_is_no_other_thread() -> None:
+    """A lock that another thread holds would never open in a forked worker."""
+    done = subprocess.run(
+        [sys.executable, "-c", START],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    assert done.stdout.split() == ["fork", "spawn"], done.stderr
+
+
 def double(number: int) -> int:
     return 2 * number
 
