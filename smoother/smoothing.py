@@ -31,7 +31,6 @@ from .selfcal.excerpts import informative_excerpts
 from .selfcal.given_check import contradictions
 from .selfcal.rounds import self_calibrate
 from .selfcal.upper_arm import calibrate_upper_arm
-from .window.pooling import leave_one_out_priors
 from .window.priors import with_measured_noise
 
 #: Called with a fraction (0..1) and a word for the step.
@@ -51,7 +50,8 @@ def smooth(
     """Recover the arm's motion over a whole recording.
 
     The recording is worked on in sections of about a minute, side by side in processes: each is solved once
-    alone for what all sections share, then again with what the others know of that. The answer does not
+    alone for what all sections share (of long recordings a part of it), then again with what the others know
+    of that. The answer does not
     depend on the number of processes.
 
     Parameters
@@ -107,7 +107,7 @@ def smooth(
         if upper is not None:
             model = upper.joined(model)
         recording = replace(recording, notes=(*recording.notes, *([note] if note else [])))
-        # 3. First pass: every section alone; each window answers with a Gaussian on what all share.
+        # 3. First pass: every section alone; its windows answer with a Gaussian on what all share.
         sections = Sections(recording, timeline, model.clock, upper)
         task = Task.of(recording, sections, model, config)
         first = FirstPass.over(
@@ -117,7 +117,7 @@ def smooth(
         task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
         magnetometer = magnetic_field(first, task, workers)
         # 5. Second pass: every section again, with priors from all others.
-        jobs = first.jobs(leave_one_out_priors(first.messages, task.prior), magnetometer.by_window)
+        jobs = first.jobs(first.priors(task.prior), magnetometer.by_window)
         answers = second_pass(jobs, task, workers)
         # 6. One trajectory at the IMU's own stamps.
         answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))

@@ -103,7 +103,7 @@ def _add_attitude(graph: gtsam.NonlinearFactorGraph, run: UpperRun) -> None:
 
 def upper_solution(
     values: gtsam.Values,
-    covariance_of: Callable[[int], FloatArray],
+    covariance_of: Callable[[int], FloatArray] | None,
     window: Window,
     biases: IntArray,
     nodes: IntArray | None,
@@ -114,13 +114,13 @@ def upper_solution(
     ----------
     values : gtsam.Values
         The solution.
-    covariance_of : callable
-        Gives a variable's covariance at the solution.
+    covariance_of : callable or None
+        Gives a variable's covariance at the solution; None where covariances are not asked for.
     window : Window
     biases : ndarray of int, shape (n - 1,)
         From `bias_of_intervals`.
     nodes : ndarray of int, shape (k,), or None
-        Where covariances are computed, interpolated in between; None where they are not asked for.
+        Where covariances are computed, interpolated in between; None likewise.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def upper_solution(
         R[rows] = [each.rotation().matrix() for each in poses]
         p[rows] = [each.translation() for each in poses]
         v[rows] = [values.atVector(W(i)) for i in rows]
-        if pose is not None and nodes is not None:
+        if pose is not None and nodes is not None and covariance_of is not None:
             own = np.union1d(nodes[(nodes >= rows[0]) & (nodes <= rows[-1])], rows[[0, -1]])
             covariance = np.array([covariance_of(Y(i)) for i in own])
             pose[rows] = interpolate(window.t[own], in_camera(covariance, R[own]), window.t[rows])

@@ -20,7 +20,7 @@ from .chain import build_arm, upper_solution
 from .clock_information import offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
-from .optimise import optimise
+from .optimise import Optimum, optimise
 from .shared_prior import shared_jacobian, shared_keys
 
 #: Where `solve` stops by default.
@@ -37,6 +37,44 @@ SHOULDER_COVARIANCE_S = 0.1
 UPPER_COVARIANCE_S = 0.25
 
 
+@dataclass(frozen=True)
+class Settled:
+    """A window at its optimum: what a solution is read from; it does not travel between processes.
+
+    Attributes
+    ----------
+    window : Window
+    optimum : Optimum
+    tighten : int
+        Number of the tightening in `TIGHTEN` that it was found with.
+    """
+
+    window: Window
+    optimum: Optimum
+    tighten: int
+
+
+def settle(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> Settled:
+    """Optimise a window (see `optimise`).
+
+    Parameters
+    ----------
+    window : Window
+    tolerance : float
+        The optimiser stops when an iteration lowers the error by less than this share of it.
+
+    Returns
+    -------
+    settled : Settled
+
+    Raises
+    ------
+    SolveError
+        The window leaves something free; the text names the time.
+    """
+    return _settled(window, tolerance, 0)
+
+
 def solve(
     window: Window,
     with_covariance: bool,
@@ -45,11 +83,24 @@ def solve(
     with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Solution:
-    """Optimise a window (see `optimise`) and read its answer.
+    """Optimise a window and read its answer: `settle` and `solution_of` in one."""
+    settled = settle(window, tolerance)
+    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, tolerance)
+
+
+def solution_of(
+    settled: Settled,
+    with_covariance: bool,
+    with_offset: bool = False,
+    with_message: bool = True,
+    with_evidence: bool = False,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Solution:
+    """Read the answer of a window that is at its optimum.
 
     Parameters
     ----------
-    window : Window
+    settled : Settled
     with_covariance : bool
         Also the covariance of every node (a third of the time).
     with_offset : bool
@@ -59,7 +110,7 @@ def solve(
     with_evidence : bool
         Also what the window says of errors that are constant over the recording.
     tolerance : float
-        The optimiser stops when an iteration lowers the error by less than this share of it.
+        As `settle` had it: where a direction turns out free it is done again, with a tighter prior.
 
     Returns
     -------
@@ -70,69 +121,74 @@ def solve(
     SolveError
         The window leaves something free; the text names the time.
     """
-    try:
-        return _solved(window, with_covariance, with_offset, with_message, with_evidence, tolerance)
-    except np.linalg.LinAlgError as error:
-        raise SolveError(
-            f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
-            " the camera saw there"
-        ) from error
-
-
-def _solved(
-    window: Window,
-    with_covariance: bool,
-    with_offset: bool,
-    with_message: bool,
-    with_evidence: bool,
-    tolerance: float,
-) -> Solution:
-    """The answer; raises LinAlgError where something is free."""
-    for tighten in TIGHTEN:
-        # a direction that is free but for the attitude prior can be too weak for the solver's precision
-        graph, values = build_arm(_tightened(window, tighten))
+    while True:
         try:
-            optimum = optimise(graph, values, window, tolerance)
-            graph, values = optimum.graph, optimum.values
-            biases = bias_of_intervals(window)
-            states = _states(values, len(window.t))
-            errors = None
-            if with_evidence or window.considered is not None:
-                errors = partial(constant_error_columns, window=window, biases=biases, R=states.R)
-            system = LinearSystem(graph, values, node_of_variables(window), errors)
-            pose_covariance = velocity_covariance = None
-            following = _Following.of(system, values, window, biases)
-            if with_covariance:
-                pose_covariance, velocity_covariance = _covariances(following, window, states.R)
-                pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
-            shoulder, shoulder_covariance = _shoulder(values, following, window, with_covariance)
-            message = _message(values, system, window, biases, with_message)
-            nodes = _covariance_nodes(window) if with_covariance else None
-            upper = upper_solution(values, following.of_variable, window, biases, nodes)
+            return _read(settled, with_covariance, with_offset, with_message, with_evidence)
+        except np.linalg.LinAlgError:
+            settled = _settled(settled.window, tolerance, settled.tighten + 1)
+
+
+def _settled(window: Window, tolerance: float, first: int) -> Settled:
+    """A direction that is free but for the attitude prior can be too weak for the solver's precision."""
+    for number in range(first, len(TIGHTEN)):
+        try:
+            optimum = optimise(*build_arm(_tightened(window, TIGHTEN[number])), window, tolerance)
         except np.linalg.LinAlgError:
             continue
         except RuntimeError as error:
             if "ndetermin" not in str(error):
                 raise
             continue
-        return Solution(
-            index=window.index,
-            states=states,
-            pose_covariance=pose_covariance,
-            velocity_covariance=velocity_covariance,
-            shoulder=shoulder,
-            shoulder_covariance=shoulder_covariance,
-            message=message,
-            bias=_bias(values, biases),
-            residuals=_residuals(values, window, states),
-            iterations=optimum.iterations,
-            error=optimum.error,
-            offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
-            accepted=optimum.accepted,
-            evidence=evidence(system, values, message.shared.mean, window, biases) if with_evidence else None,
-            upper=upper,
-        )
-    raise np.linalg.LinAlgError
+        return Settled(window, optimum, number)
+    raise SolveError(
+        f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
+        " the camera saw there"
+    )
+
+
+def _read(
+    settled: Settled, with_covariance: bool, with_offset: bool, with_message: bool, with_evidence: bool
+) -> Solution:
+    """The answer; raises LinAlgError where something is free."""
+    window, optimum, tighten = settled.window, settled.optimum, TIGHTEN[settled.tighten]
+    graph, values = optimum.graph, optimum.values
+    biases = bias_of_intervals(window)
+    states = _states(values, len(window.t))
+    following, pose_covariance, velocity_covariance = None, None, None
+    if with_covariance or with_message or with_evidence:
+        errors = None
+        if with_evidence or window.considered is not None:
+            errors = partial(constant_error_columns, window=window, biases=biases, R=states.R)
+        system = LinearSystem(graph, values, node_of_variables(window), errors)
+        following = _Following.of(system, values, window, biases)
+    if following is not None and with_covariance:
+        pose_covariance, velocity_covariance = _covariances(following, window, states.R)
+        pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
+    shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
+    message = _message(values, following if with_message else None, window, biases)
+    covariance_of = following.of_variable if following is not None and with_covariance else None
+    nodes = _covariance_nodes(window) if with_covariance else None
+    return Solution(
+        index=window.index,
+        states=states,
+        pose_covariance=pose_covariance,
+        velocity_covariance=velocity_covariance,
+        shoulder=shoulder,
+        shoulder_covariance=shoulder_covariance,
+        message=message,
+        bias=_bias(values, biases),
+        residuals=_residuals(values, window, states),
+        iterations=optimum.iterations,
+        error=optimum.error,
+        offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
+        accepted=optimum.accepted,
+        evidence=(
+            evidence(following.system, values, message.shared.mean, window, biases)
+            if following is not None and with_evidence
+            else None
+        ),
+        upper=upper_solution(values, covariance_of, window, biases, nodes),
+    )
 
 
 def _tightened(window: Window, tighten: float) -> Window:
@@ -238,13 +294,13 @@ def _spaced(t: FloatArray, in_gap: BoolArray, apart_s: float, near_s: float = CO
 
 
 def _shoulder(
-    values: gtsam.Values, following: _Following, window: Window, with_covariance: bool
+    values: gtsam.Values, following: _Following | None, window: Window
 ) -> tuple[FloatArray | None, FloatArray | None]:
     if window.shoulder is None:
         return None, None
     t = window.t[window.shoulder.node]
     position = np.array([values.atPoint3(S(k)) for k in range(len(t))])
-    if not with_covariance:
+    if following is None:
         return position, None
     apart_s = UPPER_COVARIANCE_S if window.upper else SHOULDER_COVARIANCE_S
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
@@ -258,9 +314,7 @@ def _bias(values: gtsam.Values, biases: IntArray) -> FloatArray:
     return bias[np.append(biases, biases[-1])]
 
 
-def _message(
-    values: gtsam.Values, system: LinearSystem, window: Window, biases: IntArray, with_covariance: bool
-) -> Message:
+def _message(values: gtsam.Values, following: _Following | None, window: Window, biases: IntArray) -> Message:
     """The shared variables, jointly, in the shared vector's coordinates; without covariance it is nan."""
     layout = window.priors.layout
     keys = shared_keys(window, biases)
@@ -278,9 +332,9 @@ def _message(
     if layout.has_upper_imu:
         mean[layout.upper_bias] = values.atConstantBias(keys[-1]).vector()
     covariance = np.full((layout.size, layout.size), np.nan)
-    if with_covariance:
+    if following is not None:
         jacobian = shared_jacobian(layout, down)
-        covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
+        covariance = jacobian @ following.system.shared_covariance(keys) @ jacobian.T
     return Message(t_s=float(0.5 * (window.t[0] + window.t[-1])), shared=Gaussian(mean, covariance))
 
 

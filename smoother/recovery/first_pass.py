@@ -1,4 +1,8 @@
-"""The first pass: every section alone, for what all sections share."""
+"""The first pass: every section alone, for what all sections share.
+
+Of a long recording it asks some windows of each section only, those that tell most: what all share is known
+long before every window has been asked.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 
+import numpy as np
+
 from ..errors import SolveError
 from ..graph.solve import solve
 from ..measurements.outliers import reject_by_camera
-from ..recording import FloatArray
+from ..recording import FloatArray, IntArray
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from ..selfcal.clock_fit import ClockScore, clock_score
 from ..selfcal.rounds import reject_by_direction
 from ..window.cut import cut_times
+from ..window.pooling import leave_one_out_priors
 from ..window.prepare import prepare
 from ..window.problem import FieldMeasurements, Priors
 from ..window.solution import Message
@@ -37,8 +44,12 @@ class FirstAnswer:
     ----------
     state : SectionState
         What its second pass needs.
+    t_s : ndarray, shape (k,), s
+        Middles of its windows.
+    asked : ndarray of int, shape (m,)
+        Which of its windows were asked.
     messages : list of Message
-        On the shared quantities, one a window.
+        On the shared quantities, one of each of these.
     strengths : tuple of ndarray
         Of the magnetic field where it was read, one a window.
     clock_score : ClockScore
@@ -46,6 +57,8 @@ class FirstAnswer:
     """
 
     state: SectionState
+    t_s: FloatArray
+    asked: IntArray
     messages: list[Message]
     strengths: tuple[FloatArray, ...]
     clock_score: ClockScore
@@ -78,21 +91,21 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
     prepared, alignment = ready
     borders = cut_times(prepared, config.windows.length_s)
     windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1))
-    middle = len(windows) // 2
-    solutions = [
-        solve(
-            window,
+    asked = task.asked(segment, borders)
+    middle = int(asked[len(asked) // 2])
+    solutions = {
+        k: solve(
+            windows[k],
             with_covariance=task.magnetometer,  # it is judged by what this pass knows of the attitude
             with_offset=task.with_clock and k == middle,
             tolerance=TOLERANCE,
         )
-        for k, window in enumerate(windows)
-    ]
+        for k in asked.tolist()
+    }
     observations = tuple(
-        observe(data.imu, window, solution)
-        for window, solution in zip(windows, solutions, strict=True)
-        if task.magnetometer
+        observe(data.imu, windows[k], solution) for k, solution in solutions.items() if task.magnetometer
     )
+    whole = len(solutions) == len(windows)
     state = SectionState(
         imu_t=data.imu.t_s,
         first_sample=data.section.samples.start,
@@ -101,12 +114,14 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
         alignment=alignment,
         clock=model.clock,
         borders=borders,
-        trajectory=merge_windows(prepared.t, windows, solutions),
+        trajectory=merge_windows(prepared.t, windows, list(solutions.values())) if whole else None,
         observations=observations,
     )
     return FirstAnswer(
         state,
-        [solution.message for solution in solutions],
+        np.array([0.5 * (window.t[0] + window.t[-1]) for window in windows]),
+        asked,
+        [solution.message for solution in solutions.values()],
         tuple(observation.strength for observation in observations),
         clock_score([windows[middle]], [solutions[middle]]).condensed(),
     )
@@ -137,7 +152,11 @@ class FirstPass:
     Attributes
     ----------
     messages : list of Message
-        Of all windows.
+        Of the windows that were asked.
+    asked : list of int
+        Numbers of these windows in the recording.
+    t_s : list of float, s
+        Middles of all windows.
     clock_scores : list of ClockScore
         One a section.
     strengths : list of ndarray
@@ -146,6 +165,8 @@ class FirstPass:
 
     store: Store
     messages: list[Message] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)
+    t_s: list[float] = field(default_factory=list)
     clock_scores: list[ClockScore] = field(default_factory=list)
     strengths: list[FloatArray] = field(default_factory=list)
     _states: list[tuple[object, range]] = field(default_factory=list)
@@ -171,14 +192,20 @@ class FirstPass:
         return first
 
     def _add(self, answer: FirstAnswer) -> None:
-        windows = range(len(self.messages), len(self.messages) + len(answer.messages))
+        windows = range(len(self.t_s), len(self.t_s) + len(answer.t_s))
         self._states.append((self.store.put(answer.state), windows))
+        self.asked += (windows.start + answer.asked).tolist()
+        self.t_s += answer.t_s.tolist()
         self.messages += answer.messages
         self.strengths += answer.strengths
         self.clock_scores.append(answer.clock_score)
 
     def __len__(self) -> int:
         return len(self._states)
+
+    def priors(self, prior: Priors) -> Iterator[Priors]:
+        """The second pass's priors of all windows, in the order of time (`leave_one_out_priors`)."""
+        return leave_one_out_priors(self.messages, prior, np.array(self.t_s), np.array(self.asked))
 
     def states(self) -> Iterator[tuple[SectionState, range]]:
         """Each section's state, taken out of the store, and the numbers of its windows."""

@@ -1,4 +1,4 @@
-"""The second pass: every section again, with priors from all others."""
+"""The second pass: every section with priors from all others."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ..graph.optimise import LONG_S
-from ..graph.solve import solve
+from ..graph.solve import Settled, settle, solution_of
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
+from ..window.problem import Window
 from ..window.solution import Message
 from ..window.trajectory import merge_windows
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
-from .task import Task
+from .task import SectionState, Task
 from .upper_samples import UpperAnswer, sample_upper
 
 TOLERANCE = 1e-3
@@ -56,14 +57,14 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     SolveError
         A window leaves something free; the text names the time.
     """
-    state = job.state.without_outliers(task)
-    windows = [
-        replace(window, field=job.field.get(number), considered=task.model.errors.considered)
-        for number, window in enumerate(task.windows(state.prepared, state.borders, job.priors))
-    ]
-    solutions = [
-        solve(window, with_covariance=True, with_message=False, tolerance=TOLERANCE) for window in windows
-    ]
+    state, settled = job.state, None
+    if state.trajectory is None:
+        state, settled = _settled(job, task)
+    if settled is None:
+        state = state.without_outliers(task)
+        settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
+    windows = [each.window for each in settled]
+    solutions = [solution_of(each, with_covariance=True, with_message=False) for each in settled]
     trajectory = merge_windows(state.prepared.t, windows, solutions)
     answer = sample_section(
         state.imu_t,
@@ -84,6 +85,32 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
     upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared.upper, task.model)
     return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper)
+
+
+def _settled(job: SecondJob, task: Task) -> tuple[SectionState, list[Settled] | None]:
+    """A section that the first pass did not solve: its windows' optima, and the samples they contradict.
+
+    Returns
+    -------
+    state : SectionState
+        With the trajectory, and without what it contradicts.
+    settled : list of Settled or None
+        None where samples were rejected: the optima are without them.
+    """
+    state = job.state.at_clock(task.model.clock)
+    settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
+    solutions = [solution_of(each, with_covariance=False, with_message=False) for each in settled]
+    trajectory = merge_windows(state.prepared.t, [each.window for each in settled], solutions)
+    again = replace(state, trajectory=trajectory).without_outliers(task)
+    return again, settled if again.segment is state.segment else None
+
+
+def _windows(state: SectionState, job: SecondJob, task: Task) -> list[Window]:
+    """A section's windows, with what all others say and the errors that are considered."""
+    return [
+        replace(window, field=job.field.get(number), considered=task.model.errors.considered)
+        for number, window in enumerate(task.windows(state.prepared, state.borders, job.priors))
+    ]
 
 
 def second_pass(jobs: Iterable[SecondJob], task: Task, workers: Pool) -> Iterator[SecondAnswer]:

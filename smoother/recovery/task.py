@@ -12,8 +12,9 @@ from ..measurements.alignment import Alignment
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_residual
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray, Recording
+from ..recording import JOINTS, FloatArray, IntArray, Recording
 from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
+from ..selfcal.excerpts import most_telling
 from ..selfcal.rounds import SelfCalibration, with_initial_values
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
@@ -28,6 +29,8 @@ from .magnetometer import FieldObservation, takes_part
 from .samples import frame_residuals
 from .sections import Sections
 
+#: With more windows than this the first pass asks some of each section only, so many in all.
+ASKED_WINDOWS = 40
 #: With so many sections the clock is found anew from all of them: it wanders over a long recording.
 CLOCK_SECTIONS = 5
 
@@ -53,6 +56,8 @@ class Task:
         There is a calibrated one.
     with_clock : bool
         The first pass asks every section for the clock.
+    asked_windows : int
+        So many windows of each section it asks for what all share; 0 = all.
     """
 
     model: SelfCalibration
@@ -63,21 +68,27 @@ class Task:
     joints: tuple[str, ...]
     magnetometer: bool
     with_clock: bool
+    asked_windows: int
 
     @classmethod
     def of(cls, recording: Recording, sections: Sections, model: SelfCalibration, config: Config) -> Task:
         """The task of a recording whose sections are cut."""
         present = recording.arm.present
         length_s = config.windows.length_s
+        windows = sum(max(round(section.length_s / length_s), 1) for section in sections.all)
+        # a magnetometer is read with what the first pass knows of the attitude: everywhere
+        with_field = takes_part(recording.imu)
+        some = windows > ASKED_WINDOWS and not with_field
         return cls(
             model=model,
             config=config,
             prior=first_priors(model.initial, model.prior, config),
             noise=replace(noise_of(config, model.upper_arm_sigma_m), tissue_m=model.tissue_m),
-            sharing=sum(max(round(section.length_s / length_s), 1) for section in sections.all),
+            sharing=windows,
             joints=tuple(joint for joint in JOINTS if joint in present and joint != "strap"),
-            magnetometer=takes_part(recording.imu),
+            magnetometer=with_field,
             with_clock=len(sections) >= CLOCK_SECTIONS,
+            asked_windows=-(-ASKED_WINDOWS // len(sections)) if some else 0,
         )
 
     def refined(
@@ -101,6 +112,10 @@ class Task:
         if self.with_clock:
             clocks = (refined_clock(model.clock, pooled_score(scores), synthetic_stamps),)
         return replace(self, model=replace(model, estimate=estimate, clocks=clocks))
+
+    def asked(self, segment: Segment, borders: Sequence[float]) -> IntArray:
+        """Numbers of a section's windows that the first pass asks."""
+        return most_telling(segment, borders, self.asked_windows or len(borders))
 
     def windows(
         self, prepared: PreparedSegment, borders: list[float], priors: Sequence[Priors]
@@ -127,8 +142,8 @@ class SectionState:
         That the first pass had.
     borders : list of float, s
         Where windows begin and end.
-    trajectory : Trajectory
-        The first pass's.
+    trajectory : Trajectory or None
+        The first pass's; None where it asked some of the windows only.
     observations : tuple of FieldObservation
         What the magnetometer read, one a window; empty without one.
     outliers_rejected : bool
@@ -142,13 +157,13 @@ class SectionState:
     alignment: Alignment
     clock: Clock
     borders: list[float]
-    trajectory: Trajectory
+    trajectory: Trajectory | None
     observations: tuple[FieldObservation, ...]
     outliers_rejected: bool = False
 
     def without_outliers(self, task: Task) -> SectionState:
-        """Samples that the first pass contradicts rejected, and its trajectory as start values."""
-        if self.outliers_rejected:
+        """Samples that the trajectory contradicts rejected, and it as start values."""
+        if self.outliers_rejected or self.trajectory is None:
             return self
         segment, prepared, clock = self.segment, self.prepared, task.model.clock
         frame_t_imu = segment.frame_t_imu(clock)
@@ -170,10 +185,14 @@ class SectionState:
             upper = with_start(again[0].upper, again[0].t, self.trajectory.upper, prepared.upper)
             prepared = replace(with_initial_values(again[0], self.trajectory), upper=upper)
             return replace(self, segment=inliers, prepared=prepared, outliers_rejected=True)
-        # frames may lie elsewhere, on a clock that was found anew; they are propagated to the same nodes
+        upper = with_start(prepared.upper, prepared.t, self.trajectory.upper, prepared.upper)
+        prepared = replace(self.at_clock(clock).prepared, start=self.trajectory.states, upper=upper)
+        return replace(self, prepared=prepared, clock=clock, outliers_rejected=True)
+
+    def at_clock(self, clock: Clock) -> SectionState:
+        """The same with its frames on a clock that was found anew; they are propagated to the same nodes."""
+        segment, signal = self.segment, self.prepared.signal
         before = segment.frame_t_imu(self.clock)
         inside = (before >= segment.start_s) & (before <= segment.end_s)
-        frame_t = np.clip(frame_t_imu, prepared.signal.start_s, prepared.signal.end_s)[inside]
-        upper = with_start(prepared.upper, prepared.t, self.trajectory.upper, prepared.upper)
-        prepared = replace(prepared, start=self.trajectory.states, frame_t_imu=frame_t, upper=upper)
-        return replace(self, prepared=prepared, outliers_rejected=True)
+        frame_t = np.clip(segment.frame_t_imu(clock), signal.start_s, signal.end_s)[inside]
+        return replace(self, prepared=replace(self.prepared, frame_t_imu=frame_t), clock=clock)

@@ -13,7 +13,7 @@ from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Segment, make_segment, split_into_segments
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import enough_joints
-from ..recording import FloatArray, Recording
+from ..recording import FloatArray, IntArray, Recording
 
 #: Length of an excerpt, and of all that the self-calibration reads, s.
 EXCERPT_S = 20.0
@@ -133,6 +133,31 @@ def informative_recording(recording: Recording, timeline: Timeline) -> Recording
     return replace(recording, imu=recording.imu.select(samples), arm=recording.arm.select(frames), truth=None)
 
 
+def most_telling(segment: Segment, borders: Sequence[float], count: int) -> IntArray:
+    """So many windows of a segment, spread over it: of each part the one that tells most.
+
+    Parameters
+    ----------
+    segment : Segment
+    borders : sequence of float, s
+        Where its windows begin and end, on the IMU's clock.
+    count : int
+
+    Returns
+    -------
+    windows : ndarray of int, shape (min(count, len(borders) - 1),)
+        Numbers of the windows, increasing.
+    """
+    visible_t = _visible_t(segment)
+
+    def information(window: int) -> float:
+        start_s, end_s = borders[window], borders[window + 1]
+        visible = visible_t[slice(*np.searchsorted(visible_t, [start_s, end_s]).tolist())]
+        return _information(visible, _turning_of(segment, start_s, end_s))
+
+    return np.array(_best(range(len(borders) - 1), information, count))
+
+
 def choose_excerpts(segments: list[Segment]) -> list[Segment]:
     """Excerpts of segments in which the forearm is visible and turns most; all where they are short."""
     if sum(segment.end_s - segment.start_s for segment in segments) <= 1.5 * EXCERPTS_S:
@@ -160,9 +185,13 @@ def _best(
 
 
 def _information_of(segment: Segment) -> float:
-    edges = np.arange(segment.start_s, segment.end_s, TURN_S)
-    turning = np.linalg.norm(segment.signal.mean(edges[:-1], edges[1:])[:, 3:], axis=1)
-    return _information(_visible_t(segment), turning)
+    return _information(_visible_t(segment), _turning_of(segment, segment.start_s, segment.end_s))
+
+
+def _turning_of(segment: Segment, start_s: float, end_s: float) -> FloatArray:
+    """Size of the mean angular rate over each `TURN_S` of a segment, rad/s."""
+    edges = np.arange(start_s, end_s, TURN_S)
+    return np.linalg.norm(segment.signal.means(edges)[:, 3:], axis=1)
 
 
 def _visible_t(segment: Segment) -> FloatArray:

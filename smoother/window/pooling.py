@@ -1,9 +1,10 @@
 """The shared quantities by all windows together, and by all windows but one.
 
-Each window of the first pass answers with a Gaussian on the biases, gravity, the upper arm's length
-and the lever arms. In the second pass the answers of the others are its prior (never its own answer,
-which would count twice), widened by how much the windows differ beyond their stated covariance (a
-random-effects model; DerSimonian and Laird, Control. Clin. Trials 1986).
+The windows that the first pass asks (all of a short recording, some of each minute of a long one) answer
+with a Gaussian on the biases, gravity, the upper arm's length and the lever arms. In the second pass the
+answers of the others are a window's prior (never its own answer, which would count twice), widened by how
+much the windows differ beyond their stated covariance (a random-effects model; DerSimonian and Laird,
+Control. Clin. Trials 1986).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..linalg import inverse
-from ..recording import FloatArray
+from ..recording import FloatArray, IntArray
 from .problem import Priors
 from .shared import Gaussian
 from .solution import Message
@@ -39,6 +40,13 @@ class _Information:
     def __getitem__(self, k: int) -> _Information:
         return _Information(self.matrix[k], self.vector[k])
 
+    def among(self, rows: IntArray, count: int) -> _Information:
+        """A stack of so many, these in their rows; the others say nothing."""
+        matrix = np.zeros((count, *self.matrix.shape[1:]))
+        vector = np.zeros((count, *self.vector.shape[1:]))
+        matrix[rows], vector[rows] = self.matrix, self.vector
+        return _Information(matrix, vector)
+
     def sum(self) -> _Information:
         """All of a stack together."""
         return _Information(self.matrix.sum(axis=0), self.vector.sum(axis=0))
@@ -49,7 +57,9 @@ class _Information:
         return Gaussian(covariance @ self.vector, covariance)
 
 
-def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator[Priors]:
+def leave_one_out_priors(
+    messages: Sequence[Message], prior: Priors, t_s: FloatArray | None = None, asked: IntArray | None = None
+) -> Iterator[Priors]:
     """The second pass's priors: what the first pass's prior and all other windows say.
 
     Parameters
@@ -58,18 +68,22 @@ def leave_one_out_priors(messages: Sequence[Message], prior: Priors) -> Iterator
         The first pass's answers in the order of time; not needed any more once this has returned.
     prior : Priors
         The first pass's, the same for all of its windows.
+    t_s : ndarray, shape (k,), s, optional
+        Middles of all windows, where not all were asked.
+    asked : ndarray of int, shape (len(messages),), optional
+        Of each message, which of these windows it is of.
 
     Yields
     ------
     priors : Priors
         Of each window, in the order of time.
     """
-    t = np.array([message.t_s for message in messages])
+    t = np.array([message.t_s for message in messages]) if t_s is None else t_s
     walk = np.zeros(prior.layout.size)
     walk[prior.layout.bias] = SLOW_WALK
     if prior.layout.has_upper_imu:
         walk[prior.layout.upper_bias] = SLOW_WALK
-    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk)
+    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk, asked)
     return (replace(prior, shared=shared) for shared in others)
 
 
@@ -113,7 +127,11 @@ def _accumulated(
 
 
 def leave_one_out(
-    answers: Sequence[Gaussian], prior: Gaussian, t: FloatArray, walk: FloatArray
+    answers: Sequence[Gaussian],
+    prior: Gaussian,
+    t: FloatArray,
+    walk: FloatArray,
+    asked: IntArray | None = None,
 ) -> Iterator[Gaussian]:
     """For each window, what the prior and all other windows say.
 
@@ -129,14 +147,17 @@ def leave_one_out(
         Increasing times of the windows.
     walk : ndarray, shape (s,), unit/sqrt(s)
         How each component wanders; zero for a constant.
+    asked : ndarray of int, shape (len(answers),), optional
+        Of each answer, which of the windows it is of, where not all have one.
 
     Yields
     ------
     others : Gaussian
         For each window, in the order of time.
     """
-    start, widened, spread = _accumulated(answers, prior)
+    start, own, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
+    widened = own if asked is None else own.among(asked, count)
 
     def wander(information: _Information, step_s: float) -> _Information:
         return _widen(information, np.diag(walk**2) * step_s)

@@ -17,6 +17,7 @@ import smoother.graph.solve
 from smoother import Config, Recovery, smooth
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
+from smoother.graph.solve import Settled
 from smoother.recording import BoolArray, FloatArray, Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Window
@@ -105,17 +106,22 @@ class Job:
 def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALONE) -> list[Job]:
     """Every window that `smooth` solves, pass by pass, by listening at the solver."""
     solved: list[Job] = []
-    solve = smoother.graph.solve.solve
+    solve, solution_of = smoother.graph.solve.solve, smoother.graph.solve.solution_of
 
     def listen(window: Window, with_covariance: bool, **more: Any) -> Solution:
         solution = solve(window, with_covariance, **more)
         solved.append(Job(window, with_covariance, solution))
         return solution
 
-    places = ("recovery.first_pass", "recovery.second_pass", "selfcal.rounds")
+    def listen_again(settled: Settled, with_covariance: bool, **more: Any) -> Solution:
+        solution = solution_of(settled, with_covariance, **more)
+        solved.append(Job(settled.window, with_covariance, solution))
+        return solution
+
     with ExitStack() as patches:
-        for place in places:
+        for place in ("recovery.first_pass", "selfcal.rounds"):
             patches.enter_context(patch(f"smoother.{place}.solve", listen))
+        patches.enter_context(patch("smoother.recovery.second_pass.solution_of", listen_again))
         smooth(replace(recording, truth=None), calibration, config)
     return solved
 

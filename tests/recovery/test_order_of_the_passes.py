@@ -23,7 +23,6 @@ from smoother.runtime.disk_store import DiskStore
 from smoother.runtime.pool import Pool
 from smoother.runtime.store import Store
 from smoother.selfcal.clock_fit import ClockScore
-from smoother.window.pooling import leave_one_out_priors
 from smoother.window.problem import FieldMeasurements, Priors
 from smoother.window.shared import Gaussian, SharedLayout
 from smoother.window.solution import Message
@@ -53,7 +52,8 @@ def answer(section: int) -> FirstAnswer:
     state = SectionState(np.full(3, section), section, nothing, nothing, nothing, nothing, [], nothing, ())
     codes = [code(section, window) for window in range(WINDOWS[section])]
     messages = [Message(t, Gaussian(np.zeros(LAYOUT.size), np.eye(LAYOUT.size) / (1.0 + t))) for t in codes]
-    return FirstAnswer(state, messages, tuple(np.array([t]) for t in codes), score(section))
+    strengths = tuple(np.array([t]) for t in codes)
+    return FirstAnswer(state, np.array(codes), np.arange(len(codes)), messages, strengths, score(section))
 
 
 class FakeSections:
@@ -105,7 +105,7 @@ def own_information(priors: Priors, first: FirstPass) -> float:
 
 
 def second_jobs(first: FirstPass) -> Iterator[SecondJob]:
-    return first.jobs(leave_one_out_priors(first.messages, PRIOR), field_of(first))
+    return first.jobs(first.priors(PRIOR), field_of(first))
 
 
 def handed(jobs: Iterator[SecondJob], first: FirstPass) -> Handed:
