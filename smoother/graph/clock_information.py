@@ -1,36 +1,65 @@
-"""Information of a window's samples on the clock offset, all other variables free to follow it."""
+"""Information of a window's samples on the clock offset, all other variables free to follow it.
+
+A later offset moves every camera factor's error by the joint's velocity. The linearised system gets that
+column as one more quantity, and its reduction gives what the variables leave of it: states can follow a part
+of any shift. The robust loss counts with its weights at the solution.
+"""
 
 from __future__ import annotations
 
-import gtsam
+from collections.abc import Mapping
+
 import numpy as np
-from gtsam.symbol_shorthand import D
+from scipy.sparse import csr_matrix
 
 from ..recording import FloatArray
-from ..window.problem import States, Window
+from ..window.problem import JointMeasurements, States, Window
 from .build import stacked_measurements
-
-#: Share of its bound that the information usually is; stands in where the elimination takes a weak direction
-#: for a free one.
-USUAL_SHARE = 0.3
+from .error_columns import camera_rows
+from .linear_system import LinearSystem
 
 
-def offset_information(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, states: States
-) -> float:
-    """Information on one clock offset for the whole window, all other variables eliminated.
-
-    A later offset moves every camera factor's error by the joint's velocity. The linearised graph gets that
-    column as one more variable, and elimination (`GaussianFactorGraph.marginal`) gives what the other
-    variables leave of it: states can follow a part of any shift. The robust loss counts with its weights at
-    the solution.
+def offset_column(
+    jacobian: csr_matrix, columns: Mapping[int, slice], window: Window, states: States
+) -> FloatArray:
+    """Column of the whitened Jacobian for a clock offset of the window's own.
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph
-        Of the window (`build`).
-    values : gtsam.Values
-        The solution.
+    jacobian : csr_matrix, shape (rows, variables)
+        Of the graph as `build` puts it together.
+    columns : mapping of int to slice
+        Columns of each variable, by key.
+    window : Window
+    states : States
+        At its nodes.
+
+    Returns
+    -------
+    column : ndarray, shape (r, 1), 1/s
+        Of the first r rows; the offset is in no others.
+    """
+    by_joint = {measured.joint: measured for measured in window.joint_measurements}
+    column = np.zeros((0, 1))
+    for factors in camera_rows(jacobian, columns, window):
+        if factors.joint in by_joint:
+            mean, _ = _velocity_at_nodes(by_joint[factors.joint], states, window.noise.cauchy)
+            rows = np.zeros((factors.rows.stop, 1))
+            rows[: len(column)] = column
+            rows[factors.rows] = factors.weight[:, None] * mean.reshape(-1, 1)
+            column = rows
+    return column
+
+
+def offset_information(system: LinearSystem, column: int, window: Window, states: States) -> float:
+    """Information on one clock offset for the whole window, all variables eliminated.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        With `offset_column` among its extra columns.
+    column : int
+        Its number among them; the others are held fixed.
     window : Window
     states : States
         The solution's, at the nodes.
@@ -39,50 +68,22 @@ def offset_information(
     -------
     information : float, 1/s^2
     """
-    linear = graph.linearize(values)
-    velocities, scatter = _velocities(window, states)
-    velocity = iter(velocities)
-    bound = 0.0
-    extended = gtsam.GaussianFactorGraph()
-    unit = gtsam.noiseModel.Unit.Create(3)
-    for i in range(graph.size()):
-        factor = linear.at(i)
-        if isinstance(graph.at(i), gtsam.GPSFactorArm | gtsam.GPSFactorArmCalib):
-            jacobian = gtsam.JacobianFactor(factor)
-            keys, A = jacobian.keys(), jacobian.getA()
-            weight = np.linalg.norm(A[:, 3:6]) / np.sqrt(3.0)  # whitened: a rotation times this
-            column = weight * next(velocity)[:, None]
-            bound += float(np.sum(column**2))
-            pose, b = (keys[0], A[:, :6]), jacobian.getb()
-            if len(keys) > 1:
-                factor = gtsam.JacobianFactor(*pose, keys[1], A[:, 6:], D(0), column, b, unit)
-            else:
-                factor = gtsam.JacobianFactor(*pose, D(0), column, b, unit)
-        extended.push_back(factor)
-    if bound == 0.0:  # the camera saw nothing, or the arm was still
-        return scatter
-    try:
-        marginal = extended.marginal([D(0)])
-    except RuntimeError as error:
-        if "ndetermin" not in str(error):
-            raise
-        return scatter + USUAL_SHARE * bound
-    return scatter + float(sum(marginal.at(i).information()[0, 0] for i in range(marginal.size())))
+    scatter = sum(
+        _velocity_at_nodes(measured, states, window.noise.cauchy)[1] for measured in window.joint_measurements
+    )
+    return scatter + system.extra_information(column)
 
 
-def _velocities(window: Window, states: States) -> tuple[list[FloatArray], float]:
-    """Velocity (3,) of the joint behind each camera factor, in the graph's order, m/s.
+def _velocity_at_nodes(
+    measured: JointMeasurements, states: States, cauchy: float
+) -> tuple[FloatArray, float]:
+    """A joint's mean velocity (m, 3) m/s at each of its camera factors, in their order.
 
     And the information 1/s^2 in how samples that share a node differ in velocity, which no state follows.
     """
-    velocities: list[FloatArray] = []
-    scatter = 0.0
-    for measured in window.joint_measurements:
-        node, _, _ = stacked_measurements(measured, window.noise.cauchy)
-        velocity = states.v[measured.node] + measured.velocity
-        group = np.searchsorted(node, measured.node)
-        total = np.stack([np.bincount(group, velocity[:, axis]) for axis in range(3)], axis=1)
-        mean = total / np.bincount(group)[:, None]
-        velocities += list(mean)
-        scatter += float(np.sum((velocity - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))
-    return velocities, scatter
+    node, _, _ = stacked_measurements(measured, cauchy)
+    velocity = states.v[measured.node] + measured.velocity
+    group = np.searchsorted(node, measured.node)
+    total = np.stack([np.bincount(group, velocity[:, axis]) for axis in range(3)], axis=1)
+    mean = total / np.bincount(group)[:, None]
+    return mean, float(np.sum((velocity - mean[group]) ** 2 / measured.sigma_m[:, None] ** 2))

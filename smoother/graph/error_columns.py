@@ -7,7 +7,8 @@ state-space methods to navigation problems, 1966).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -75,19 +76,60 @@ def constant_error_columns(
             axis=2,
         ).reshape(-1, SIZE)
     ]
-    start = IMU_ROWS * count
+    for factors in camera_rows(jacobian, columns, window):
+        # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has
+        block = np.zeros((len(factors.nodes), JOINT_ROWS, SIZE))
+        error = JOINT_ERRORS.start + 3 * JOINTS.index(factors.joint)
+        block[:, :, error : error + 3] = np.eye(3)
+        if factors.joint in window.priors.layout.joints:
+            block[:, :, STRAP_ERRORS] = _strap(window, factors.joint, R[factors.nodes])
+        rows.append(factors.weight[:, None] * block.reshape(-1, SIZE))
+    return np.concatenate(rows)
+
+
+@dataclass(frozen=True)
+class CameraRows:
+    """The rows of a joint's camera factors in the whitened Jacobian.
+
+    Attributes
+    ----------
+    joint : str
+    nodes : ndarray of int, shape (m,)
+        The node of each factor.
+    rows : slice
+        Three a factor, in {K}.
+    weight : ndarray, shape (3 m,), 1/m
+        How a shift of the joint counts in each.
+    """
+
+    joint: str
+    nodes: IntArray
+    rows: slice
+    weight: FloatArray
+
+
+def camera_rows(jacobian: csr_matrix, columns: Mapping[int, slice], window: Window) -> Iterator[CameraRows]:
+    """Where each joint's camera factors stand in a window's Jacobian, in their order.
+
+    Parameters
+    ----------
+    jacobian : csr_matrix, shape (rows, variables)
+        Of the graph as `build` puts it together: the IMU's factors first, then these.
+    columns : mapping of int to slice
+        Columns of each variable, by key.
+    window : Window
+
+    Yields
+    ------
+    factors : CameraRows
+        Of a joint; the shoulder's last.
+    """
+    start = IMU_ROWS * (len(window.t) - 1)
     for joint, nodes in _camera_factors(window):
         stop = start + JOINT_ROWS * len(nodes)
-        # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has
         weight = _weight(jacobian, start, stop, columns, joint, window)
-        block = np.zeros((len(nodes), JOINT_ROWS, SIZE))
-        error = JOINT_ERRORS.start + 3 * JOINTS.index(joint)
-        block[:, :, error : error + 3] = np.eye(3)
-        if joint in window.priors.layout.joints:
-            block[:, :, STRAP_ERRORS] = _strap(window, joint, R[nodes])
-        rows.append(weight[:, None] * block.reshape(-1, SIZE))
+        yield CameraRows(joint, nodes, slice(start, stop), weight)
         start = stop
-    return np.concatenate(rows)
 
 
 def _means(window: Window) -> tuple[FloatArray, FloatArray]:
@@ -156,7 +198,7 @@ def evidence(
     back = np.linalg.inv(jacobian)
     prior = np.linalg.inv(window.priors.shared.covariance[6:, 6:])
     constants = system.border_rows(keys[1:])
-    errors = np.arange(system.extras.start, system.extras.stop)
+    errors = np.arange(system.extras.start, system.extras.start + SIZE)  # the first of them
     kept = np.concatenate([constants, errors])
     others = np.setdiff1d(np.arange(system.extras.start), constants)
     information, vector = system.information, system.vector

@@ -38,9 +38,9 @@ class LinearSystem:
         Every variable of the graph, where it is linearised.
     node_of : mapping of int to int
         The node whose time a variable has, by key; what is not in it belongs to the border.
-    extra : callable, optional
-        Gives columns (r, e) of the whitened Jacobian for quantities that are not variables of the graph, from
-        the Jacobian and each variable's columns in it; rows beyond the r-th have none.
+    extra : sequence of callable
+        Each gives columns (r, e) of the whitened Jacobian for quantities that are not variables of the graph,
+        from the Jacobian and each variable's columns in it; rows beyond the r-th have none.
 
     Raises
     ------
@@ -53,7 +53,7 @@ class LinearSystem:
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
         node_of: Mapping[int, int],
-        extra: Callable[[csr_matrix, Mapping[int, slice]], FloatArray] | None = None,
+        extra: Sequence[Callable[[csr_matrix, Mapping[int, slice]], FloatArray]] = (),
     ) -> None:
         keys = sorted(values.keys())  # the order in which GTSAM hands out columns
         sizes = np.array([dimension(key) for key in keys])
@@ -64,7 +64,12 @@ class LinearSystem:
         count, width = int(row.max(initial=-1)) + 1, int(starts[-1])
         jacobian = csr_matrix((value, (row, column)), shape=(count, width + 1))  # the last: right-hand side
         self.jacobian, self.rhs = jacobian[:, :width], jacobian[:, width].toarray().ravel()
-        self._extra = np.zeros((0, 0)) if extra is None else extra(self.jacobian, self._columns)
+        given = [columns(self.jacobian, self._columns) for columns in extra]
+        self._extra = np.zeros((count, sum(columns.shape[1] for columns in given)))
+        first = 0
+        for own in given:
+            self._extra[: len(own), first : first + own.shape[1]] = own
+            first += own.shape[1]
         node = np.array([node_of.get(key, -1) for key in keys])
         node_of_column = np.repeat(node, sizes)
         self._border = np.flatnonzero(node_of_column < 0)
@@ -96,13 +101,11 @@ class LinearSystem:
 
     def _reduce(self) -> None:
         """Eliminate the chain: what is left of the information on the border and the extra columns."""
-        A, E, b = self.jacobian, self._extra, self.rhs
-        full = np.zeros((A.shape[0], E.shape[1]))
-        full[: len(E)] = E
+        A, b = self.jacobian, self.rhs
         chain = np.concatenate(self._groups)
         ends = np.cumsum([len(columns) for columns in self._groups])
         C, B = A[:, chain], A[:, self._border].toarray()
-        side = np.column_stack([B, full, b])  # border, extra, right-hand side
+        side = np.column_stack([B, self._extra, b])  # border, extra, right-hand side
         information = (C.T @ C).tocoo()
         scale = 1.0 / np.sqrt(
             np.bincount(information.row, information.data * (information.row == information.col))
@@ -161,9 +164,17 @@ class LinearSystem:
         return blocks[0], blocks[1]
 
     @property
+    def extra_count(self) -> int:
+        """How many extra columns there are."""
+        return self._extra.shape[1]
+
+    @property
     def extras(self) -> slice:
         """The extra columns in `information` and `vector`."""
         return slice(len(self._border), len(self.information))
+
+    def _first_extras(self, count: int) -> slice:
+        return slice(self.extras.start, self.extras.start + count)
 
     def border_rows(self, keys: Sequence[int]) -> IntArray:
         """Rows of border variables in `information` and `vector`, one after the other."""
@@ -192,7 +203,7 @@ class LinearSystem:
         return np.asarray(own + follows @ self._shared_covariance @ follows.T)
 
     def sensitivity(self, key: int, shared: FloatArray) -> FloatArray:
-        """How a variable in time follows the extra quantities, (dimension, e).
+        """How a variable in time follows the first e extra quantities, (dimension, e).
 
         Parameters
         ----------
@@ -202,20 +213,27 @@ class LinearSystem:
         """
         group, rows = self._rows(key)
         solved = self._solved[group][rows]
-        borders = len(self._border)
-        return np.asarray(-solved[:, self.extras] - solved[:, :borders] @ shared)
+        borders, extras = len(self._border), self._first_extras(shared.shape[1])
+        return np.asarray(-solved[:, extras] - solved[:, :borders] @ shared)
 
     def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:
-        """How the border's variables follow the extra quantities, (b, e).
+        """How the border's variables follow the first e extra quantities, (b, e).
 
         Parameters
         ----------
         pull : ndarray, shape (b, e), optional
-            Information of the border's prior times how its mean follows them; it does not where None.
+            Information of the border's prior times how its mean follows them; it does not where None, and
+            the answer is for all of them.
         """
-        borders = len(self._border)
-        across = self.information[:borders, self.extras]
+        count = self.extra_count if pull is None else pull.shape[1]
+        across = self.information[: len(self._border), self._first_extras(count)]
         return np.asarray(self._shared_covariance @ ((0.0 if pull is None else pull) - across))
+
+    def extra_information(self, column: int) -> float:
+        """Information on one extra quantity, the graph's variables eliminated and the other extras held."""
+        borders, row = len(self._border), self.extras.start + column
+        across = self.information[:borders, row]
+        return float(max(self.information[row, row] - across @ self._shared_covariance @ across, 0.0))
 
     def _rows(self, key: int) -> tuple[int, IntArray]:
         columns = self._columns[key]

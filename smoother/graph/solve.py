@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
+from scipy.sparse import csr_matrix
 
 from ..errors import SolveError
 from ..linalg import interpolate
@@ -17,7 +19,7 @@ from ..window.shared import Gaussian
 from ..window.solution import Message, Solution
 from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
-from .clock_information import offset_information
+from .clock_information import offset_column, offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
 from .optimise import Optimum, optimise
@@ -154,13 +156,17 @@ def _read(
     graph, values = optimum.graph, optimum.values
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
-    following, pose_covariance, velocity_covariance = None, None, None
-    if with_covariance or with_message or with_evidence:
-        errors = None
+    following, pose_covariance, velocity_covariance, offset = None, None, None, 0.0
+    if with_covariance or with_message or with_evidence or with_offset:
+        extra: list[Callable[[csr_matrix, Mapping[int, slice]], FloatArray]] = []
         if with_evidence or window.considered is not None:
-            errors = partial(constant_error_columns, window=window, biases=biases, R=states.R)
-        system = LinearSystem(graph, values, node_of_variables(window), errors)
+            extra.append(partial(constant_error_columns, window=window, biases=biases, R=states.R))
+        if with_offset:
+            extra.append(partial(offset_column, window=window, states=states))
+        system = LinearSystem(graph, values, node_of_variables(window), extra)
         following = _Following.of(system, values, window, biases)
+        if with_offset:
+            offset = offset_information(system, system.extra_count - 1, window, states)
     if following is not None and with_covariance:
         pose_covariance, velocity_covariance = _covariances(following, window, states.R)
         pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
@@ -180,7 +186,7 @@ def _read(
         residuals=_residuals(values, window, states),
         iterations=optimum.iterations,
         error=optimum.error,
-        offset_information=offset_information(graph, values, window, states) if with_offset else 0.0,
+        offset_information=offset,
         accepted=optimum.accepted,
         evidence=(
             evidence(following.system, values, message.shared.mean, window, biases)

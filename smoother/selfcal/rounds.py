@@ -57,8 +57,9 @@ LARGEST_SPREAD_RAD = np.radians(40.0)
 #: One that may be farther off than this is known with little margin, rad (closed form on sound arms: up to 13
 #: degrees).
 SMALL_MARGIN_RAD = np.radians(25.0)
-#: Rounds end when nothing moved more than this, m; a clock's s count as m at a hand's pace, m/s.
-SETTLED_M = 0.001
+#: Rounds end when nothing moved more than this, m (a clock's s count as m at a hand's pace, m/s), or more
+#: than this share of its own sigma: the windows solve lever arms again.
+SETTLED_M, SETTLED_SIGMAS = 0.001, 0.4
 CLOCK_WEIGHT = 1.0
 #: The closed form is done again when more than this share of the samples was rejected by it.
 WORTH_AGAIN = 0.05
@@ -199,7 +200,7 @@ def self_calibrate(
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
         prior = _recentred(estimate, start, given)
-        if _moved(before, (estimate, errors.joints, clocks)) < SETTLED_M:
+        if _settled(before, (estimate, errors.joints, clocks)):
             break
     spread = mounting.direction_spread_rad if given.forearm_direction is None else float("nan")
     return SelfCalibration(
@@ -306,25 +307,18 @@ def _cut(
 Settling = tuple[ArmCalibration, JointBias, tuple[Clock, ...]]
 
 
-def _moved(before: Settling, after: Settling) -> float:
-    """The largest change that a round made: of lever arms, joint biases and clocks, m."""
+def _settled(before: Settling, after: Settling) -> bool:
+    """Whether a round changed next to nothing: of lever arms, joint biases and clocks."""
     (arm, bias, clocks), (arm_after, bias_after, clocks_after) = before, after
-    return max(
-        _lever_change(arm, arm_after),
-        float(np.abs(bias_after.error_m - bias.error_m).max()),
-        CLOCK_WEIGHT * max(abs(a.mean_s - b.mean_s) for a, b in zip(clocks_after, clocks, strict=True)),
-    )
-
-
-def _lever_change(before: ArmCalibration, after: ArmCalibration) -> float:
-    """Longest way that a lever arm moved, m."""
-    return max(
-        (
-            float(np.linalg.norm(lever.position_m - before.lever_arms[joint].position_m))
-            for joint, lever in after.lever_arms.items()
-        ),
-        default=0.0,
-    )
+    moves_m = [float(np.abs(bias_after.error_m - bias.error_m).max())]
+    limits_m = [SETTLED_SIGMAS * bias_after.sigma_m]
+    for joint, lever in arm_after.lever_arms.items():
+        moves_m.append(float(np.linalg.norm(lever.position_m - arm.lever_arms[joint].position_m)))
+        limits_m.append(SETTLED_SIGMAS * float(np.mean(lever.sigma_m)))
+    for clock_after, clock in zip(clocks_after, clocks, strict=True):
+        moves_m.append(CLOCK_WEIGHT * abs(clock_after.mean_s - clock.mean_s))
+        limits_m.append(CLOCK_WEIGHT * SETTLED_SIGMAS * clock_after.sigma_s)
+    return all(move < max(SETTLED_M, limit) for move, limit in zip(moves_m, limits_m, strict=True))
 
 
 def _recentred(estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibration) -> ArmCalibration:
