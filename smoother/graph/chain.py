@@ -8,7 +8,7 @@ bone; that is the sigma of elbow and shoulder.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gtsam
@@ -103,7 +103,7 @@ def _add_attitude(graph: gtsam.NonlinearFactorGraph, run: UpperRun) -> None:
 
 def upper_solution(
     values: gtsam.Values,
-    covariance_of: Callable[[int], FloatArray] | None,
+    covariances_of: Callable[[Sequence[int]], FloatArray] | None,
     window: Window,
     biases: IntArray,
     nodes: IntArray | None,
@@ -114,8 +114,8 @@ def upper_solution(
     ----------
     values : gtsam.Values
         The solution.
-    covariance_of : callable or None
-        Gives a variable's covariance at the solution; None where covariances are not asked for.
+    covariances_of : callable or None
+        Gives variables' covariances at the solution; None where they are not asked for.
     window : Window
     biases : ndarray of int, shape (n - 1,)
         From `bias_of_intervals`.
@@ -140,9 +140,9 @@ def upper_solution(
         R[rows] = [each.rotation().matrix() for each in poses]
         p[rows] = [each.translation() for each in poses]
         v[rows] = [values.atVector(W(i)) for i in rows]
-        if pose is not None and nodes is not None and covariance_of is not None:
+        if pose is not None and nodes is not None and covariances_of is not None:
             own = np.union1d(nodes[(nodes >= rows[0]) & (nodes <= rows[-1])], rows[[0, -1]])
-            covariance = np.array([covariance_of(Y(i)) for i in own])
+            covariance = covariances_of([Y(i) for i in own])
             pose[rows] = interpolate(window.t[own], in_camera(covariance, R[own]), window.t[rows])
     bias = np.array([values.atConstantBias(C(k)).vector() for k in range(int(biases[-1]) + 1)])
     return UpperSolution(known, States(R, p, v), pose, bias[np.append(biases, biases[-1])])

@@ -194,27 +194,30 @@ class LinearSystem:
             blocks.append(_inverse_of(self._factors[g]) + gain @ blocks[-1] @ gain.T)
         return blocks[::-1]
 
-    def covariance(self, key: int) -> FloatArray:
-        """Covariance of a variable in time; extra quantities held fixed."""
-        group, rows = self._rows(key)
-        scale = self._scale[group][rows]
-        own = self._diagonal[group][np.ix_(rows, rows)] * scale[:, None] * scale
-        follows = self._solved[group][rows, : len(self._border)]
-        return np.asarray(own + follows @ self._shared_covariance @ follows.T)
+    def covariances(self, keys: Sequence[int]) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed."""
+        group, rows = self._rows(keys)
+        scale = np.array([self._scale[g][r] for g, r in zip(group, rows, strict=True)])
+        own = np.array([self._diagonal[g][r[:, None], r] for g, r in zip(group, rows, strict=True)])
+        follows = self._follows(group, rows)[:, :, : len(self._border)]
+        across = follows @ self._shared_covariance @ np.swapaxes(follows, 1, 2)
+        return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
 
-    def sensitivity(self, key: int, shared: FloatArray) -> FloatArray:
-        """How a variable in time follows the first e extra quantities, (dimension, e).
+    def sensitivities(self, keys: Sequence[int], shared: FloatArray) -> FloatArray:
+        """How variables in time, all of one dimension, follow the first e extra quantities, (k, d, e).
 
         Parameters
         ----------
-        key : int
+        keys : sequence of int
         shared : ndarray, shape (b, e)
             How the border follows them (`shared_sensitivity`).
         """
-        group, rows = self._rows(key)
-        solved = self._solved[group][rows]
+        follows = self._follows(*self._rows(keys))
         borders, extras = len(self._border), self._first_extras(shared.shape[1])
-        return np.asarray(-solved[:, extras] - solved[:, :borders] @ shared)
+        return np.asarray(-follows[:, :, extras] - follows[:, :, :borders] @ shared)
+
+    def _follows(self, group: list[int], rows: IntArray) -> FloatArray:
+        return np.array([self._solved[g][r] for g, r in zip(group, rows, strict=True)])
 
     def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:
         """How the border's variables follow the first e extra quantities, (b, e).
@@ -235,10 +238,10 @@ class LinearSystem:
         across = self.information[:borders, row]
         return float(max(self.information[row, row] - across @ self._shared_covariance @ across, 0.0))
 
-    def _rows(self, key: int) -> tuple[int, IntArray]:
-        columns = self._columns[key]
-        place = self._place[columns]
-        return int(place[0, 0]), place[:, 1]
+    def _rows(self, keys: Sequence[int]) -> tuple[list[int], IntArray]:
+        """The group of each variable, and its rows in it (k, d)."""
+        place = self._place[np.array([np.arange(own.start, own.stop) for own in map(self.columns, keys)])]
+        return place[:, 0, 0].tolist(), place[:, :, 1]
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -172,7 +172,7 @@ def _read(
         pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
     message = _message(values, following if with_message else None, window, biases)
-    covariance_of = following.of_variable if following is not None and with_covariance else None
+    covariances_of = following.of_variables if following is not None and with_covariance else None
     nodes = _covariance_nodes(window) if with_covariance else None
     return Solution(
         index=window.index,
@@ -193,7 +193,7 @@ def _read(
             if following is not None and with_evidence
             else None
         ),
-        upper=upper_solution(values, covariance_of, window, biases, nodes),
+        upper=upper_solution(values, covariances_of, window, biases, nodes),
     )
 
 
@@ -248,13 +248,13 @@ class _Following:
         )
         return cls(system, system.shared_sensitivity(pull), window.considered.covariance)
 
-    def of_variable(self, key: int) -> FloatArray:
-        """Covariance of a variable."""
-        covariance = self.system.covariance(key)
+    def of_variables(self, keys: Sequence[int]) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, all of one dimension."""
+        covariance = self.system.covariances(keys)
         if self.shared is None or self.covariance is None:
             return covariance
-        follows = self.system.sensitivity(key, self.shared)
-        return np.asarray(covariance + follows @ self.covariance @ follows.T)
+        follows = self.system.sensitivities(keys, self.shared)
+        return np.asarray(covariance + follows @ self.covariance @ np.swapaxes(follows, 1, 2))
 
 
 def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -264,8 +264,8 @@ def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[
     interpolated between.
     """
     t, nodes = window.t, _covariance_nodes(window)
-    body = np.array([following.of_variable(X(i)) for i in nodes])
-    velocity = np.array([following.of_variable(V(i)) for i in nodes])
+    body = following.of_variables([X(i) for i in nodes])
+    velocity = following.of_variables([V(i) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]
     turn = np.zeros((len(nodes), 6, 6))
@@ -310,7 +310,7 @@ def _shoulder(
         return position, None
     apart_s = UPPER_COVARIANCE_S if window.upper else SHOULDER_COVARIANCE_S
     knots = _spaced(t, np.zeros(len(t) - 1, dtype=bool), apart_s)
-    covariance = np.array([following.of_variable(S(k)) for k in knots])
+    covariance = following.of_variables([S(k) for k in knots])
     return position, interpolate(t[knots], covariance, t)
 
 

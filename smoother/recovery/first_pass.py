@@ -21,7 +21,7 @@ from ..runtime.pool import Pool
 from ..runtime.store import Store
 from ..selfcal.clock_fit import ClockScore, clock_score
 from ..selfcal.rounds import reject_by_direction
-from ..window.cut import cut_times
+from ..window.cut import cut_times, window_middles
 from ..window.pooling import leave_one_out_priors
 from ..window.prepare import prepare
 from ..window.problem import FieldMeasurements, Priors
@@ -90,22 +90,24 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
         return None
     prepared, alignment = ready
     borders = cut_times(prepared, config.windows.length_s)
-    windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1))
     asked = task.asked(segment, borders)
-    middle = int(asked[len(asked) // 2])
-    solutions = {
-        k: solve(
-            windows[k],
+    windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1), asked)
+    middle = len(windows) // 2
+    solutions = [
+        solve(
+            window,
             with_covariance=task.magnetometer,  # it is judged by what this pass knows of the attitude
             with_offset=task.with_clock and k == middle,
             tolerance=TOLERANCE,
         )
-        for k in asked.tolist()
-    }
+        for k, window in enumerate(windows)
+    ]
     observations = tuple(
-        observe(data.imu, windows[k], solution) for k, solution in solutions.items() if task.magnetometer
+        observe(data.imu, window, solution)
+        for window, solution in zip(windows, solutions, strict=True)
+        if task.magnetometer
     )
-    whole = len(solutions) == len(windows)
+    whole = len(windows) == len(borders) - 1
     state = SectionState(
         imu_t=data.imu.t_s,
         first_sample=data.section.samples.start,
@@ -114,14 +116,14 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
         alignment=alignment,
         clock=model.clock,
         borders=borders,
-        trajectory=merge_windows(prepared.t, windows, list(solutions.values())) if whole else None,
+        trajectory=merge_windows(prepared.t, windows, solutions) if whole else None,
         observations=observations,
     )
     return FirstAnswer(
         state,
-        np.array([0.5 * (window.t[0] + window.t[-1]) for window in windows]),
+        window_middles(prepared.t, borders, config.windows.margin_s),
         asked,
-        [solution.message for solution in solutions.values()],
+        [solution.message for solution in solutions],
         tuple(observation.strength for observation in observations),
         clock_score([windows[middle]], [solutions[middle]]).condensed(),
     )

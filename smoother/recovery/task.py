@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,11 +118,15 @@ class Task:
         return most_telling(segment, borders, self.asked_windows or len(borders))
 
     def windows(
-        self, prepared: PreparedSegment, borders: list[float], priors: Sequence[Priors]
+        self,
+        prepared: PreparedSegment,
+        borders: list[float],
+        priors: Sequence[Priors],
+        only: Container[int] | None = None,
     ) -> list[Window]:
-        """A section's windows."""
+        """A section's windows, or those whose numbers are given only."""
         margin_s = self.config.windows.margin_s
-        return list(cut(prepared, priors, self.noise, borders, margin_s, GRAVITY, self.sharing))
+        return list(cut(prepared, priors, self.noise, borders, margin_s, GRAVITY, self.sharing, only))
 
 
 @dataclass(frozen=True)

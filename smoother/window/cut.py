@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -131,6 +131,7 @@ def cut(
     margin_s: float,
     gravity_magnitude: float,
     sharing: int,
+    only: Container[int] | None = None,
 ) -> Iterator[Window]:
     """The windows between the borders, each with its margins, one after the other.
 
@@ -147,6 +148,8 @@ def cut(
     gravity_magnitude : float, m/s^2
     sharing : int
         How many windows share the attitude prior, over all segments.
+    only : container of int, optional
+        Numbers of the windows that are wanted; all where None.
 
     Yields
     ------
@@ -154,6 +157,8 @@ def cut(
         In order of time.
     """
     for index, (a, b) in enumerate(pairwise(borders)):
+        if only is not None and index not in only:
+            continue
         rows = window_nodes(prepared.t, borders, index, margin_s)
         lo, hi, prior = rows.start, rows.stop, priors[index]
         t = prepared.t[rows]
@@ -187,6 +192,12 @@ def window_nodes(t: FloatArray, borders: list[float], index: int, margin_s: floa
         np.searchsorted(t, borders[index + 1] + margin_s, "right"),
     )
     return slice(0 if index == 0 else int(lo), len(t) if index == len(borders) - 2 else int(hi))
+
+
+def window_middles(t: FloatArray, borders: list[float], margin_s: float) -> FloatArray:
+    """Middles (k,) s of the windows between the borders, margins included."""
+    ends = [window_nodes(t, borders, index, margin_s) for index in range(len(borders) - 1)]
+    return np.array([0.5 * (t[rows.start] + t[rows.stop - 1]) for rows in ends])
 
 
 def _best_node(covariance: FloatArray) -> int:
