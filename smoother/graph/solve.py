@@ -14,6 +14,7 @@ from scipy.sparse import csr_matrix
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import Gaussian
 from ..window.solution import Message, Solution
@@ -23,6 +24,7 @@ from .clock_information import offset_column, offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
 from .optimise import Optimum, optimise
+from .sampling import sample_window
 from .shared_prior import shared_jacobian, shared_keys
 
 #: Where `solve` stops by default.
@@ -84,10 +86,11 @@ def solve(
     with_message: bool = True,
     with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
+    plan: DrawPlan | None = None,
 ) -> Solution:
     """Optimise a window and read its answer: `settle` and `solution_of` in one."""
     settled = settle(window, tolerance)
-    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, tolerance)
+    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, tolerance, plan)
 
 
 def solution_of(
@@ -97,6 +100,7 @@ def solution_of(
     with_message: bool = True,
     with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
+    plan: DrawPlan | None = None,
 ) -> Solution:
     """Read the answer of a window that is at its optimum.
 
@@ -113,6 +117,8 @@ def solution_of(
         Also what the window says of errors that are constant over the recording.
     tolerance : float
         As `settle` had it: where a direction turns out free it is done again, with a tighter prior.
+    plan : DrawPlan, optional
+        Also motions drawn from the posterior; needs the covariance.
 
     Returns
     -------
@@ -125,7 +131,7 @@ def solution_of(
     """
     while True:
         try:
-            return _read(settled, with_covariance, with_offset, with_message, with_evidence)
+            return _read(settled, with_covariance, with_offset, with_message, with_evidence, plan)
         except np.linalg.LinAlgError:
             settled = _settled(settled.window, tolerance, settled.tighten + 1)
 
@@ -149,14 +155,19 @@ def _settled(window: Window, tolerance: float, first: int) -> Settled:
 
 
 def _read(
-    settled: Settled, with_covariance: bool, with_offset: bool, with_message: bool, with_evidence: bool
+    settled: Settled,
+    with_covariance: bool,
+    with_offset: bool,
+    with_message: bool,
+    with_evidence: bool,
+    plan: DrawPlan | None,
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
     window, optimum, tighten = settled.window, settled.optimum, TIGHTEN[settled.tighten]
     graph, values = optimum.graph, optimum.values
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
-    following, pose_covariance, velocity_covariance, offset = None, None, None, 0.0
+    following, pose_covariance, velocity_covariance, offset, draws = None, None, None, 0.0, None
     if with_covariance or with_message or with_evidence or with_offset:
         extra: list[Callable[[csr_matrix, Mapping[int, slice]], FloatArray]] = []
         if with_evidence or window.considered is not None:
@@ -169,7 +180,10 @@ def _read(
             offset = offset_information(system, system.extra_count - 1, window, states)
     if following is not None and with_covariance:
         pose_covariance, velocity_covariance = _covariances(following, window, states.R)
-        pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
+        lost = _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
+        pose_covariance[:, 3:, 3:] += lost
+        if plan is not None:
+            draws = sample_window(following.system, values, window, biases, plan, following.shared, lost)
     shoulder, shoulder_covariance = _shoulder(values, following if with_covariance else None, window)
     message = _message(values, following if with_message else None, window, biases)
     covariances_of = following.of_variables if following is not None and with_covariance else None
@@ -194,6 +208,7 @@ def _read(
             else None
         ),
         upper=upper_solution(values, covariances_of, window, biases, nodes),
+        draws=draws,
     )
 
 

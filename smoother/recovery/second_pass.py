@@ -10,9 +10,11 @@ from ..graph.optimise import LONG_S
 from ..graph.solve import Settled, settle, solution_of
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
+from ..window.drawn_trajectory import merge_draws
 from ..window.problem import Window
 from ..window.solution import Message
 from ..window.trajectory import merge_windows
+from .drawn_samples import SectionDraws, sample_draws
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
 from .task import SectionState, Task
@@ -35,12 +37,15 @@ class SecondAnswer:
         Of an upper-arm IMU at the same samples.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
+    draws : SectionDraws or None
+        Motions drawn from the posterior; None where not asked for.
     """
 
     answer: SectionAnswer
     messages: list[Message]
     unexplained: tuple[Gap, ...]
     upper: UpperAnswer | None = None
+    draws: SectionDraws | None = None
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
@@ -64,7 +69,9 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         state = state.without_outliers(task)
         settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
     windows = [each.window for each in settled]
-    solutions = [solution_of(each, with_covariance=True, with_message=False) for each in settled]
+    solutions = [
+        solution_of(each, with_covariance=True, with_message=False, plan=task.plan) for each in settled
+    ]
     trajectory = merge_windows(state.prepared.t, windows, solutions)
     answer = sample_section(
         state.imu_t,
@@ -84,7 +91,12 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     )
     rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
     upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared.upper, task.model)
-    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper)
+    draws = None
+    if task.plan is not None:
+        drawn = merge_draws(state.prepared.t, windows, solutions)
+        layout = task.prior.layout
+        draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, layout, task.plan)
+    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper, draws)
 
 
 def _settled(job: SecondJob, task: Task) -> tuple[SectionState, list[Settled] | None]:

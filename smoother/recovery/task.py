@@ -18,7 +18,8 @@ from ..selfcal.excerpts import most_telling
 from ..selfcal.rounds import SelfCalibration, with_initial_values
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
-from ..window.pooling import pooled
+from ..window.draw_plan import DrawPlan, samples_apart
+from ..window.pooling import pooled, pooled_shared
 from ..window.prepare import prepare
 from ..window.priors import calibration_from, first_priors, noise_of
 from ..window.problem import NoiseModel, Priors, Window
@@ -58,6 +59,8 @@ class Task:
         The first pass asks every section for the clock.
     asked_windows : int
         So many windows of each section it asks for what all share; 0 = all.
+    plan : DrawPlan or None
+        Of the motions to draw from the posterior in the second pass; None where not asked for.
     """
 
     model: SelfCalibration
@@ -69,6 +72,7 @@ class Task:
     magnetometer: bool
     with_clock: bool
     asked_windows: int
+    plan: DrawPlan | None = None
 
     @classmethod
     def of(cls, recording: Recording, sections: Sections, model: SelfCalibration, config: Config) -> Task:
@@ -116,6 +120,29 @@ class Task:
     def asked(self, segment: Segment, borders: Sequence[float]) -> IntArray:
         """Numbers of a section's windows that the first pass asks."""
         return most_telling(segment, borders, self.asked_windows or len(borders))
+
+    def drawing(self, count: int, seed: int, recording: Recording, messages: Sequence[Message]) -> Task:
+        """The task with motions to draw in the second pass; the same one where none are asked for.
+
+        Parameters
+        ----------
+        count, seed : int
+            How many, and of the random numbers.
+        recording : Recording
+        messages : sequence of Message
+            Of all windows of the first pass.
+        """
+        if not count:
+            return self
+        plan = DrawPlan(
+            count=count,
+            seed=seed,
+            arm=f"{recording.side}/{recording.body}",
+            every=samples_apart(recording.imu.t_s),
+            shared=pooled_shared(messages, self.prior).covariance,
+            considered=self.model.errors.considered,
+        )
+        return replace(self, plan=plan)
 
     def windows(
         self,

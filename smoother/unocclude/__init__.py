@@ -19,6 +19,7 @@ from smoother import __version__ as __version__
 if TYPE_CHECKING:
     from smoother import ArmCalibration as ArmCalibration
     from smoother import Config as Config
+    from smoother import Draws as Draws
     from smoother import ImuStream as ImuStream
     from smoother import JointState as JointState
     from smoother import JointTracks as JointTracks
@@ -51,6 +52,8 @@ def smooth(
     store: Store | None = None,
     processes: int | None = None,
     clock: Clock | None = None,
+    draws: int = 0,
+    seed: int = 0,
     **selection: Unpack[Selection],
 ) -> Recovery:
     """Recover the arm's motion over a whole recording, or over a recording's file.
@@ -72,6 +75,10 @@ def smooth(
         Worker processes, 0 for one a core; as the configuration says where None.
     clock : Clock, optional
         The camera's against the IMU's as it was measured, with its sigma.
+    draws : int
+        So many whole motions drawn from the posterior, in `Recovery.draws`.
+    seed : int
+        Of the draws' random numbers: the same one gives the same motions.
     imu, skeleton, side : str, optional
         Of a file with several: the IMU's and the skeleton's topic, "left" or "right".
     body : int, optional
@@ -110,7 +117,7 @@ def smooth(
             f"{os.fspath(file)}: a calibration file goes with the recording's file, as it also corrects the"
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
-    return smoother.smooth(recording, given, config, progress, store, processes, clock)
+    return smoother.smooth(recording, given, config, progress, store, processes, clock, draws, seed)
 
 
 def __getattr__(name: str) -> object:
