@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[1]
 PYTHONS = ("3.11", "3.12", "3.13")
 
 nox.options.default_venv_backend = "uv|virtualenv"
+nox.options.envdir = str(ROOT / "out" / "nox")  # not among the modules that the tests read
 
 
 @nox.session(python=PYTHONS)

@@ -1,0 +1,34 @@
+"""Device files: recognised and read, and what is made of them; a target a format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from smoother.io.devices.file_reader import FileReader
+from smoother.io.devices.files import ImuFiles, import_files
+from smoother.io.devices.folder import sort_files
+from smoother.io.devices.protocol import ImuTable, SkeletonTable
+from smoother.io.devices.registry import format_named, formats
+from tools.fuzz.files import file_of
+
+
+def any_device(data: bytes) -> None:
+    """A file of any device, recognised by its content."""
+    path, reader = file_of(data, "export.csv"), FileReader()
+    skeletons, imus, _ = sort_files([path], reader)
+    import_files(skeletons, imus, reader=reader)
+
+
+def one_device(key: str, data: bytes) -> None:
+    """A file that the user says is of this device."""
+    path, reader = file_of(data, "export.dat"), FileReader(key, key)
+    tables = reader.read(path, format_named(key))
+    skeletons = [path] if any(isinstance(table, SkeletonTable) for table in tables) else []
+    imus = [ImuFiles((path,))] if any(isinstance(table, ImuTable) for table in tables) else []
+    import_files(skeletons, imus, reader=reader)
+
+
+def by_format() -> dict[str, Callable[[bytes], None]]:
+    """A target for each importer, by its key."""
+    return {f"device-{importer.key}": partial(one_device, importer.key) for importer in formats()}
