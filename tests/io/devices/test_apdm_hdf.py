@@ -54,3 +54,16 @@ def test_another_hdf5_or_a_broken_one(tmp_path: Path):
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(RecordingError, match="cannot be read as HDF5"):
         read(path)
+
+
+def test_a_file_on_which_hdf5_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One wrong length among the texts of the attributes."""
+    pytest.importorskip("h5py")
+    monkeypatch.setattr("smoother.runtime.native._LONGEST_S", 1)
+    path = tmp_path / "a.h5"
+    write_opal(path, count=12)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"GCOL") + 24] = 50  # of the first text, 11 letters
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"a\.h5 is a damaged HDF5 file"):
+        read(path)
