@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from tools.fuzz.corpus import write_seeds
-from tools.fuzz.targets import LONGEST, TARGETS, once
+from tools.fuzz.targets import LONGEST, names, once
 
 #: An input may take so long, s, and the process so much memory, MB.
 _MOST_S, _MOST_MB = 20, 2000
@@ -89,12 +89,12 @@ def main() -> int:
     """Fuzz all targets, or run one input again; 1 where anything was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="for all targets together")
-    parser.add_argument("--only", choices=TARGETS, action="append")
+    parser.add_argument("--only", choices=names(), action="append")
     parser.add_argument("--folder", type=Path, default=Path("out/fuzz"))
     parser.add_argument("--counts", type=Path, help="add what was done to this JSON")
     parser.add_argument("--again", type=Path, help="run this input once, in this process")
     options = parser.parse_args()
-    targets = options.only or list(TARGETS)
+    targets = options.only or list(names())
     if options.again:
         for target in targets:
             once(target, options.again.read_bytes())
