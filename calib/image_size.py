@@ -1,14 +1,50 @@
-"""The size that a packed image states, looked at before it is unpacked."""
+"""Packed images: looked at before they are unpacked, since some bytes may state gigabytes."""
 
 from __future__ import annotations
 
+import os
 import struct
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: A larger image is none of a camera; 111 bytes of PNG may state a thousand times as much.
 MOST_PIXELS = 1 << 26
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 #: JPEG's markers of frames: they hold height and width.
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+
+
+def unpacked(packed: bytes, others: bool = False) -> NDArray:
+    """The pixels of an image, by OpenCV.
+
+    Parameters
+    ----------
+    packed : bytes
+        The file.
+    others : bool
+        Also unpack other formats than PNG and JPEG.
+
+    Returns
+    -------
+    ndarray, shape (height, width) or (height, width, channels)
+        As they are stored.
+
+    Raises
+    ------
+    ValueError
+        It is damaged, or larger than any camera's image.
+    """
+    # What OpenCV itself holds for too large; it looks at it once, when it unpacks its first image.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
+    import cv2
+
+    stated_size(packed, others)
+    _check_chunks(packed)
+    image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
+    if image is None:
+        raise ValueError("it is damaged")
+    return np.asarray(image)
 
 
 def stated_size(packed: bytes, others: bool = False) -> tuple[int, int]:
@@ -58,3 +94,15 @@ def _jpeg_size(packed: bytes) -> tuple[int, int]:
         if not marker:
             raise ValueError("the image is damaged")
         place += 1 + struct.unpack_from(">H", packed, place + 1)[0]
+
+
+def _check_chunks(packed: bytes) -> None:
+    """Refuse a PNG whose chunks reach beyond its end: OpenCV takes memory for as much as they state."""
+    place = len(_PNG)
+    while packed[: len(_PNG)] == _PNG and place + 8 <= len(packed):
+        length, kind = struct.unpack_from(">I4s", packed, place)
+        place += 12 + length
+        if place > len(packed):
+            raise ValueError("the image breaks off")
+        if kind == b"IEND":
+            return

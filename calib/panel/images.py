@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
 
-from ..image_size import stated_size
+from ..image_size import unpacked
 from ..intrinsics import Intrinsics
 
 
@@ -79,20 +79,14 @@ def check_size(seen: View, lens: Intrinsics) -> None:
 
 
 def _read(path: str | os.PathLike[str]) -> NDArray:
-    import cv2
-
     try:
         with open(path, "rb") as file:
-            packed = np.frombuffer(file.read(), np.uint8)
+            packed = file.read()
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
     try:
-        stated_size(bytes(packed[: 1 << 20]), others=True)
+        return unpacked(packed, others=True)
     except ValueError as error:
         raise CalibrationError(
             f"{path} is not an image that can be read ({error}); PNG is expected."
         ) from error
-    image = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED) if len(packed) else None
-    if image is None:
-        raise CalibrationError(f"{path} is not an image that can be read; PNG is expected.")
-    return np.asarray(image)

@@ -8,11 +8,18 @@ import cv2
 import numpy as np
 import pytest
 import ros_bags
+from scipy.io import wavfile
 
-from smoother.errors import RecordingError
+from calib.image_size import unpacked
+from calib.panel.images import read_view
+from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Outgoing, Output
+from smoother.io.media import panel_reading
+from smoother.io.media.audio import read_sound
+from smoother.io.media.image_messages import raw_image
 from smoother.io.media.images import ImageMessage, LensMessage, read_images
 from smoother.io.media.panel_session import read_pairs
+from smoother.io.media.strap_cameras import check_images
 from smoother.io.wire.schemas import message_class
 from smoother.runtime.atomic import writing
 
@@ -121,3 +128,60 @@ def test_pairs_need_both_images_at_one_time(tmp_path: Path):
         bag.write("/infrared", "sensor_msgs/msg/Image", ros_bags.IMAGE, late, 2)
     with pytest.raises(RecordingError, match="no stamps in common"):
         read_pairs(path)
+
+
+def test_a_damaged_message_of_an_image_or_of_sound_is_left_out_and_told(tmp_path: Path):
+    depth, _ = pictures()
+    path = tmp_path / "damaged.mcap"
+    image, lens = raw_image("c", "16UC1", depth, 7), b"\n\x02"  # field 1 is cut off
+    sound = message_class("foxglove.RawAudio")(
+        data=bytes(8), format="pcm-s16", sample_rate=8000, number_of_channels=1
+    )
+    payloads = {
+        "foxglove.RawImage": [image, b"\x0a\xff", image],
+        "foxglove.CameraCalibration": [lens],
+        "foxglove.RawAudio": [sound.SerializeToString(), b"\x0a\xff"],
+        "foxglove.FrameTransforms": [b"\x0a\xff"],
+        "foxglove.SceneUpdate": [b"\x12\xff"],
+    }
+    with writing(path) as temporary, Output(temporary) as output:
+        for name, data in payloads.items():
+            channel = output.channel(f"/marker/{name}", name)
+            stamps = np.arange(7, 7 + len(data))
+            output.write([Outgoing(channel, stamps, lambda part, data=data: data[part])])
+    notes: list[str] = []
+    assert [type(each) for each in read_images(path, notes=notes)] == [ImageMessage] * 2
+    assert notes == ["damaged.mcap: damaged messages of images, left out: 2."]
+    heard: list[str] = []
+    (track,) = read_sound(path, notes=heard)
+    assert len(track.samples) == 4
+    assert heard == ["damaged.mcap: damaged messages of sound, left out: 1."]
+    with pytest.raises(RecordingError, match="no colour"):
+        check_images(path)  # the frames' tree is read first
+    assert panel_reading._markers(path) == []
+
+
+def test_a_png_whose_chunk_states_gigabytes(tmp_path: Path):
+    """OpenCV takes 4 GB and half a minute for it."""
+    _, packed = cv2.imencode(".png", pictures()[0])
+    data = bytearray(packed.tobytes())
+    at = data.index(b"IDAT") - 4
+    np.testing.assert_array_equal(unpacked(bytes(data)), pictures()[0])
+    data[at : at + 4] = b"\xf8\xff\xff\xc9"
+    with pytest.raises(ValueError, match="breaks off"):
+        unpacked(bytes(data))
+    path = tmp_path / "a.png"
+    path.write_bytes(data)
+    with pytest.raises(CalibrationError, match=r"a\.png is not an image .*breaks off"):
+        read_view(path, path)
+
+
+def test_a_sound_file_that_breaks_off_before_its_samples(tmp_path: Path):
+    path = tmp_path / "a.wav"
+    wavfile.write(path, 8000, np.zeros(8, np.int16))
+    whole = path.read_bytes()
+    for name, data in (("no samples", whole.replace(b"data", b"dL\0a")), ("RF64", b"RF64" + whole[4:])):
+        path.write_bytes(data)
+        with pytest.raises(RecordingError, match=r"a\.wav is not a WAV file that can be read"):
+            read_sound(path)
+            pytest.fail(name)

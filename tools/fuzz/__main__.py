@@ -8,67 +8,135 @@ A finding becomes a test beside the reader's.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import resource
 import subprocess
 import sys
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 from tools.fuzz.corpus import write_seeds
-from tools.fuzz.targets import LONGEST, TARGETS, once
+from tools.fuzz.targets import LONGEST, names, once
 
-#: An input may take so long, s, and so much memory, MB.
-_MOST_S, _MOST_MB = 20, 3000
+#: An input may take so long on the wall, s (on the processor: `one`), and the process so much memory, MB.
+_MOST_S, _MOST_MB = 200, 2000
+#: What libFuzzer calls its findings.
+_KINDS = ("crash-", "timeout-", "oom-", "leak-")
 
 
-def fuzz(target: str, seconds: int, folder: Path) -> tuple[int, int, float, list[Path]]:
-    """Fuzz one target: runs, edges covered, processor time, findings."""
+@dataclass
+class Count:
+    """What one target did.
+
+    Attributes
+    ----------
+    executions, edges : int
+        Inputs tried, and branches that they reached.
+    processor_s : float, s
+        Time on the processor, of the process and of its children.
+    findings : list of str
+        Files with an input that left the target in another way than by a sentence.
+    """
+
+    executions: int = 0
+    edges: int = 0
+    processor_s: float = 0.0
+    findings: list[str] = field(default_factory=list)
+
+    def add(self, other: Count) -> None:
+        """Add what was done later."""
+        self.executions += other.executions
+        self.edges = max(self.edges, other.edges)
+        self.processor_s += other.processor_s
+        self.findings += other.findings
+
+
+def fuzz(target: str, seconds: int, folder: Path) -> Count:
+    """Fuzz one target for so long; it ends at its first finding."""
     corpus = folder / target
-    before = set(corpus.glob("*-*"))
+    before = _findings(corpus)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     words = [sys.executable, "-m", "tools.fuzz.one", target, str(corpus)]
     limits = [f"-max_total_time={seconds}", f"-timeout={_MOST_S}", f"-rss_limit_mb={_MOST_MB}"]
     more = [f"-max_len={LONGEST}", f"-artifact_prefix={corpus}/", "-print_final_stats=1", "-verbosity=1"]
     path = os.pathsep.join(filter(None, sys.path))  # as here, so that a light environment finds its packages
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path}
-    done = subprocess.run(
-        [*words, *limits, *more], capture_output=True, text=True, env=environment, check=False
-    )
-    runs = re.search(r"number_of_executed_units:\s*(\d+)", done.stderr)
-    edges = re.findall(r"cov: (\d+)", done.stderr)
+    words += [*limits, *more, f"-dict={folder / 'words.txt'}"]
+    log = folder / f"{target}.txt"
+    with log.open("wb") as stream:  # not a pipe, which a child that stays behind would keep open
+        ended = subprocess.run(words, stdout=stream, stderr=stream, env=environment, check=False)
+    said = log.read_text(encoding="utf-8", errors="replace")
+    executions = re.search(r"number_of_executed_units:\s*(\d+)", said)
+    edges = re.findall(r"cov: (\d+)", said)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     taken = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
-    met = sorted(set(corpus.glob("*-*")) - before)
-    if done.returncode and not met:
-        print(done.stderr[-2000:], file=sys.stderr)
-    return int(runs.group(1)) if runs else 0, int(edges[-1]) if edges else 0, taken, met
+    findings = sorted(_findings(corpus) - before)
+    if ended.returncode and not findings:  # it did not begin, or ended without a word: that is one too
+        findings = [str(log)]
+    return Count(
+        int(executions.group(1)) if executions else 0, int(edges[-1]) if edges else 0, taken, findings
+    )
+
+
+def _findings(corpus: Path) -> set[str]:
+    return {str(path) for path in corpus.iterdir() if path.name.startswith(_KINDS)}
 
 
 def main() -> int:
     """Fuzz all targets, or run one input again; 1 where anything was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0, help="for all targets together")
-    parser.add_argument("--only", choices=TARGETS, action="append")
+    parser.add_argument("--only", choices=names(), action="append")
     parser.add_argument("--folder", type=Path, default=Path("out/fuzz"))
+    parser.add_argument("--counts", type=Path, help="add what was done to this JSON")
     parser.add_argument("--again", type=Path, help="run this input once, in this process")
     options = parser.parse_args()
-    targets = options.only or list(TARGETS)
+    targets = options.only or list(names())
     if options.again:
         for target in targets:
             once(target, options.again.read_bytes())
         return 0
-    write_seeds(options.folder)
-    print(f"{'target':12} {'runs':>9} {'edges':>7} {'processor, s':>13}  found")
-    count = 0
-    for target in targets:
-        runs, edges, taken, met = fuzz(
-            target, max(round(60 * options.minutes / len(targets)), 1), options.folder
+    if find_spec("atheris") is None:
+        print(
+            "atheris is not here; install it with: .venv/bin/python -m pip install atheris", file=sys.stderr
         )
-        count += len(met)
-        listed = ", ".join(map(str, met)) or "nothing"
-        print(f"{target:12} {runs:9} {edges:7} {taken:13.1f}  {listed}", flush=True)
-    return int(bool(count))
+        return 2
+    write_seeds(options.folder)
+    counts = _read(options.counts)
+    total = Count()
+    print(_HEAD)
+    for target in targets:
+        count = fuzz(target, max(round(60 * options.minutes / len(targets)), 1), options.folder)
+        print(_line(target, count), flush=True)
+        total.add(count)
+        counts.setdefault(target, Count()).add(count)
+        if options.counts:
+            plain = {name: asdict(each) for name, each in counts.items()}
+            options.counts.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+    print(_line("all", total))
+    for finding in total.findings:
+        print(f"found: {finding}")
+    return int(bool(total.findings))
+
+
+_HEAD = f"{'target':26} {'executions':>10} {'edges':>6} {'processor, s':>12} {'findings':>8}"
+
+
+def _line(target: str, count: Count) -> str:
+    return (
+        f"{target:26} {count.executions:10,} {count.edges:6} {count.processor_s:12.1f}"
+        f" {len(count.findings):8}"
+    )
+
+
+def _read(path: Path | None) -> dict[str, Count]:
+    """Counts of earlier rounds."""
+    if path is None or not path.exists():
+        return {}
+    return {name: Count(**each) for name, each in json.loads(path.read_text(encoding="utf-8")).items()}
 
 
 if __name__ == "__main__":

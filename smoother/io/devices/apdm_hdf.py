@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.native import ends_the_process
 from .head import shown
 from .imu_checks import size_notes
 from .protocol import FileHead, ImuTable
@@ -45,9 +46,15 @@ class ApdmHdf:
                 f"{path} is HDF5, which is read by the library h5py; install it with: pip install h5py"
                 " (or export CSV)."
             ) from None
+
+        def read(file: Path) -> list[ImuTable]:
+            with h5py.File(file, "r") as opened:
+                return _sensors(opened)
+
+        if ends_the_process(path, read):  # of damaged lengths HDF5 takes all memory
+            raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
         try:
-            with h5py.File(path, "r") as file:
-                tables = _sensors(file)
+            tables = read(path)
         except (OSError, LookupError, ValueError, RuntimeError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} cannot be read as HDF5: {shown(str(error), 100)}.") from error
         if not tables:

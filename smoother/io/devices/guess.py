@@ -57,7 +57,9 @@ def _value(value: object) -> str:
         return "{ " + ", ".join(f"{_value(str(key))} = {_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(_value(one) for one in value) + "]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else f"{value:g}"
+    if isinstance(value, str):  # JSON lets one control character stand that TOML does not
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f"{value:g}"
 
 
 def named(sheet: Sheet, column: int) -> str | int:

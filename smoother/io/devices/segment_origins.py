@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
-from ..markers.c3d import ends_the_process
+from ..markers.c3d import would_crash
 from ..markers.trajectories import METRES, Markers
 from .head import shown
 
@@ -50,7 +50,7 @@ def read_segment_origins(path: Path) -> Markers | None:
             return None
     import ezc3d
 
-    if ends_the_process(path):
+    if would_crash(path):
         raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))

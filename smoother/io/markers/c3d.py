@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...runtime.native import ends_the_process
 from .trajectories import Markers, metres_in, told_apart, without_origin
-
-#: Reading takes no longer than this, s, and a second for so many bytes; with a damaged length the library
-#: goes on for minutes.
-_LONGEST_S, _SLOWEST = 4, 2_000_000
-#: It takes no more memory than this, bytes, and so many times the file's size.
-_MOST_MEMORY, _MEMORY_PER_BYTE = 1 << 29, 64
 
 
 def read_c3d(path: Path) -> Markers:
@@ -79,7 +73,7 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Points, residuals and first frame; and the parameters by group and name."""
     import ezc3d
 
-    if ends_the_process(path):
+    if would_crash(path):
         raise RecordingError(f"{path}: a damaged C3D file; export it again")
     try:
         file = ezc3d.c3d(str(path))
@@ -94,42 +88,15 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return data, {group: dict(file["parameters"][group]) for group in file["parameters"]}
 
 
-def ends_the_process(path: Path) -> bool:
-    """Whether the library would end the process, or never end itself: tried in a child (no Windows).
+def would_crash(path: Path) -> bool:
+    """Whether the library would end the process on this file, or never end itself.
 
     Its C++ reads past the end of parameters whose lengths are damaged, and takes memory for as many frames as
-    a damaged header counts. The child has so much time and memory as a file of this size can need.
+    a damaged header counts.
     """
-    import faulthandler
-    import os
-    import signal
-
     import ezc3d
 
-    if not hasattr(os, "fork"):
-        return False
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the child only reads and ends
-        child = os.fork()
-    if child == 0:
-        code = 0
-        try:
-            import resource
-
-            size = path.stat().st_size
-            statm = Path("/proc/self/statm")
-            pages = int(statm.read_text().split()[0]) if statm.exists() else 1 << 19
-            memory = pages * resource.getpagesize() + _MOST_MEMORY + _MEMORY_PER_BYTE * size
-            resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-            signal.alarm(_LONGEST_S + size // _SLOWEST)
-            faulthandler.disable()
-            os.close(2)  # what the library says while it crashes is no message
-            ezc3d.c3d(str(path))
-        except BaseException as error:  # a refusal is no crash, unless it is one of memory
-            code = int(isinstance(error, MemoryError) or "bad_alloc" in str(error))
-        os._exit(code)
-    status = os.waitpid(child, 0)[1]
-    return os.WIFSIGNALED(status) or os.waitstatus_to_exitcode(status) != 0
+    return ends_the_process(path, lambda file: ezc3d.c3d(str(file)))
 
 
 def _whole(path: Path, point: dict[str, Any]) -> None:

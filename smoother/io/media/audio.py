@@ -15,7 +15,7 @@ from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..wire.cdr import CdrReader
-from ..wire.schemas import message_class
+from ..wire.schemas import parsed
 
 #: Blocks whose stamps lie farther from the even tick than this part of a block begin a new track.
 JUMP_PART = 0.5
@@ -84,7 +84,7 @@ def read_sound(
             rate, data = wavfile.read(path)
     except FileNotFoundError as error:
         raise RecordingError(f"{path} does not exist; check the name.") from error
-    except (ValueError, OSError, EOFError, IndexError, KeyError, struct.error) as error:
+    except Exception as error:  # whatever a damaged file leads the library into
         raise RecordingError(
             f"{path} is not a WAV file that can be read ({' '.join(str(error).split())}); save it as"
             " 16-bit PCM."
@@ -111,10 +111,17 @@ def _loudest(values: FloatArray) -> FloatArray:
 def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str]) -> list[Track]:
     container = Container(path)
     blocks: dict[int, list[tuple[float, FloatArray, float]]] = {}
+    damaged = 0
     for batch in container.batches(_is_audio):
         for position, messages in batch.items():
-            blocks.setdefault(position, []).extend(_block(message, ros_rate_hz) for message in messages)
+            for message in messages:
+                try:
+                    blocks.setdefault(position, []).append(_block(message, ros_rate_hz))
+                except (ValueError, IndexError, struct.error):
+                    damaged += 1
     notes += container.notes
+    if damaged:
+        notes.append(f"{path.name}: damaged messages of sound, left out: {damaged}.")
     names = {position: container.topics[position].name for position in blocks}
     chosen = [k for k, name in names.items() if wanted is None or wanted in name]
     if len(chosen) != 1:
@@ -138,8 +145,7 @@ def _is_audio(topic: Topic) -> bool:
 def _block(message: McapMessage, ros_rate_hz: int) -> tuple[float, FloatArray, float]:
     """Stamp (s), samples (n, channels) and rate (Hz) of one message."""
     if message.topic.encoding == "protobuf":
-        audio = message_class("foxglove.RawAudio")()
-        audio.ParseFromString(bytes(message.data))
+        audio = parsed("foxglove.RawAudio", bytes(message.data))
         if audio.format != "pcm-s16" or not audio.sample_rate or not audio.number_of_channels:
             raise RecordingError(f"{message.topic.name} is of format {audio.format!r}; record pcm-s16.")
         stamp = audio.timestamp.seconds + 1e-9 * audio.timestamp.nanos

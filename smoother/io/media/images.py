@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.image_size import stated_size
+from calib.image_size import unpacked
 from calib.intrinsics import Intrinsics
 
 from ...errors import RecordingError
@@ -19,7 +19,7 @@ from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..mcap.stamps import SECOND_NS
 from ..wire.cdr import CdrReader
-from ..wire.schemas import message_class
+from ..wire.schemas import parsed
 
 IMAGES = {
     "foxglove.RawImage",
@@ -122,7 +122,7 @@ def read_images(
     RecordingError
         The file cannot be read.
     """
-    container = Container(path)
+    container, damaged = Container(path), 0
 
     def taken(topic: Topic) -> bool:
         return topic.schema in IMAGES | LENSES and wanted(topic)
@@ -134,14 +134,16 @@ def read_images(
                 try:
                     yield _decode(topic, bytes(message.data), message.log_ns)
                 except (ValueError, struct.error, IndexError):
-                    continue  # a damaged message says nothing of the others
+                    damaged += 1  # it says nothing of the others
     if notes is not None:
         notes += container.notes
+        if damaged:
+            notes.append(f"{container.path.name}: damaged messages of images, left out: {damaged}.")
 
 
 def _decode(topic: Topic, data: bytes, log_ns: int) -> ImageMessage | LensMessage:
     if topic.encoding == "protobuf":
-        return _foxglove(topic, message_class(topic.schema).FromString(data), log_ns)
+        return _foxglove(topic, parsed(topic.schema, data), log_ns)
     return _ros(topic, CdrReader(data), log_ns)
 
 
@@ -207,13 +209,6 @@ def _raw(data: bytes, encoding: str, height: int, width: int, step: int, big: bo
 
 
 def _uncompressed(data: bytes) -> NDArray:
-    import cv2
-
     # ROS' compressedDepth puts twelve bytes of its own before the PNG.
     start = data.find(b"\x89PNG", 0, 64)
-    packed = data[max(start, 0) :]
-    stated_size(packed)
-    image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError("it is damaged")
-    return np.asarray(image)
+    return unpacked(data[max(start, 0) :])

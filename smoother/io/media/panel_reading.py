@@ -17,7 +17,7 @@ from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..mcap.stamps import SECOND_NS, ros_stamps
 from ..wire.layout import Grouper
-from ..wire.schemas import message_class
+from ..wire.schemas import parsed
 from .panel_session import read_pairs
 
 #: Markers within this time of a pose's images are averaged, s.
@@ -122,7 +122,11 @@ def _wanted(topic: Topic) -> bool:
 def _scene_markers(payloads: list[bytes], logs: list[int]) -> list[tuple[int, str, FloatArray]]:
     rows = []
     for payload, log in zip(payloads, logs, strict=True):
-        for entity in message_class(_SCENE).FromString(payload).entities:
+        try:
+            entities = parsed(_SCENE, payload).entities
+        except ValueError:
+            continue  # a damaged message says nothing of the others
+        for entity in entities:
             stamp = entity.timestamp.ToNanoseconds() or log
             for number, sphere in enumerate(entity.spheres):
                 name = entity.id if len(entity.spheres) == 1 else f"{entity.id}_{number + 1}"

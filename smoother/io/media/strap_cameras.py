@@ -17,7 +17,7 @@ from ...errors import RecordingError
 from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import Topic
-from ..wire.schemas import message_class
+from ..wire.schemas import parsed
 from .images import ImageMessage, LensMessage, read_images
 
 _INFRARED = ("infrared", "/ir", "_ir", "amplitude")
@@ -157,12 +157,14 @@ def _transforms(path: str | os.PathLike[str]) -> Transforms:
     found: Transforms = {}
     for batch in Container(path).batches(wanted):
         for message in (m for messages in batch.values() for m in messages):
-            own = message_class(message.topic.schema)()
-            own.ParseFromString(bytes(message.data))
-            for each in own.transforms if hasattr(own, "transforms") else [own]:
-                q, t = each.rotation, each.translation
-                R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-                found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
+            try:
+                own = parsed(message.topic.schema, bytes(message.data))
+                for each in own.transforms if hasattr(own, "transforms") else [own]:
+                    q, t = each.rotation, each.translation
+                    R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                    found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
+            except ValueError:  # damaged, or no rotation
+                continue
     return found
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
+from ...runtime.native import ends_the_process
 from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0
@@ -147,10 +148,12 @@ def _empty_tracks(frames: int) -> tuple[FloatArray, NDArray[np.int8]]:
 def _load(path: str | os.PathLike[str], fields: tuple[str, ...], kind: str) -> dict[str, NDArray]:
     from scipy.io import loadmat
 
+    if not Path(path).exists():
+        raise RecordingError(f"{path} does not exist; check the name.")
+    if ends_the_process(Path(path), loadmat):  # a damaged type of data leads it past its table
+        raise RecordingError(f"{path} is a damaged Matlab file; download it again.")
     try:
         data = loadmat(path)
-    except FileNotFoundError:
-        raise RecordingError(f"{path} does not exist; check the name.") from None
     except Exception as error:  # scipy raises many kinds on files that are not Matlab's
         raise RecordingError(f"{path} cannot be read as a Matlab file: {error}.") from error
     missing = [name for name in fields if name not in data]

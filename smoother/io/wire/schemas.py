@@ -34,6 +34,22 @@ def message_class(name: str) -> Any:
     return getattr(import_module(module), short)
 
 
+def parsed(name: str, data: bytes) -> Any:
+    """A message of its bytes.
+
+    Raises
+    ------
+    ValueError
+        They are no such message.
+    """
+    from google.protobuf.message import DecodeError
+
+    try:
+        return message_class(name).FromString(data)
+    except DecodeError as error:
+        raise ValueError(f"a damaged message of {name}") from error
+
+
 @cache
 def schema_data(name: str) -> bytes:
     """The serialised FileDescriptorSet of a message with all it builds on, as MCAP wants it."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from imu_files import motion
+from library_files import write_opal
 
 from smoother.errors import RecordingError
 from smoother.io.devices.head import read_head
@@ -32,25 +33,10 @@ def test_without_h5py_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("version", [5, 3])
 def test_each_sensor_is_one_imu(tmp_path: Path, version: int):
-    h5py = pytest.importorskip("h5py")
+    pytest.importorskip("h5py")
     path = tmp_path / "a.h5"
+    write_opal(path, version)
     micros = 1_600_000_000_000_000 + 7_812 * np.arange(200, dtype=np.uint64)
-    with h5py.File(path, "w") as file:
-        if version < 5:
-            # Not in the order of the groups.
-            file.attrs["CaseIdList"] = np.array([b"SI-001300", b"SI-001234"], dtype="S16")
-            file.attrs["MonitorLabelList"] = np.array([b"Lumbar", b"Right Wrist"], dtype="S16")
-        for at, (number, label) in enumerate((("1234", "Right Wrist"), ("1300", "Lumbar"))):
-            group = file.create_group(f"Sensors/{number}" if version == 5 else f"SI-00{number}")
-            values = group if version == 5 else group.create_group("Calibrated")
-            plural = "" if version == 5 else "s"
-            values[f"Accelerometer{plural}"] = np.roll(ACC, at, axis=1)
-            values[f"Gyroscope{plural}"] = np.roll(GYRO, at, axis=1)
-            values[f"Magnetometer{plural}"] = ACC
-            group["Time"] = micros
-            group.attrs["SampleRate"] = 128
-            if version == 5:
-                group.create_group("Configuration").attrs["Label 0"] = label.encode()
     first, second = read(path)
     assert (first.name, second.name, first.rate_hz) == ("Right Wrist", "Lumbar", 128.0)
     np.testing.assert_array_equal(second.acc, np.roll(ACC, 1, axis=1))
@@ -67,4 +53,17 @@ def test_another_hdf5_or_a_broken_one(tmp_path: Path):
         read(path)
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(RecordingError, match="cannot be read as HDF5"):
+        read(path)
+
+
+def test_a_file_on_which_hdf5_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One wrong length among the texts of the attributes."""
+    pytest.importorskip("h5py")
+    monkeypatch.setattr("smoother.runtime.native._LONGEST_S", 1)
+    path = tmp_path / "a.h5"
+    write_opal(path, count=12)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"GCOL") + 24] = 50  # of the first text, 11 letters
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"a\.h5 is a damaged HDF5 file"):
         read(path)
