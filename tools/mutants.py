@@ -62,7 +62,11 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         "tests/measurements/test_outliers.py",
         "tests/measurements/test_limits_of_outliers.py",
     ),
-    "smoother/window/pooling.py": (_ALONE, "tests/window/test_pooling.py"),
+    "smoother/window/pooling.py": (
+        _ALONE,
+        "tests/window/test_pooled_constants.py",
+        "tests/window/test_pooling.py",
+    ),
     "smoother/evaluation/coverage.py": (_ALONE, "tests/evaluation/test_coverage.py"),
     **{
         f"smoother/io/wire/{name}.py": (_ALONE, f"tests/io/wire/test_{tests}.py")
