@@ -88,8 +88,8 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
 EXPLAINED = ROOT / "tools/mutants_explained.toml"
 #: A mutant may take so many times the processor time of the right program, and so much more, s.
 TIMES, MORE_S = 3.0, 2.0
-#: And so many times that in all: the machine may be busy.
-WAIT = 10.0
+#: And so many times that in all: the machine may be busy with something else.
+WAIT = 60.0
 MEMORY = 8 << 30
 #: What the tests end in where the mutated module was never imported.
 NOT_IMPORTED = 97
@@ -234,8 +234,10 @@ def import_libraries() -> None:
     assert not ours, ours
 
 
-def examine(path: str, tests: Sequence[str], most: int, seed: int) -> FileResult:
-    """Draw a file's mutants and run its tests on each."""
+def examine(
+    path: str, tests: Sequence[str], most: int, seed: int, before: FileResult | None = None
+) -> FileResult:
+    """Draw a file's mutants and run its tests on each; of those drawn `before` on the survivors only."""
     from tools.mutations import SourceFile
 
     source = (ROOT / path).read_text(encoding="utf-8")
@@ -245,8 +247,11 @@ def examine(path: str, tests: Sequence[str], most: int, seed: int) -> FileResult
     file = SourceFile(path, source)
     result = FileResult(len(file), seed=seed)
     for mutant in file.sample(most, seed):
-        code, _ = run_tests(path, mutant.source, tests, TIMES * cpu_s + MORE_S)
         result.run += 1
+        if before is not None and mutant.change not in before.survived:
+            result.killed += 1
+            continue
+        code, _ = run_tests(path, mutant.source, tests, TIMES * cpu_s + MORE_S)
         result.killed += code != 0
         result.late += code in (-signal.SIGXCPU, -signal.SIGKILL)
         if code == 0:
@@ -272,7 +277,7 @@ def page_part(results: dict[str, FileResult]) -> str:
     total = FileResult(0)
     listed: list[str] = []
     explained_all = 0
-    for path, result in sorted(results.items()):
+    for path, result in results.items():
         explained = sum((path, change) in why for change in result.survived)
         explained_all += explained
         lines.append(_row(f"`{path}`", result, explained))
@@ -303,6 +308,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the draw")
     parser.add_argument("--store", type=Path, default=ROOT / "out/mutants.json", help="results so far")
     parser.add_argument("--write", type=Path, help="page whose marked part is replaced")
+    parser.add_argument("--again", action="store_true", help="run the last survivors only: tests were added")
     parser.add_argument("--table-only", action="store_true", help="write the page from the results so far")
     options = parser.parse_args()
     stored = json.loads(options.store.read_text()) if options.store.exists() else {}
@@ -311,12 +317,14 @@ def main() -> int:
     if not options.table_only:
         import_libraries()
         for path in chosen:
-            results[path] = examine(path, TESTS_OF[path], options.most, options.seed)
+            before = results.get(path) if options.again else None
+            most, seed = (before.run, before.seed) if before else (options.most, options.seed)
+            results[path] = examine(path, TESTS_OF[path], most, seed, before)
             options.store.parent.mkdir(parents=True, exist_ok=True)
             options.store.write_text(
                 json.dumps({name: asdict(each) for name, each in results.items()}, indent=1)
             )
-    made = page_part(results)
+    made = page_part({path: results[path] for path in TESTS_OF if path in results})
     if options.write is None:
         print(made)
         return 0

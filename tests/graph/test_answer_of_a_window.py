@@ -147,7 +147,7 @@ def test_the_upper_arm_s_imu(pair: tuple[Optimum, Solution]) -> None:
     best, found = pair
     upper, rows = found.upper, np.arange(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
     assert upper is not None and upper.pose_covariance is not None
-    assert np.flatnonzero(upper.known).tolist() == rows.tolist()
+    assert np.flatnonzero(upper.known).tolist() == rows.tolist() and upper.known.dtype == bool
     poses = [best.values.atPose3(Y(i)) for i in rows]
     R = np.array([pose.rotation().matrix() for pose in poses])
     pose = np.array([in_camera(R[k], best.of(Y(i))) for k, i in enumerate(rows)])
@@ -461,6 +461,36 @@ def test_samples_that_share_a_node_say_more_of_the_offset() -> None:
     assert offset_information(graph, values, nobody, found.states) == 0.0
 
 
+@pytest.mark.parametrize("text", ["Indeterminant linear system detected", "out of memory"])
+def test_a_usual_share_where_the_elimination_gives_up(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three tenths of what there would be if no state could follow, and how samples of a node differ."""
+
+    class GivesUp(gtsam.GaussianFactorGraph):
+        def marginal(self, _: object) -> None:
+            raise RuntimeError(text)
+
+    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(window, noise=replace(window.noise, cauchy=1e6))
+    best = Optimum(window)
+    states = solve(window, with_covariance=False, tolerance=1e-13).states
+    monkeypatch.setattr(gtsam, "GaussianFactorGraph", GivesUp)
+    if "determin" not in text:
+        with pytest.raises(RuntimeError, match=text):
+            offset_information(best.graph, best.values, window, states)
+        return
+    bound = scatter = 0.0
+    for each in window.joint_measurements:
+        for node in sorted(set(each.node.tolist())):
+            rows = each.node == node
+            velocity, weight = each.velocity[rows] + states.v[node], 1.0 / each.sigma_m[rows] ** 2
+            mean = velocity.mean(axis=0)
+            bound += float(weight.sum() * (mean @ mean))
+            scatter += float(np.sum(weight[:, None] * (velocity - mean) ** 2))
+    stated = offset_information(best.graph, best.values, window, states)
+    # the weight of a node's mean is rounded to a micrometre of its sigma
+    assert stated == pytest.approx(scatter + 0.3 * bound, rel=1e-3)
+
+
 def _alternating(node: np.ndarray) -> FloatArray:
     """One more metre a second for every other sample of a node, none on average."""
     out = np.zeros((len(node), 3))
@@ -559,14 +589,15 @@ def test_where_covariances_are_computed() -> None:
     t = np.arange(0.0, 6.0, 0.02) + 3.0
     in_gap = np.zeros(len(t) - 1, dtype=bool)
     in_gap[100:151] = True  # from 5.00 s to 6.02 s
+    in_gap[225:251] = True  # and from 7.50 s to 8.02 s
     every = smoother.graph.solve._spaced
     nodes = every(t, in_gap, 0.5)
     expected = set()
     for i, at in enumerate(t):
         since = round((at - 3.0) / 0.02)
-        near = min(abs(at - 5.0), abs(at - 6.02))
-        inside = 5.0 - 1e-9 <= at <= 6.02 + 1e-9
-        if since % 25 == 0 or i in (100, 151, len(t) - 1):
+        near = min(abs(at - edge) for edge in (5.0, 6.02, 7.5, 8.02))
+        inside = any(a - 1e-9 <= at <= b + 1e-9 for a, b in ((5.0, 6.02), (7.5, 8.02)))
+        if since % 25 == 0 or i in (100, 151, 225, 251, len(t) - 1):
             expected.add(i)
         if (inside or near < 0.5 - 1e-9) and since % 5 == 0:
             expected.add(i)
@@ -574,6 +605,19 @@ def test_where_covariances_are_computed() -> None:
     assert every(t, in_gap, 0.5, 0.25).tolist() != nodes.tolist()
     without = every(t, np.zeros(len(t) - 1, dtype=bool), 0.5)
     assert without.tolist() == [*range(0, 300, 25), 299]
+
+
+def test_how_often_covariances_are_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every 0.5 s, 0.1 s near a gap, 0.25 s with two IMUs; the shoulder's every 0.1 s or 0.25 s."""
+    monkeypatch.undo()  # as it is
+    t = 3.0 + 0.05 * np.arange(121)
+    change = np.full(120, np.inf)
+    change[40:50] = 1.0  # from 5.0 s to 5.5 s
+    for upper, near in ((False, 2), (True, 5)):
+        window = replace(small_window(upper=upper)[0], t=t, velocity_change=change)
+        close = {i for i in range(30, 61) if i % near == 0} - {30, 60}
+        expected = sorted(set(range(0, 121, 10)) | close | {40, 50})
+        assert smoother.graph.solve._covariance_nodes(window).tolist() == expected
 
 
 def test_two_imus_ask_for_fewer_covariances() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -14,8 +16,9 @@ from small_window import BIAS_LENGTH_S, GRAVITY_M_S2, LEVERS, UPPER_FIRST, UPPER
 
 import smoother.graph.build
 from smoother.graph.build import bias_of_intervals, stacked_measurements
-from smoother.graph.chain import FOREARM_TIE_M, TISSUE_S, build_arm
+from smoother.graph.chain import FOREARM_TIE_M, TISSUE_S, _tissue, build_arm
 from smoother.graph.imu_factors import DENSITY_STEP, INTEGRATION_VARIANCE
+from smoother.graph.shared_prior import add_shared
 from smoother.recording import JOINTS, FloatArray
 from smoother.window.problem import ImuIncrements, JointMeasurements, NoiseModel, Window
 
@@ -269,6 +272,45 @@ def test_each_factor_has_the_error_of_its_formula(window: Window) -> None:
     # to what the bias moves beyond first order: 6e-4
     np.testing.assert_allclose(errors.pop("ImuFactorWithGravityDirection"), expected, rtol=0.002)
     assert not errors
+
+
+def test_a_shoulder_that_nobody_saw(window: Window) -> None:
+    """Its first knot is held where it begins, to a metre."""
+    assert window.shoulder is not None
+    nowhere = np.full((6, 3), np.nan)
+    unseen = replace(window, shoulder=replace(window.shoulder, position=nowhere))
+    graph, start = build_arm(unseen)
+    values = moved(start)
+    off = values.atPoint3(S(0)) - window.shoulder.start[0]
+    np.testing.assert_allclose(errors_by_class(graph, values)["PriorFactorPoint3"], [gaussian(off, 1.0)])
+
+
+def test_a_bias_of_the_last_interval_alone(window: Window) -> None:
+    biases = np.zeros(len(window.t) - 1, dtype=int)
+    biases[-1] = 1
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    add_shared(graph, values, window, biases)
+    keys = sorted(values.keys())
+    assert {B(0), B(1), C(0), C(1)} <= set(keys) and B(2) not in keys
+    assert len(errors_by_class(graph, values)["BetweenFactorConstantBias"]) == 2
+
+
+@pytest.mark.parametrize(("duration_s", "count"), [(1.9, 1), (5.9, 1), (6.1, 2), (10.2, 3)])
+def test_a_bias_for_about_four_seconds(
+    duration_s: float, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # as it is
+    window, _ = small_window()
+    t = 100.0 + np.linspace(0.0, duration_s, 50)
+    expected = [int((0.5 * (a + b) - 100.0) / duration_s * count) for a, b in pairwise(t)]
+    assert bias_of_intervals(replace(window, t=t)).tolist() == expected and expected[-1] == count - 1
+
+
+def test_tissue_at_one_node(window: Window) -> None:
+    """Sparser than it moves: each says as much as the last."""
+    assert _tissue(window, np.array([4])) == [0.01]
+    apart = replace(window, t=window.t * 40.0)
+    assert _tissue(apart, np.array([1, 2, 3])) == [0.01] * 3
 
 
 def test_the_graph_begins_at_the_initial_values(window: Window) -> None:

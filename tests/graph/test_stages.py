@@ -219,7 +219,7 @@ def test_the_order_of_the_strategies() -> None:
         strategies = [[stage.tolist() for stage in stages] for stages in gap.strategies(0.01)]
         open_end = module._LongGap(np.arange(5), since, np.full(5, np.inf))
         backwards = [stage.tolist() for stage in list(open_end.strategies(0.01))[3]]
-    tight, free = 0.01, LOOSE_M
+    tight, free = 0.01, 1.0
     assert strategies == [
         [[tight, tight, free, tight, tight]],
         [[0.2] * 5, [0.05] * 5],

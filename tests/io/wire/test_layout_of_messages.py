@@ -88,6 +88,7 @@ def test_groups_hold_every_message_once() -> None:
         for _ in range(300)
     ]
     grouper = Grouper(walk)
+    assert grouper.broken == 0
     for _ in range(2):  # the second time all layouts are known
         grouper.broken = 0
         groups = list(grouper.groups(payloads))
