@@ -67,7 +67,11 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         "tests/window/test_pooled_constants.py",
         "tests/window/test_pooling.py",
     ),
-    "smoother/evaluation/coverage.py": (_ALONE, "tests/evaluation/test_coverage.py"),
+    "smoother/evaluation/coverage.py": (
+        _ALONE,
+        "tests/evaluation/test_coverage.py",
+        "tests/report/test_advice.py",
+    ),
     **{
         f"smoother/io/wire/{name}.py": (_ALONE, f"tests/io/wire/test_{tests}.py")
         for name, tests in (
