@@ -281,3 +281,18 @@ def test_poses_that_determine_nothing() -> None:
     point = replace(one, rays=np.tile(one.rays[:1], (4, 1)), markers_E=np.tile(one.markers_E[:1], (4, 1)))
     with pytest.raises(CalibrationError, match="do not determine the transform"):
         solve([point])
+
+
+def test_what_is_found_widens_the_covariance_beside_what_is_stated() -> None:
+    """The stated noise weighs like twelve residuals: here those found are three times as large."""
+    poses = [pose(1, 3.0), pose(2, 3.0)]
+    found = solve(poses)
+    graph, start = _build(poses, True)
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-12)
+    params.setAbsoluteErrorTol(1e-12)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, start, params).optimize()
+    misfit = 2 * graph.error(values)
+    assert misfit > 3 * 12 and found.misfit == pytest.approx(misfit / 12, rel=1e-4)
+    stated = gtsam.Marginals(graph, values).marginalCovariance(0)
+    np.testing.assert_allclose(found.covariance, stated * (12 + misfit) / (12 + 12), rtol=1e-3, atol=1e-12)

@@ -102,7 +102,7 @@ def turning_from(start_s: float, end_s: float, rate: float) -> Segment:
         (0.0, 9.0, 0.16, True),
         (0.0, 9.0, 0.14, False),
         (1.0667, 1.11, 3.0, True),  # just behind the frame that is repeated, at 1.0667 s
-        (1.28, 1.40, 3.0, True),  # just before the last repeat, at 1.4 s
+        (1.375, 1.40, 3.0, True),  # just before the last repeat, at 1.4 s
         (0.0, 1.055, 3.0, False),  # before it
         (1.42, 9.0, 3.0, False),  # and behind the run
     ],
