@@ -1,0 +1,298 @@
+"""The panel's graph factor by factor against its formulas, and what is decided from its answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calib.panel import panel_graph
+from calib.panel.panel_graph import PanelSolution, PoseData, _build, solve
+from calib.panel.plane import Plane
+from smoother.errors import CalibrationError
+from smoother.recording import FloatArray
+
+TURN = Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix()
+ORIGIN = np.array([0.1, -0.2, 0.4])
+ON_PANEL = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.35, 0.0]])
+HEIGHT_M = 0.007
+
+
+def pose(seed: int, noise: float = 1.0) -> PoseData:
+    """A panel held in {K}, its markers 7 mm above the plane; the depth's plane is off by its covariance."""
+    rng = np.random.default_rng(seed)
+    turned = Rotation.from_rotvec(0.3 * rng.normal(size=3)).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    origin = np.array([-0.2, 0.1, 1.5]) + 0.2 * rng.normal(size=3)
+    normal = turned[:, 2]  # towards the camera
+    markers_K = origin + ON_PANEL @ turned.T + HEIGHT_M * normal
+    theta = normal / (normal @ origin)
+    A = rng.normal(size=(3, 3))
+    covariance = 1e-8 * (A @ A.T + 0.5 * np.eye(3))
+    plane = Plane(
+        theta=theta + noise * np.linalg.cholesky(covariance) @ rng.normal(size=3),
+        covariance=covariance,
+        offset_rate=-0.4 * theta + 0.05 * rng.normal(size=3),
+        offset_curve=0.3 * rng.normal(size=3),
+        inliers=np.ones(1, dtype=bool),
+        residuals_m=np.zeros(1),
+        noise_m=0.001,
+        share_common=1.0,
+        warp_m=0.0,
+    )
+    sigmas = np.array([1.0, 1.5, 2.0, 1.2]) * 1e-4
+    rays = markers_K[:, :2] / markers_K[:, 2:] + noise * sigmas[:, None] * rng.normal(size=(4, 2))
+    sigma_E = 0.0003 + 0.0001 * seed
+    markers_E = (markers_K - ORIGIN) @ TURN + noise * sigma_E * rng.normal(size=(4, 3))
+    return PoseData(rays, sigmas, plane, markers_E, sigma_E, HEIGHT_M, f"pose {seed}")
+
+
+def huber(size: float) -> float:
+    return 0.5 * size**2 if size <= 3.5 else 3.5 * (size - 0.5 * 3.5)
+
+
+def marker(p: int, k: int) -> int:
+    return panel_graph._marker(p, k)
+
+
+def test_keys_are_all_different() -> None:
+    keys = {marker(p, k) for p in range(3) for k in range(4)} | {panel_graph._plane(p) for p in range(3)}
+    assert len(keys | {0, 1}) == 17
+
+
+def moved(values: gtsam.Values, scale: float, with_offset: bool) -> gtsam.Values:
+    rng = np.random.default_rng(7)
+    delta = gtsam.VectorValues()
+    delta.insert(0, scale * rng.normal(size=6))
+    if with_offset:
+        delta.insert(1, np.array([0.004]))
+    for key in sorted(values.keys()):
+        if key > 1:
+            delta.insert(key, scale * rng.normal(size=3))
+    return values.retract(delta)
+
+
+@pytest.mark.parametrize("with_offset", [True, False])
+def test_each_factor_has_the_error_of_its_formula(with_offset: bool) -> None:
+    """Some residuals beyond Huber's bound, some within; Python's factors with their derivatives."""
+    poses = [pose(1), pose(2)]
+    graph, start = _build(poses, with_offset)
+    values = moved(start, 5e-4, with_offset)
+    errors: dict[str, list[float]] = {}
+    for i in range(graph.size()):
+        errors.setdefault(type(graph.at(i)).__name__, []).append(graph.at(i).error(values))
+    offset = float(values.atVector(1)[0]) if with_offset else 0.0
+    camera = values.atPose3(0)
+    R, t = camera.rotation().matrix().T, -camera.rotation().matrix().T @ camera.translation()
+    priors, rays, customs = [], [], []
+    for p, each in enumerate(poses):
+        theta = values.atVector(panel_graph._plane(p))
+        shifted = each.plane.theta + offset * each.plane.offset_rate + offset**2 * each.plane.offset_curve
+        off = theta - shifted
+        customs.append(0.5 * off @ np.linalg.solve(each.plane.covariance, off))
+        for k in range(4):
+            at_E = values.atPoint3(marker(p, k))
+            at = R @ at_E + t
+            priors.append(huber(np.linalg.norm(at_E - each.markers_E[k]) / each.sigma_E_m))
+            rays.append(huber(np.linalg.norm(at[:2] / at[2] - each.rays[k]) / each.sigmas[k]))
+            away = (theta @ at - 1) / np.linalg.norm(theta) + HEIGHT_M
+            customs.append(0.5 * (away / 0.0002) ** 2)
+    np.testing.assert_allclose(errors.pop("PriorFactorPoint3"), priors, rtol=1e-8)
+    np.testing.assert_allclose(errors.pop("GenericProjectionFactorCal3_S2"), rays, rtol=1e-8)
+    np.testing.assert_allclose(errors.pop("CustomFactor"), customs, rtol=1e-8)
+    assert min(priors + rays) < 0.5 * 3.5**2 < max(priors + rays)
+    if with_offset:
+        np.testing.assert_allclose(errors.pop("PriorFactorVector"), [0.5 * (0.004 / 0.01) ** 2])
+    assert not errors
+    for i in range(graph.size()):
+        if isinstance(graph.at(i), gtsam.CustomFactor):
+            _check_derivatives(graph.at(i), values)
+
+
+def _check_derivatives(factor: gtsam.CustomFactor, values: gtsam.Values) -> None:
+    """Against central differences of the whitened error."""
+    linear, step = factor.linearize(values), 1e-6
+    A, keys, column = linear.getA(), list(factor.keys()), 0
+    for key in keys:
+        size = {0: 6, 1: 1}.get(key, 3)
+        for move in step * np.eye(size):
+            ahead, back = gtsam.VectorValues(), gtsam.VectorValues()
+            ahead.insert(key, move)
+            back.insert(key, -move)
+            there = [factor.linearize(values.retract(delta)) for delta in (ahead, back)]
+            whitened = [np.array(each.getb()) for each in there]  # of memory that lives as long as they do
+            slope = (whitened[1] - whitened[0]) / (2 * step)
+            np.testing.assert_allclose(A[:, column], slope, atol=1e-5 * np.abs(A).max())
+            column += 1
+
+
+def test_where_the_graph_begins() -> None:
+    """Kabsch on the markers where rays meet the depth's planes; exact for exact data."""
+    poses = [pose(1, 0.0), pose(2, 0.0)]
+    _, start = _build(poses, True)
+    camera = start.atPose3(0)
+    np.testing.assert_allclose(camera.rotation().matrix(), TURN.T, atol=1e-9)
+    np.testing.assert_allclose(camera.translation(), -TURN.T @ ORIGIN, atol=1e-9)
+    assert start.atVector(1) == np.zeros(1)
+    for p, each in enumerate(poses):
+        np.testing.assert_array_equal(start.atVector(panel_graph._plane(p)), each.plane.theta)
+        for k in range(4):
+            np.testing.assert_array_equal(start.atPoint3(marker(p, k)), each.markers_E[k])
+    one, _ = _build(poses[:1], False)
+    assert all(1 not in list(one.at(i).keys()) for i in range(one.size()))
+
+
+def test_markers_on_rays_at_their_height() -> None:
+    each = pose(3, 0.0)
+    points = each.points_K()
+    np.testing.assert_allclose(points[:, :2] / points[:, 2:], each.rays, atol=1e-12)
+    theta = each.plane.theta
+    np.testing.assert_allclose((points @ theta - 1) / np.linalg.norm(theta), -HEIGHT_M, atol=1e-12)
+    shifted = each.points_K(0.01)
+    theta = each.plane.at_offset(0.01)
+    np.testing.assert_allclose((shifted @ theta - 1) / np.linalg.norm(theta), -HEIGHT_M, atol=1e-12)
+    flat = PoseData(each.rays, each.sigmas, each.plane, each.markers_E, each.sigma_E_m)
+    np.testing.assert_allclose(flat.points_K() @ each.plane.theta, 1.0)
+    assert flat.name == "" and flat.height_m == 0.0
+
+
+class Dense:
+    """The same problem without GTSAM: (6 turn and shift about the truth, offset, 15 a pose)."""
+
+    def __init__(self, poses: list[PoseData], with_offset: bool) -> None:
+        self.poses, self.with_offset = poses, with_offset
+        size = 7 + 15 * len(poses)
+        scale = np.concatenate([np.full(6, 1e-3), [1e-3], np.full(size - 7, 1e-4)])
+        fit = least_squares(
+            self.residuals, np.zeros(size), x_scale=scale, jac="3-point", xtol=1e-15, ftol=1e-15
+        )
+        self.x, self.misfit = fit.x, float(2 * fit.cost)
+        self.covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+        self.R = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ TURN
+        self.t = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ ORIGIN + fit.x[3:6]
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        turn = Rotation.from_rotvec(x[:3]).as_matrix()
+        R, t, offset = turn @ TURN, turn @ ORIGIN + x[3:6], x[6] if self.with_offset else 0.0
+        rows = [x[6:7] / 0.01]
+        for p, each in enumerate(self.poses):
+            part = x[7 + 15 * p : 22 + 15 * p]
+            theta, markers = each.plane.theta + part[:3], each.markers_E + part[3:].reshape(4, 3)
+            at = markers @ R.T + t
+            rows.append(((at[:, :2] / at[:, 2:] - each.rays) / each.sigmas[:, None]).ravel())
+            rows.append(part[3:] / each.sigma_E_m)
+            rows.append(((at @ theta - 1) / np.linalg.norm(theta) + each.height_m) / 0.0002)
+            root = np.linalg.cholesky(np.linalg.inv(each.plane.covariance)).T
+            rows.append(root @ (theta - each.plane.at_offset(offset)))
+        return np.concatenate(rows)
+
+
+def agrees(found: PanelSolution, dense: Dense, poses: list[PoseData]) -> None:
+    """Answer, covariance about the camera's own axes, misfit."""
+    sigma = np.sqrt(np.diag(dense.covariance))
+    turn = Rotation.from_matrix(found.camera_from_mocap.R @ dense.R.T).as_rotvec()
+    shift = found.camera_from_mocap.origin - dense.t
+    assert (np.abs(np.concatenate([turn, shift])) < 0.02 * sigma[:6]).all()
+    count = 6 * len(poses)
+    assert found.residuals == count
+    assert found.misfit * count == pytest.approx(dense.misfit, rel=1e-4)
+    scale = (12.0 + dense.misfit) / (12.0 + count)
+    expected = dense.covariance[:6, :6] * scale
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found.covariance / size[:, None] / size, expected / size[:, None] / size, atol=0.02
+    )
+    if dense.with_offset:
+        assert found.depth_offset_m == pytest.approx(dense.x[6], abs=0.02 * sigma[6])
+        assert found.depth_offset_sigma_m == pytest.approx(sigma[6] * np.sqrt(scale), rel=0.01)
+
+
+def test_several_poses_are_the_dense_solution() -> None:
+    poses = [pose(1), pose(2), pose(3)]
+    found = solve(poses)
+    agrees(found, Dense(poses, True), poses)
+    assert found.offset_apart_m == found.depth_offset_m
+    assert found.offset_apart_sigma_m == found.depth_offset_sigma_m
+
+
+def test_one_pose_is_the_dense_solution() -> None:
+    poses = [pose(1)]
+    found, free = solve(poses), panel_graph._graph_solution(poses, solve_offset=True)
+    agrees(found, Dense(poses, False), poses)
+    agrees(free, Dense(poses, True), poses)
+    assert found.depth_offset_m == 0.0 and found.depth_offset_sigma_m == np.inf
+    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (
+        free.depth_offset_m,
+        free.depth_offset_sigma_m,
+    )
+    assert free.offset_apart_m == 0.0 and free.offset_apart_sigma_m == np.inf
+
+
+def test_residuals_marker_by_marker() -> None:
+    poses = [pose(1), pose(2)]
+    found = solve(poses)
+    R, t = found.camera_from_mocap.R, found.camera_from_mocap.origin
+    for p, each in enumerate(poses):
+        theta = each.plane.at_offset(found.depth_offset_m)
+        for k in range(4):
+            at = R @ each.markers_E[k] + t
+            seen = each.points_K(found.depth_offset_m)[k]
+            assert found.ray_residuals[p, k] == pytest.approx(np.linalg.norm(at[:2] / at[2] - each.rays[k]))
+            assert found.marker_residuals_m[p, k] == pytest.approx(np.linalg.norm(at - seen))
+            away = (at @ theta - 1) / np.linalg.norm(theta) + HEIGHT_M
+            assert found.plane_residuals_m[p, k] == pytest.approx(away)
+
+
+@pytest.mark.parametrize(
+    ("poses", "offset_m", "misfit", "is_free"),
+    [
+        (1, 0.0041, 2.9, True),
+        (1, -0.0041, 2.9, True),
+        (1, 0.0039, 2.9, False),
+        (1, 0.0041, 3.1, False),
+        (2, 0.0, 9.0, True),
+    ],
+)
+def test_when_one_pose_tells_of_a_wrong_depth(
+    poses: int, offset_m: float, misfit: float, is_free: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four sigmas, with a misfit below three; several poses always do."""
+    some = panel_graph._graph_solution([pose(1)], solve_offset=False)
+
+    def answer(given: list[PoseData], solve_offset: bool) -> PanelSolution:
+        if not solve_offset:
+            return some
+        return replace(some, depth_offset_m=offset_m, depth_offset_sigma_m=0.001, misfit=misfit)
+
+    monkeypatch.setattr(panel_graph, "_graph_solution", answer)
+    found = solve([pose(1)] * poses)
+    assert found.depth_offset_m == (offset_m if is_free else 0.0)
+    assert found.misfit == (misfit if is_free else some.misfit)
+    assert (found.offset_apart_m, found.offset_apart_sigma_m) == (offset_m, 0.001)
+    assert found.camera_from_mocap is some.camera_from_mocap
+
+
+def test_poses_that_determine_nothing() -> None:
+    """All markers in one point: the turn about it is free."""
+    one = pose(1)
+    point = replace(one, rays=np.tile(one.rays[:1], (4, 1)), markers_E=np.tile(one.markers_E[:1], (4, 1)))
+    with pytest.raises(CalibrationError, match="do not determine the transform"):
+        solve([point])
+
+
+def test_what_is_found_widens_the_covariance_beside_what_is_stated() -> None:
+    """The stated noise weighs like twelve residuals: here those found are three times as large."""
+    poses = [pose(1, 3.0), pose(2, 3.0)]
+    found = solve(poses)
+    graph, start = _build(poses, True)
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-12)
+    params.setAbsoluteErrorTol(1e-12)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, start, params).optimize()
+    misfit = 2 * graph.error(values)
+    assert misfit > 3 * 12 and found.misfit == pytest.approx(misfit / 12, rel=1e-4)
+    stated = gtsam.Marginals(graph, values).marginalCovariance(0)
+    np.testing.assert_allclose(found.covariance, stated * (12 + misfit) / (12 + 12), rtol=1e-3, atol=1e-12)

@@ -1,0 +1,175 @@
+"""Stated uncertainty against actual error: shares, bins, and the camera's residuals, written out by hand."""
+
+from __future__ import annotations
+
+import warnings
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from smoother.evaluation import coverage
+from smoother.evaluation.coverage import LEVELS, StatedAndActual, _evenly, camera_residuals, stated_and_actual
+from smoother.recording import JOINTS, FloatArray
+
+
+def made(squared: FloatArray, sigma_m: FloatArray | None = None) -> StatedAndActual:
+    sigma_m = np.ones(len(squared)) if sigma_m is None else sigma_m
+    return StatedAndActual(squared, sigma_m, sigma_m * np.arange(1.0, len(squared) + 1))
+
+
+def test_levels_are_two_percent_apart() -> None:
+    np.testing.assert_allclose(LEVELS, [0.02 * k for k in range(1, 50)])
+
+
+def test_shares_inside_each_region() -> None:
+    """Counted one by one; an error on the border is inside."""
+    squared = np.append(chi2.rvs(3, size=200, random_state=0), 0.0)
+    some = made(squared)
+    expected = [np.mean([chi2.cdf(each, 3) <= level for each in squared]) for level in LEVELS]
+    np.testing.assert_allclose(some.coverage(), expected)
+    for level in (0.2, 0.95):
+        assert some.inside(level) == pytest.approx(np.mean(chi2.cdf(squared, 3) <= level))
+    assert made(np.zeros(2)).inside(0.0) == 1.0 and isinstance(some.inside(0.5), float)
+    nothing = made(np.zeros(0))
+    assert (
+        np.isnan(nothing.coverage()).all() and len(nothing.coverage()) == 49 and np.isnan(nothing.inside(0.5))
+    )
+
+
+@pytest.mark.parametrize(
+    ("samples", "bins"), [(0, 0), (29, 0), (30, 1), (59, 1), (60, 2), (301, 10), (1000, 10)]
+)
+def test_bins_of_equally_many(samples: int, bins: int) -> None:
+    rng = np.random.default_rng(1)
+    some = StatedAndActual(np.zeros(samples), rng.uniform(1, 2, samples), rng.uniform(0, 3, samples))
+    stated, actual = some.binned()
+    assert len(stated) == len(actual) == bins
+    order = sorted(range(samples), key=lambda k: some.sigma_m[k])
+    for k, part in enumerate(np.array_split(order, bins) if bins else []):
+        assert stated[k] == pytest.approx(np.sqrt(np.mean([some.sigma_m[i] ** 2 for i in part])))
+        assert actual[k] == pytest.approx(np.sqrt(np.mean([some.error_m[i] ** 2 for i in part])))
+
+
+def test_errors_with_their_covariances() -> None:
+    rng = np.random.default_rng(2)
+    error = rng.normal(size=(6, 3))
+    A = rng.normal(size=(6, 3, 5))
+    C = A @ np.swapaxes(A, 1, 2)
+    error[2] = np.nan
+    C[4] = np.nan
+    found = stated_and_actual(error, C)
+    rows = [0, 1, 3, 5]
+    np.testing.assert_allclose(found.squared, [error[k] @ np.linalg.solve(C[k], error[k]) for k in rows])
+    np.testing.assert_allclose(found.sigma_m, [np.sqrt(np.trace(C[k]) / 3) for k in rows])
+    np.testing.assert_allclose(found.error_m, [np.sqrt(error[k] @ error[k] / 3) for k in rows])
+
+
+def recovery(**changes: Any) -> Any:
+    """What `camera_residuals` looks at: 50 answers of 10 Hz, 20 frames, some before and behind them."""
+    rng = np.random.default_rng(3)
+    t, frames = 0.1 * np.arange(50), -0.33 + 0.3 * np.arange(20)
+
+    def covariances(scale: float) -> FloatArray:
+        A = rng.normal(size=(50, 3, 4))
+        return scale**2 * (A @ np.swapaxes(A, 1, 2) + np.eye(3))
+
+    used = rng.uniform(size=(20, len(JOINTS))) < 0.7
+    estimates = SimpleNamespace(
+        camera_sigma_m={"wrist": 0.008, "elbow": 0.011, "strap": 0.006, "hand": 0.02},
+        joint_bias_m={"wrist": [0.01, -0.02, 0.005]},
+    )
+    values: dict[str, Any] = {
+        "residuals": SimpleNamespace(
+            t_s=frames, used=used, residual=0.02 * rng.normal(size=(20, len(JOINTS), 3))
+        ),
+        "estimates": estimates,
+        "joint_covariance": {"wrist": covariances(0.01), "elbow": covariances(0.004)},
+        "pose_covariance": np.tile(np.eye(6), (50, 1, 1)),
+        "t_s": t,
+    }
+    values["pose_covariance"][:, :3, :3] = covariances(0.003)
+    made = type("Made", (SimpleNamespace,), {"__len__": lambda self: len(self.t_s)})
+    return made(**(values | changes))
+
+
+def by_hand(
+    answer: Any, joint: str, covariances: FloatArray, sigma_m: float, rows: list[int]
+) -> StatedAndActual:
+    """Frame by frame: the first answer not before it, less what is there all the time, and the noise."""
+    errors, totals, own = [], [], []
+    for row in rows:
+        at = min(int(np.sum(answer.t_s < answer.residuals.t_s[row])), len(answer) - 1)
+        own.append(covariances[at])
+        bias = answer.estimates.joint_bias_m.get(joint, [0.0, 0.0, 0.0])
+        errors.append(answer.residuals.residual[row, JOINTS.index(joint)] - bias)
+    common = min(np.trace(each) / 3 for each in own)
+    for each in own:
+        totals.append(each * (1 - common / (np.trace(each) / 3)) + sigma_m**2 * np.eye(3))
+    return stated_and_actual(np.array(errors), np.array(totals))
+
+
+def test_the_camera_s_residuals() -> None:
+    answer = recovery()
+    found = camera_residuals(answer)
+    assert list(found) == ["wrist", "elbow", "strap"]  # the hand's covariance is not known
+    places = answer.joint_covariance | {"strap": answer.pose_covariance[:, :3, :3]}
+    for joint, each in found.items():
+        rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index(joint)]).tolist()
+        expected = by_hand(answer, joint, places[joint], answer.estimates.camera_sigma_m[joint], rows)
+        np.testing.assert_allclose(each.squared, expected.squared)
+        np.testing.assert_allclose(each.sigma_m, expected.sigma_m)
+        np.testing.assert_allclose(each.error_m, expected.error_m)
+
+
+def test_the_strap_s_own_covariance_comes_first() -> None:
+    answer = recovery()
+    own = answer.joint_covariance["wrist"] * 2.0
+    answer.joint_covariance["strap"] = own
+    rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index("strap")]).tolist()
+    expected = by_hand(answer, "strap", own, 0.006, rows)
+    np.testing.assert_allclose(camera_residuals(answer)["strap"].squared, expected.squared)
+
+
+def test_of_many_samples_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coverage, "MOST", 4)
+    answer = recovery()
+    rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index("wrist")])
+    rows = rows[np.rint(np.linspace(0, len(rows) - 1, 4)).astype(int)].tolist()
+    expected = by_hand(answer, "wrist", answer.joint_covariance["wrist"], 0.008, rows)
+    np.testing.assert_allclose(camera_residuals(answer)["wrist"].squared, expected.squared)
+
+
+def test_rows_that_are_evenly_spaced() -> None:
+    index = np.arange(100, 111)
+    assert _evenly(index, 11) is index
+    assert _evenly(index, 10).tolist() == [100, 101, 102, 103, 104, 106, 107, 108, 109, 110]
+    assert _evenly(index, 3).tolist() == [100, 105, 110] and coverage.MOST == 50_000
+
+
+def test_what_has_no_residuals_has_no_shares() -> None:
+    answer = recovery()
+    assert camera_residuals(recovery(residuals=None)) == {}
+    assert camera_residuals(recovery(t_s=np.zeros(0))) == {}
+    answer.estimates.camera_sigma_m = None
+    assert camera_residuals(answer) == {}
+
+
+def test_missing_covariances_and_biases() -> None:
+    """Joints without a finite covariance are left out, without a warning; no bias is none."""
+    answer = recovery()
+    answer.estimates.joint_bias_m = None
+    answer.joint_covariance["elbow"][:] = np.nan
+    answer.joint_covariance["wrist"][::3] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = camera_residuals(answer)
+    assert list(found) == ["wrist", "strap"]
+    rows = np.flatnonzero(answer.residuals.used[:, JOINTS.index("wrist")])
+    at = np.minimum(np.searchsorted(answer.t_s, answer.residuals.t_s[rows]), 49)
+    finite = rows[np.isfinite(answer.joint_covariance["wrist"][at, 0, 0])].tolist()
+    answer.estimates.joint_bias_m = {}
+    expected = by_hand(answer, "wrist", answer.joint_covariance["wrist"], 0.008, finite)
+    np.testing.assert_allclose(found["wrist"].squared, expected.squared)

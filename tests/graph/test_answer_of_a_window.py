@@ -1,0 +1,630 @@
+"""What `solve` reads off a small window, against GTSAM's marginals and dense algebra on the same graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
+from small_window import (
+    BIAS_LENGTH_S,
+    LEVERS,
+    NODES,
+    UPPER_FIRST,
+    UPPER_NODES,
+    small_window,
+)
+
+import smoother.graph.build
+import smoother.graph.optimise
+import smoother.graph.solve
+from smoother.errors import SolveError
+from smoother.graph.build import bias_of_intervals
+from smoother.graph.chain import build_arm
+from smoother.graph.clock_information import offset_information
+from smoother.graph.error_columns import constant_error_columns, evidence, node_of_variables
+from smoother.graph.linear_system import LinearSystem
+from smoother.graph.shared_prior import shared_jacobian, shared_keys
+from smoother.graph.solve import TIGHTEN, solve
+from smoother.recording import JOINTS, FloatArray
+from smoother.window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS
+from smoother.window.problem import Window
+from smoother.window.solution import Solution
+
+ELBOW, WRIST, SHOULDER = (JOINTS.index(joint) for joint in ("elbow", "wrist", "shoulder"))
+#: How far two optimisers may stop from each other, in sigmas.
+SIGMAS = 0.03
+
+
+@pytest.fixture(autouse=True)
+def every_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two biases, and covariances computed everywhere."""
+    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
+    for name in ("COVARIANCE_S", "SHOULDER_COVARIANCE_S", "UPPER_COVARIANCE_S"):
+        monkeypatch.setattr(smoother.graph.solve, name, 1e-6)
+    monkeypatch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
+
+
+class Optimum:
+    """A window's graph, its optimum, and the dense inverse of the normal equations there."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+        self.graph, start = build_arm(window)
+        params = gtsam.LevenbergMarquardtParams()
+        params.setMaxIterations(300)
+        params.setRelativeErrorTol(1e-13)
+        params.setAbsoluteErrorTol(1e-13)
+        self.values = gtsam.LevenbergMarquardtOptimizer(self.graph, start, params).optimize()
+        self.R = np.array([self.values.atPose3(X(i)).rotation().matrix() for i in range(NODES)])
+        self.biases = bias_of_intervals(window)
+        self.errors = partial(constant_error_columns, window=window, biases=self.biases, R=self.R)
+        self.system = LinearSystem(self.graph, self.values, node_of_variables(window), self.errors)
+        self.A, self.b = self.system.jacobian.toarray(), self.system.rhs
+        self.extra = np.zeros((len(self.A), SIZE))
+        columns = self.errors(self.system.jacobian, self.columns)
+        self.extra[: len(columns)] = columns
+        self.covariance = np.linalg.inv(self.A.T @ self.A)
+
+    @property
+    def columns(self) -> dict[int, slice]:
+        return {key: self.system.columns(key) for key in sorted(self.values.keys())}
+
+    def of(self, *keys: int) -> FloatArray:
+        """Joint covariance of variables, and of what the considered errors add."""
+        rows = np.concatenate([np.arange(self.A.shape[1])[self.system.columns(key)] for key in keys])
+        return np.asarray(self.covariance[np.ix_(rows, rows)])
+
+    def follows(self, pull: FloatArray) -> FloatArray:
+        """How all variables follow the constant errors, the prior's mean included (`pull`)."""
+        return np.asarray(self.covariance @ (pull - self.A.T @ self.extra))
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Optimum, Solution]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(smoother.graph.build, "BIAS_LENGTH_S", BIAS_LENGTH_S)
+        for name in ("COVARIANCE_S", "COVARIANCE_NEAR_S", "SHOULDER_COVARIANCE_S", "UPPER_COVARIANCE_S"):
+            patch.setattr(smoother.graph.solve, name, 1e-6)
+        patch.setattr(smoother.graph.optimise, "MAX_ITERATIONS", 300)
+        window = replace(small_window()[0], considered=None)
+        return Optimum(window), solve(window, True, with_offset=True, with_evidence=True, tolerance=1e-13)
+
+
+def close(found: FloatArray, expected: FloatArray, covariance: FloatArray, sigmas: float = SIGMAS) -> None:
+    """Vectors that are the same to a share of their sigma."""
+    sigma = np.sqrt(np.einsum("...ii->...i", covariance))
+    assert (np.abs(found - expected) < sigmas * sigma).all()
+
+
+def like(found: FloatArray | None, expected: FloatArray, rtol: float = 0.01) -> None:
+    """Covariances, each element to a share of the two standard deviations."""
+    assert found is not None
+    sigma = np.sqrt(np.einsum("...ii->...i", expected))
+    np.testing.assert_allclose(
+        found / (sigma[..., :, None] * sigma[..., None, :]),
+        expected / (sigma[..., :, None] * sigma[..., None, :]),
+        atol=rtol,
+    )
+
+
+def in_camera(R: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(rotation, translation) in the body's axes to (position, rotation) in the camera's."""
+    turn = np.zeros((6, 6))
+    turn[:3, 3:], turn[3:, :3] = R, R
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+def test_states_and_their_covariance(pair: tuple[Optimum, Solution]) -> None:
+    best, found = pair
+    assert found.index == 7 and found.accepted
+    pose = np.array([in_camera(best.R[i], best.of(X(i))) for i in range(NODES)])
+    velocity = np.array([best.of(V(i)) for i in range(NODES)])
+    like(found.pose_covariance, pose)
+    like(found.velocity_covariance, velocity)
+    close(
+        found.states.p,
+        np.array([best.values.atPose3(X(i)).translation() for i in range(NODES)]),
+        pose[:, :3, :3],
+    )
+    close(found.states.v, np.array([best.values.atVector(V(i)) for i in range(NODES)]), velocity)
+    np.testing.assert_allclose(found.states.R, best.R, atol=1e-3)
+    bias = [best.values.atConstantBias(B(k)).vector() for k in (0, 1)]
+    rows = np.append(best.biases, 1)
+    close(found.bias, np.array([bias[k] for k in rows]), np.array([best.of(B(k)) for k in rows]))
+    knots = np.array([best.values.atPoint3(S(k)) for k in range(6)])
+    of_knots = np.array([best.of(S(k)) for k in range(6)])
+    assert found.shoulder is not None
+    close(found.shoulder, knots, of_knots)
+    like(found.shoulder_covariance, of_knots)
+    assert found.error == pytest.approx(best.graph.error(best.values), rel=1e-6)
+
+
+def test_the_upper_arm_s_imu(pair: tuple[Optimum, Solution]) -> None:
+    best, found = pair
+    upper, rows = found.upper, np.arange(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
+    assert upper is not None and upper.pose_covariance is not None
+    assert np.flatnonzero(upper.known).tolist() == rows.tolist() and upper.known.dtype == bool
+    poses = [best.values.atPose3(Y(i)) for i in rows]
+    R = np.array([pose.rotation().matrix() for pose in poses])
+    pose = np.array([in_camera(R[k], best.of(Y(i))) for k, i in enumerate(rows)])
+    like(upper.pose_covariance[rows], pose)
+    np.testing.assert_allclose(upper.states.R[rows], R, atol=1e-3)
+    close(upper.states.p[rows], np.array([each.translation() for each in poses]), pose[:, :3, :3])
+    velocity = np.array([best.values.atVector(W(i)) for i in rows])
+    close(upper.states.v[rows], velocity, np.array([best.of(W(i)) for i in rows]))
+    hidden = np.setdiff1d(np.arange(NODES), rows)
+    for values in (upper.states.p, upper.states.v, upper.pose_covariance):
+        assert np.isnan(values[hidden]).all()
+    np.testing.assert_array_equal(upper.states.R[hidden], np.tile(np.eye(3), (len(hidden), 1, 1)))
+    bias = np.array([best.values.atConstantBias(C(k)).vector() for k in np.append(best.biases, 1)])
+    close(upper.bias, bias, np.array([best.of(C(k)) for k in np.append(best.biases, 1)]))
+
+
+def shared_of(best: Optimum) -> tuple[FloatArray, FloatArray]:
+    """The shared vector and its covariance, by differences of the shared vector's definition."""
+    keys = [B(1), G(0), U(0), L(ELBOW), L(WRIST), M(ELBOW), M(SHOULDER), C(1)]
+
+    def vector(values: gtsam.Values) -> FloatArray:
+        layout, mean = best.window.priors.layout, best.window.priors.shared.mean
+        return np.concatenate(
+            [
+                values.atConstantBias(B(1)).vector(),
+                layout.gravity_axes @ values.atUnit3(G(0)).point3(),
+                mean[layout.upper_arm] - values.atDouble(U(0)),
+                *(values.atPoint3(key) for key in keys[3:7]),
+                values.atConstantBias(C(1)).vector(),
+            ]
+        )
+
+    sizes, slopes, step = [6, 2, 1, 3, 3, 3, 3, 6], [], 1e-6
+    for key, size in zip(keys, sizes, strict=True):
+        for move in step * np.eye(size):
+            delta = gtsam.VectorValues()
+            delta.insert(key, move)
+            slopes.append((vector(best.values.retract(delta)) - vector(best.values)) / step)
+    J = np.array(slopes).T
+    assert shared_keys(best.window, best.biases) == keys
+    np.testing.assert_allclose(
+        J, shared_jacobian(best.window.priors.layout, best.values.atUnit3(G(0))), atol=1e-5
+    )
+    return vector(best.values), J @ best.of(*keys) @ J.T
+
+
+def test_the_message(pair: tuple[Optimum, Solution]) -> None:
+    best, found = pair
+    mean, covariance = shared_of(best)
+    close(found.message.shared.mean, mean, covariance)
+    like(found.message.shared.covariance, covariance)
+    assert found.message.t_s == pytest.approx(0.5 * (best.window.t[0] + best.window.t[-1]), abs=1e-12)
+
+
+def test_residuals(pair: tuple[Optimum, Solution]) -> None:
+    best, found = pair
+    assert list(found.residuals) == ["elbow", "wrist", "strap"]
+    for measured in best.window.joint_measurements:
+        layout = best.window.priors.layout
+        lever = np.zeros(3)
+        if measured.joint != "strap":
+            lever = found.message.shared.mean[layout.lever(measured.joint)]
+        for k, node in enumerate(measured.node):
+            at = found.states.p[node] + found.states.R[node] @ lever + measured.shift[k]
+            np.testing.assert_allclose(
+                found.residuals[measured.joint][k], measured.position[k] - at, atol=1e-12
+            )
+
+
+def test_only_what_is_asked_for() -> None:
+    window = small_window(upper=False)[0]
+    found = solve(window, with_covariance=False, with_message=False)
+    assert found.pose_covariance is found.velocity_covariance is found.shoulder_covariance is None
+    assert found.evidence is found.upper is None and found.offset_information == 0.0
+    assert np.isnan(found.message.shared.covariance).all() and np.isfinite(found.message.shared.mean).all()
+    found = solve(replace(window, shoulder=None), with_covariance=True)
+    assert found.shoulder is found.shoulder_covariance is None and found.pose_covariance is not None
+    assert np.isfinite(found.message.shared.covariance).all()
+    upper = solve(small_window()[0], with_covariance=False).upper
+    assert upper is not None and upper.pose_covariance is None
+
+
+@pytest.mark.parametrize("upper", [True, False])
+def test_a_column_is_the_derivative_of_the_data(upper: bool) -> None:
+    """The graph is built anew from data that have the error: how its whitened errors move."""
+    window = small_window(upper=upper)[0]
+    window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
+    best = Optimum(window)
+    rng, step = np.random.default_rng(3), 1e-5
+    error = rng.normal(size=SIZE) * np.concatenate([np.full(18, 0.1), np.full(15, 1.0), np.full(9, 1.0)])
+
+    def rhs(scale: float) -> FloatArray:
+        system = LinearSystem(
+            _with_errors(best, window, scale * error), best.values, node_of_variables(window)
+        )
+        return system.rhs
+
+    moved = -(rhs(step) - rhs(-step)) / (2 * step)  # the graph's right-hand side is minus its error
+    stated = best.extra @ error
+    rows = 9 * (NODES - 1)
+    # the samples' mean stands for them: half an interval's turning
+    np.testing.assert_allclose(stated[:rows], moved[:rows], atol=0.06 * np.abs(moved[:rows]).max())
+    scale = np.abs(moved[rows:]).max()
+    np.testing.assert_allclose(stated[rows : rows + 84], moved[rows : rows + 84], atol=1e-6 * scale)
+
+
+def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.NonlinearFactorGraph:
+    """The graph of data that read as errors make them: scales of the IMU, joints, the strap's turning."""
+    increments, layout, mean = window.increments, window.priors.layout, window.priors.shared.mean
+    of_acc, of_gyro = error[:9].reshape(3, 3), error[9:18].reshape(3, 3)
+    force, rate = increments.acc.copy(), increments.gyro.copy()
+    for i, (a, b) in enumerate(zip(increments.first[:-1], increments.first[1:], strict=True)):
+        force[a:b] -= of_acc @ increments.acc[a:b].mean(axis=(0, 1))
+        rate[a:b] -= of_gyro @ increments.gyro[a:b].mean(axis=0)
+        assert i < NODES
+    measured = []
+    for each in window.joint_measurements:
+        position = each.position.copy()
+        for k, node in enumerate(each.node):
+            column = JOINT_ERRORS.start + 3 * JOINTS.index(each.joint)
+            position[k] -= error[column : column + 3]
+            if each.joint in LEVERS:
+                down_A = best.R[node].T @ layout.down(mean)
+                turn = error[STRAP_ERRORS].reshape(3, 3) @ down_A
+                position[k] -= best.R[node] @ np.cross(turn, mean[layout.lever(each.joint)])
+        measured.append(replace(each, position=position))
+    assert window.shoulder is not None
+    column = JOINT_ERRORS.start + 3 * SHOULDER
+    shoulder = replace(window.shoulder, position=window.shoulder.position - error[column : column + 3])
+    changed = replace(
+        window,
+        increments=replace(increments, acc=force, gyro=rate),
+        joint_measurements=tuple(measured),
+        shoulder=shoulder,
+    )
+    return build_arm(changed)[0]
+
+
+def test_the_chain_is_the_dense_system(pair: tuple[Optimum, Solution]) -> None:
+    best, _ = pair
+    system = best.system
+    for key in (X(0), X(5), X(9), V(4), S(0), S(5), Y(2), Y(7), W(3), E(6)):
+        like(system.covariance(key), best.of(key), 1e-6)
+    shared = [G(0), C(0), L(WRIST), B(1), U(0)]
+    like(system.shared_covariance(shared), best.of(*shared), 1e-6)
+    follows = best.follows(np.zeros((best.A.shape[1], SIZE)))
+    of_border = system.shared_sensitivity()
+    scale = np.abs(follows).max()
+    for key in (X(0), X(6), V(9), S(3), E(4), W(7)):
+        np.testing.assert_allclose(
+            system.sensitivity(key, of_border), follows[system.columns(key)], atol=1e-6 * scale
+        )
+    np.testing.assert_allclose(
+        of_border[system.border_rows(shared)],
+        np.concatenate([follows[system.columns(key)] for key in shared]),
+        atol=1e-6 * scale,
+    )
+    # what is left of the normal equations when the chain is eliminated
+    border = np.concatenate(
+        [np.arange(best.A.shape[1])[best.columns[key]] for key in sorted(best.values.keys())]
+    )
+    nodes = node_of_variables(best.window)
+    inside = np.concatenate([np.arange(best.A.shape[1])[best.columns[key]] for key in nodes])
+    border = np.setdiff1d(border, inside)
+    whole = np.column_stack([best.A[:, border], best.extra, best.b])
+    across = whole.T @ best.A[:, inside]
+    own = best.A[:, inside].T @ best.A[:, inside]
+    left = whole.T @ whole - across @ np.linalg.solve(own, across.T)
+    size = np.sqrt(np.diag(left))
+    size[size == 0.0] = 1.0  # joints that nobody saw
+    np.testing.assert_allclose(
+        system.information / size[:-1, None] / size[:-1],
+        left[:-1, :-1] / size[:-1, None] / size[:-1],
+        atol=1e-7,
+    )
+    np.testing.assert_allclose(system.vector / size[:-1], left[:-1, -1] / size[:-1], atol=1e-6 * size[-1])
+    assert system.extras == slice(len(border), len(border) + SIZE)
+
+
+def test_a_system_without_extra_columns(pair: tuple[Optimum, Solution]) -> None:
+    best, _ = pair
+    alone = LinearSystem(best.graph, best.values, node_of_variables(best.window))
+    assert alone.extras.start == alone.extras.stop == len(alone.information)
+    like(alone.covariance(X(3)), best.of(X(3)), 1e-6)
+    assert alone.shared_sensitivity().shape == (alone.extras.start, 0)
+
+
+def test_what_the_window_says_of_constant_errors(pair: tuple[Optimum, Solution]) -> None:
+    """All else eliminated from the dense equations, the prior on the constants taken off."""
+    best, found = pair
+    layout, priors = best.window.priors.layout, best.window.priors.shared
+    mean, _ = shared_of(best)
+    constants = [G(0), U(0), L(ELBOW), L(WRIST), M(ELBOW), M(SHOULDER), C(1)]
+    kept = np.concatenate([np.arange(best.A.shape[1])[best.columns[key]] for key in constants])
+    others = np.setdiff1d(np.arange(best.A.shape[1]), kept)
+    turn = np.eye(len(kept) + SIZE)
+    turn[: len(kept), : len(kept)] = np.linalg.inv(shared_jacobian(layout, best.values.atUnit3(G(0)))[6:, 6:])
+    sides = np.column_stack([best.A[:, kept], best.extra])
+    P = best.A[:, others]
+    project = np.eye(len(P)) - P @ np.linalg.solve(P.T @ P, P.T)
+    information = turn.T @ (sides.T @ project @ sides) @ turn
+    vector = turn.T @ (sides.T @ project @ best.b)
+    prior = np.linalg.inv(priors.covariance[6:, 6:])
+    size = len(kept)
+    information[:size, :size] -= prior
+    vector[:size] -= prior @ (priors.mean - mean)[6:]
+    vector += information[:, :size] @ mean[6:]
+    stated = evidence(best.system, best.values, mean, best.window, best.biases)
+    close_evidence(stated.information, information, 1e-6)
+    close_evidence(np.diag(stated.vector), np.diag(vector), 1e-6)
+    assert found.evidence is not None  # the same at the end of `solve`, whose optimum is a little off
+    close_evidence(found.evidence.information, information, 1e-2)
+
+
+def close_evidence(found: FloatArray, expected: FloatArray, atol: float) -> None:
+    """Informations, each element to a share of its diagonal; joints that nobody saw have none."""
+    scale = np.sqrt(np.abs(np.diag(expected)))
+    scale[scale == 0.0] = 1.0
+    np.testing.assert_allclose(
+        found / scale[:, None] / scale, expected / scale[:, None] / scale, rtol=0.0, atol=atol
+    )
+
+
+@pytest.mark.parametrize("rows", [0, 6])
+def test_considered_errors_widen_the_covariance(rows: int) -> None:
+    """The data and the prior's mean follow the errors; one without an upper-arm IMU has fewer rows."""
+    window, _ = small_window()
+    assert window.considered is not None
+    if rows:
+        window = replace(
+            window, considered=replace(window.considered, shared=window.considered.shared[:-rows])
+        )
+    best, found = Optimum(window), solve(window, with_covariance=True, tolerance=1e-13)
+    assert window.considered is not None
+    keys = shared_keys(window, best.biases)
+    J = shared_jacobian(window.priors.layout, best.values.atUnit3(G(0)))
+    shared = np.zeros((window.priors.layout.size, SIZE))
+    shared[: len(window.considered.shared)] = window.considered.shared
+    pull = np.zeros((best.A.shape[1], SIZE))
+    at = np.concatenate([np.arange(best.A.shape[1])[best.columns[key]] for key in keys])
+    pull[at] = J.T @ np.linalg.solve(window.priors.shared.covariance, shared)
+    follows = best.follows(pull)
+    assert found.pose_covariance is not None and found.shoulder_covariance is not None
+    for i in (0, 4, 9):
+        own = follows[best.columns[X(i)]]
+        total = best.of(X(i)) + own @ window.considered.covariance @ own.T
+        like(found.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
+        assert np.trace(total) > 1.01 * np.trace(best.of(X(i)))
+    own = follows[best.columns[S(2)]]
+    like(found.shoulder_covariance[2], best.of(S(2)) + own @ window.considered.covariance @ own.T, 5e-3)
+
+
+def test_the_offset_s_information(pair: tuple[Optimum, Solution]) -> None:
+    """The offset as one more column of the dense equations: its Schur complement."""
+    window = small_window(3, upper=False)[0]
+    measured = tuple(_one_a_node(each) for each in window.joint_measurements)
+    best = Optimum(replace(window, joint_measurements=measured, considered=None))
+    states = solve(best.window, with_covariance=False, tolerance=1e-13).states
+    column = np.zeros(len(best.A))
+    row = 9 * (NODES - 1)
+    for each in measured:
+        for k, node in enumerate(each.node):
+            whitened = best.A[row : row + 3, best.columns[X(node)]][:, 3:]  # a weighted rotation
+            column[row : row + 3] = whitened @ best.R[node].T @ (states.v[node] + each.velocity[k])
+            row += 3
+    across = best.A.T @ column
+    expected = column @ column - across @ best.covariance @ across
+    stated = offset_information(best.graph, best.values, best.window, states)
+    assert stated == pytest.approx(expected, rel=1e-3)
+    _, found = pair
+    assert found.offset_information > 0
+
+
+def _one_a_node(measured):
+    _, rows = np.unique(measured.node, return_index=True)
+    return replace(
+        measured,
+        **{
+            name: getattr(measured, name)[rows]
+            for name in ("t_s", "node", "position", "sigma_m", "shift", "velocity")
+        },
+    )
+
+
+def test_samples_that_share_a_node_say_more_of_the_offset() -> None:
+    """How their velocities differ, which no state can follow; a still arm that nobody saw says nothing."""
+    window = replace(small_window(upper=False)[0], considered=None)
+    best = Optimum(window)
+    found = solve(window, with_covariance=False, tolerance=1e-13)
+    velocity = found.states.v
+
+    def at(spread: float) -> float:
+        measured = tuple(
+            replace(each, velocity=each.velocity * 0 + spread * _alternating(each.node))
+            for each in window.joint_measurements
+        )
+        changed = replace(window, joint_measurements=measured)
+        return offset_information(best.graph, best.values, changed, found.states)
+
+    scatter = 0.0
+    for each in window.joint_measurements:
+        extra = _alternating(each.node)
+        for node in set(each.node.tolist()):
+            rows = each.node == node
+            own = extra[rows] - extra[rows].mean(axis=0)
+            scatter += float(np.sum(own**2 / each.sigma_m[rows, None] ** 2))
+    assert np.isfinite(velocity).all()
+    assert at(2.0) - at(1.0) > 2.5 * scatter  # 4 less 1, and what the mean's own motion changes
+    nobody = replace(window, joint_measurements=())
+    graph, values = build_arm(nobody)
+    assert offset_information(graph, values, nobody, found.states) == 0.0
+
+
+@pytest.mark.parametrize("text", ["Indeterminant linear system detected", "out of memory"])
+def test_a_usual_share_where_the_elimination_gives_up(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three tenths of what there would be if no state could follow, and how samples of a node differ."""
+
+    class GivesUp(gtsam.GaussianFactorGraph):
+        def marginal(self, _: object) -> None:
+            raise RuntimeError(text)
+
+    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(window, noise=replace(window.noise, cauchy=1e6))
+    best = Optimum(window)
+    states = solve(window, with_covariance=False, tolerance=1e-13).states
+    monkeypatch.setattr(gtsam, "GaussianFactorGraph", GivesUp)
+    if "determin" not in text:
+        with pytest.raises(RuntimeError, match=text):
+            offset_information(best.graph, best.values, window, states)
+        return
+    bound = scatter = 0.0
+    for each in window.joint_measurements:
+        for node in sorted(set(each.node.tolist())):
+            rows = each.node == node
+            velocity, weight = each.velocity[rows] + states.v[node], 1.0 / each.sigma_m[rows] ** 2
+            mean = velocity.mean(axis=0)
+            bound += float(weight.sum() * (mean @ mean))
+            scatter += float(np.sum(weight[:, None] * (velocity - mean) ** 2))
+    stated = offset_information(best.graph, best.values, window, states)
+    # the weight of a node's mean is rounded to a micrometre of its sigma
+    assert stated == pytest.approx(scatter + 0.3 * bound, rel=1e-3)
+
+
+def _alternating(node: np.ndarray) -> FloatArray:
+    """One more metre a second for every other sample of a node, none on average."""
+    out = np.zeros((len(node), 3))
+    for each in set(node.tolist()):
+        rows = np.flatnonzero(node == each)
+        out[rows[: len(rows) // 2 * 2], 0] = np.tile([1.0, -1.0], len(rows) // 2)
+    return out
+
+
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
+    """The windows that graphs were built of."""
+    windows: list[Window] = []
+
+    def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        windows.append(window)
+        return build_arm(window)
+
+    monkeypatch.setattr(smoother.graph.solve, "build_arm", build)
+    return windows
+
+
+def test_tightening_gives_back_what_it_took(built: list[Window], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window whose first tries are refused: the attitude's prior is tightened, the covariance is not."""
+    window = replace(small_window(upper=False)[0], considered=None)
+    weak = np.diag([1e-6, 2e-6, 3e-6])  # the prior alone holds the orientation
+    window = replace(window, attitude_covariance=weak)
+    straight = solve(window, with_covariance=True)
+    original = smoother.graph.solve.optimise
+    refusals = [RuntimeError("Indeterminant linear system detected"), np.linalg.LinAlgError()]
+
+    def refusing(*given: object) -> smoother.graph.optimise.Optimum:
+        if refusals:
+            raise refusals.pop(0)
+        return original(*given)
+
+    monkeypatch.setattr(smoother.graph.solve, "optimise", refusing)
+    tightened = solve(window, with_covariance=True)
+    assert len(built) == 4
+    for each, share in zip(built[1:], TIGHTEN, strict=False):
+        np.testing.assert_allclose(each.attitude_covariance, weak * share**2)
+    assert straight.pose_covariance is not None and tightened.pose_covariance is not None
+    node = window.attitude_node
+    like(tightened.pose_covariance[node, 3:, 3:], straight.pose_covariance[node, 3:, 3:], 0.05)
+    np.testing.assert_allclose(straight.pose_covariance[node, 3:, 3:], weak, atol=5e-8)
+
+
+def test_only_what_the_prior_holds_is_given_back() -> None:
+    """A direction in which the data hold the orientation lost nothing."""
+    rng = np.random.default_rng(4)
+    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    window = small_window()[0]
+    window = replace(window, attitude_covariance=(axes * [4.0, 9.0, 16.0]) @ axes.T)
+    stated = np.zeros((NODES, 3, 3))
+    # held by the prior to a hundredth of its variance; half of that; and hardly at all by it
+    stated[window.attitude_node] = (axes * [0.04, 0.046, 0.01]) @ axes.T
+    lost = smoother.graph.solve._lost_to_tightening(stated, window, 0.1)
+    np.testing.assert_allclose(lost, (axes * [3.96, 8.91, 0.0]) @ axes.T, atol=1e-12)
+
+
+def test_other_failures_are_no_free_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+    window = small_window(upper=False)[0]
+
+    def failing(*_: object) -> None:
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr(smoother.graph.solve, "optimise", failing)
+    with pytest.raises(RuntimeError, match="out of luck"):
+        solve(window, with_covariance=False)
+
+    def free(*_: object) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(smoother.graph.solve, "optimise", free)
+    with pytest.raises(SolveError, match=r"between 20\.0 s and 20\.\d s is not determined"):
+        solve(window, with_covariance=False)
+
+
+def test_the_upper_imu_s_prior_is_tightened_too(built: list[Window], monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(smoother.graph.solve, "optimise", failing)
+    window = small_window()[0]
+    with pytest.raises(SolveError):
+        solve(window, with_covariance=False)
+    assert len(built) == len(TIGHTEN)
+    for each, share in zip(built, TIGHTEN, strict=True):
+        np.testing.assert_allclose(
+            each.upper[0].attitude_covariance, window.upper[0].attitude_covariance * share**2
+        )
+
+
+def test_where_covariances_are_computed() -> None:
+    """Every half second, every tenth near a gap and in it, at its ends, at the window's."""
+    t = np.arange(0.0, 6.0, 0.02) + 3.0
+    in_gap = np.zeros(len(t) - 1, dtype=bool)
+    in_gap[100:151] = True  # from 5.00 s to 6.02 s
+    in_gap[225:251] = True  # and from 7.50 s to 8.02 s
+    every = smoother.graph.solve._spaced
+    nodes = every(t, in_gap, 0.5)
+    expected = set()
+    for i, at in enumerate(t):
+        since = round((at - 3.0) / 0.02)
+        near = min(abs(at - edge) for edge in (5.0, 6.02, 7.5, 8.02))
+        inside = any(a - 1e-9 <= at <= b + 1e-9 for a, b in ((5.0, 6.02), (7.5, 8.02)))
+        if since % 25 == 0 or i in (100, 151, 225, 251, len(t) - 1):
+            expected.add(i)
+        if (inside or near < 0.5 - 1e-9) and since % 5 == 0:
+            expected.add(i)
+    assert nodes.tolist() == sorted(expected)
+    assert every(t, in_gap, 0.5, 0.25).tolist() != nodes.tolist()
+    without = every(t, np.zeros(len(t) - 1, dtype=bool), 0.5)
+    assert without.tolist() == [*range(0, 300, 25), 299]
+
+
+def test_how_often_covariances_are_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every 0.5 s, 0.1 s near a gap, 0.25 s with two IMUs; the shoulder's every 0.1 s or 0.25 s."""
+    monkeypatch.undo()  # as it is
+    t = 3.0 + 0.05 * np.arange(121)
+    change = np.full(120, np.inf)
+    change[40:50] = 1.0  # from 5.0 s to 5.5 s
+    for upper, near in ((False, 2), (True, 5)):
+        window = replace(small_window(upper=upper)[0], t=t, velocity_change=change)
+        close = {i for i in range(30, 61) if i % near == 0} - {30, 60}
+        expected = sorted(set(range(0, 121, 10)) | close | {40, 50})
+        assert smoother.graph.solve._covariance_nodes(window).tolist() == expected
+
+
+def test_two_imus_ask_for_fewer_covariances() -> None:
+    two, one = small_window()[0], small_window(upper=False)[0]
+    stretched = [replace(each, t=20.0 + np.arange(NODES) * 0.12) for each in (two, one)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(smoother.graph.solve, "COVARIANCE_S", 100.0)
+        patch.setattr(smoother.graph.solve, "UPPER_COVARIANCE_S", 0.25)
+        counts = [len(smoother.graph.solve._covariance_nodes(each)) for each in stretched]
+    assert counts == [6, 10]

@@ -1,0 +1,230 @@
+"""The stages in which a window with a long gap is solved: their order, their ends, and what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from small_window import NODES, NOISE, small_window
+
+from smoother.graph import optimise as module
+from smoother.graph.build import build
+from smoother.graph.optimise import LOOSE_M, Optimum, explained, optimise
+from smoother.window.problem import Window
+
+SIGMA_M = NOISE.upper_arm_sigma_m
+#: The gap is from node 3 to 6, and these knots of the shoulder lie in it.
+KNOTS = [2, 3]
+
+
+@pytest.fixture
+def window() -> Window:
+    return replace(small_window(1, upper=False)[0], considered=None)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gap of 0.18 s is a long one, and every stage has its full length."""
+    monkeypatch.setattr(module, "LONG_S", 0.15)
+    monkeypatch.setattr(module, "STEP_S", 0.025)
+    monkeypatch.setattr(module, "FINE_STEP_S", 0.01)
+
+
+class Descents:
+    """What the optimiser was run on: sigmas of the upper arm at the knots, most iterations, tolerance."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, raised: float = 0.0) -> None:
+        self.calls: list[tuple[list[float], int, float]] = []
+        self.answers: list[Optimum] = []
+        original = module._descend
+
+        def descend(
+            graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+        ) -> Optimum:
+            factors = (graph.at(i) for i in range(graph.size()))
+            lengths = [each for each in factors if isinstance(each, gtsam.RangeFactorWithTransformBias3D)]
+            sigmas = [float(each.noiseModel().sigmas()[0]) for each in lengths]
+            found = original(graph, values, iterations, tolerance)
+            if self.calls and sigmas == [SIGMA_M] * 6:  # as if the upper arm did not fit
+                found = replace(found, error=found.error + raised)
+            self.calls.append((sigmas, iterations, tolerance))
+            self.answers.append(found)
+            return found
+
+        monkeypatch.setattr(module, "_descend", descend)
+
+    @property
+    def stages(self) -> list[list[float]]:
+        """Sigmas at the gap's knots, descent by descent; all others stay as they are."""
+        for sigmas, _, _ in self.calls:
+            assert [sigma for k, sigma in enumerate(sigmas) if k not in KNOTS] == [SIGMA_M] * 4
+        return [[round(sigmas[k], 6) for k in KNOTS] for sigmas, _, _ in self.calls]
+
+
+def test_without_a_long_gap_there_is_one_stage(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LONG_S", 0.5)
+    descents = Descents(monkeypatch)
+    found = optimise(*build(window), window, 1e-4)
+    assert descents.calls == [([SIGMA_M] * 6, module.MAX_ITERATIONS, 1e-4)]
+    assert found is descents.answers[0] and found.accepted
+
+
+def test_with_an_upper_arm_s_imu_there_is_one_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    window = small_window(1)[0]
+    descents = Descents(monkeypatch)
+    for tolerance, used in ((1e-2, module.LAST_TOLERANCE), (1e-5, 1e-5)):
+        assert optimise(*build(window), window, tolerance).accepted
+        assert descents.calls.pop() == ([SIGMA_M] * 6, module.LAST_ITERATIONS, used)
+
+
+def test_the_upper_arm_comes_in_step_by_step(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loose at first, from the gap's ends inwards, then as it is; the answer is the straight one's."""
+    graph, values = build(window)
+    straight = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    descents = Descents(monkeypatch)
+    found = optimise(graph, values, window, 1e-6)
+    # knots at 0.06 s from one end and at the other's: the middle one is put in at the third step of 0.025
+    assert descents.stages == [[LOOSE_M, LOOSE_M], [LOOSE_M, SIGMA_M], [LOOSE_M, SIGMA_M], [SIGMA_M, SIGMA_M]]
+    last, stage = (module.LAST_ITERATIONS, 1e-6), (module.STAGE_ITERATIONS, module.STAGE_TOLERANCE)
+    assert [call[1:] for call in descents.calls] == [last, stage, stage, last]
+    assert found.error == pytest.approx(graph.error(straight), rel=1e-4)
+    assert found.error == pytest.approx(found.graph.error(found.values), abs=1e-9)
+    assert found.accepted and found.graph is graph
+    assert found.iterations == sum(each.iterations for each in descents.answers)
+
+
+def test_a_coarse_tolerance_is_not_the_last(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    descents = Descents(monkeypatch)
+    optimise(*build(window), window, 0.1)
+    assert descents.calls[0][2] == descents.calls[-1][2] == module.LAST_TOLERANCE
+
+
+def test_another_strategy_where_the_first_ends_high(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rise of what is usual a knot, and no less; then the second, which agrees, is the last."""
+    usual = module.USUAL * len(KNOTS)
+    descents = Descents(monkeypatch, raised=usual - 0.05)
+    rise = _rise(window)
+    descents.calls.clear()
+    assert rise < 0.02
+    optimise(*build(window), window, 1e-6)
+    assert len(descents.calls) == 4
+    descents = Descents(monkeypatch, raised=2.0 * usual)
+    found = optimise(*build(window), window, 1e-6)
+    tighter = [[sigma] * 2 for sigma in module.TIGHTER_M]
+    assert descents.stages[4:] == [*tighter, [SIGMA_M] * 2]
+    assert found.accepted  # an error of one is no contradiction
+
+
+def _rise(window: Window) -> float:
+    """How much the upper arm's length raises the error in the gap."""
+    graph, values = build(window)
+    gap = module._long_gap(window)
+    assert gap is not None and gap.knots.tolist() == KNOTS
+    whole = optimise(graph, values, window, 1e-6)
+    loose = gtsam.NonlinearFactorGraph(graph)
+    lengths = [
+        i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)
+    ]
+    for knot in KNOTS:
+        loose.replace(lengths[knot], module.upper_arm_factor(window, knot, LOOSE_M))
+    best = gtsam.LevenbergMarquardtOptimizer(loose, values).optimize()
+    return float(whole.graph.error(whole.values) - loose.error(best))
+
+
+def test_all_strategies_where_none_agrees(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors that differ from try to try: all five are tried, the lowest counts, and it is refused."""
+    errors = iter([100.0, 70.0, 90.0, 80.0, 95.0])
+    original, whole = module._descend, []
+
+    def descend(
+        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+    ) -> Optimum:
+        found = original(graph, values, iterations, tolerance)
+        whole.append(found)
+        if len(whole) > 1 and iterations == module.LAST_ITERATIONS:
+            found = replace(found, error=whole[0].error + next(errors))
+            whole[-1] = found
+        return found
+
+    monkeypatch.setattr(module, "_descend", descend)
+    refused = optimise(*build(window), window, 1e-6)
+    assert next(errors, None) is None
+    assert not refused.accepted and refused.error == whole[0].error and refused.graph is whole[0].graph
+    monkeypatch.setattr(
+        module, "explained", lambda excess, knots: excess == pytest.approx(70.0) and knots == 2
+    )
+    errors, whole[:] = iter([100.0, 70.0, 90.0, 80.0, 95.0]), []
+    accepted = optimise(*build(window), window, 1e-6)
+    assert accepted.accepted and accepted.error == pytest.approx(whole[0].error + 70.0)
+
+
+@pytest.mark.parametrize(("apart", "tries"), [(0.9, 2), (1.1, 5)])
+def test_two_that_agree_are_enough(
+    apart: float, tries: int, window: Window, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, count = module._descend, [0]
+
+    def descend(
+        graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int, tolerance: float
+    ) -> Optimum:
+        found = original(graph, values, iterations, tolerance)
+        if iterations == module.LAST_ITERATIONS:
+            count[0] += 1
+            found = replace(found, error=50.0 + apart * (count[0] - 2) if count[0] > 1 else 0.0)
+        return found
+
+    monkeypatch.setattr(module, "_descend", descend)
+    optimise(*build(window), window, 1e-6)
+    assert count[0] == 1 + tries
+
+
+@pytest.mark.parametrize("knots", [1, 2, 50])
+def test_the_limit_is_that_of_the_likelihood_ratio(knots: int) -> None:
+    limit = 0.5 * chi2.isf(1e-5, knots)
+    assert explained(limit * (1 - 1e-9), knots) and not explained(limit * (1 + 1e-9), knots)
+
+
+def test_knots_in_gaps_that_are_long(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(NODES) * 0.25
+    window = replace(window, t=t)
+    monkeypatch.setattr(module, "LONG_S", 0.75)  # as long as this gap is
+    gap = module._long_gap(window)
+    assert gap is not None and gap.knots.tolist() == KNOTS
+    np.testing.assert_array_equal(gap.since_s, [0.25, 0.75])
+    np.testing.assert_array_equal(gap.until_s, [0.5, 0.0])
+    monkeypatch.setattr(module, "LONG_S", 0.76)
+    assert module._long_gap(window) is None
+    monkeypatch.setattr(module, "LONG_S", 0.5)
+    change = np.full(NODES - 1, np.inf)
+    change[[0, 1, 7, 8]] = 1.0  # at both ends of the window: nobody knows when it began, or will end
+    gap = module._long_gap(replace(window, velocity_change=change))
+    assert gap is not None and gap.knots.tolist() == [0, 1, 4, 5]
+    np.testing.assert_array_equal(gap.since_s, [np.inf, np.inf, 0.0, 0.5])
+    np.testing.assert_array_equal(gap.until_s, [0.5, 0.0, np.inf, np.inf])
+    layout = replace(window.priors.layout, has_upper_arm=False)
+    assert module._long_gap(replace(window, shoulder=None)) is None
+    assert module._long_gap(replace(window, priors=replace(window.priors, layout=layout))) is None
+
+
+def test_the_order_of_the_strategies() -> None:
+    """Knots half a second apart in a gap of 2 s: sigmas stage by stage."""
+    since = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "STEP_S", 0.5)
+        patch.setattr(module, "FINE_STEP_S", 0.25)
+        gap = module._LongGap(np.arange(5), since, 2.0 - since)
+        strategies = [[stage.tolist() for stage in stages] for stages in gap.strategies(0.01)]
+        open_end = module._LongGap(np.arange(5), since, np.full(5, np.inf))
+        backwards = [stage.tolist() for stage in list(open_end.strategies(0.01))[3]]
+    tight, free = 0.01, 1.0
+    assert strategies == [
+        [[tight, tight, free, tight, tight]],
+        [[0.2] * 5, [0.05] * 5],
+        [[tight] * (k + 2) + [free] * (3 - k) for k in range(3)],
+        [[free] * (3 - k) + [tight] * (k + 2) for k in range(3)],
+        [[tight, free, free, free, tight]] + [[tight, tight, free, tight, tight]] * 2,
+    ]
+    assert backwards == []  # no end to begin from

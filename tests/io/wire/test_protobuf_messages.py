@@ -1,0 +1,301 @@
+"""Protobuf messages read and written without the library, against the library."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smoother.io.wire import protobuf_decode as decode
+from smoother.io.wire import protobuf_encode as encode
+from smoother.io.wire.layout import BROKEN, MessageLayout
+from smoother.io.wire.protobuf_encode import HEAD_BYTES, Template
+from smoother.io.wire.schemas import message_class, schema_data
+
+Skeleton, Imu = message_class("unocclude.Skeleton"), message_class("unocclude.Imu")
+
+
+def skeleton(joints: int = 2) -> bytes:
+    message = Skeleton(frame_id="K\u00e4mera", body=300, occluded=True)
+    message.timestamp.FromNanoseconds(1_700_000_000_123_456_789)
+    for k in range(joints):
+        joint = message.joints.add(name=f"j{k}", state=k + 1, confidence=0.25 * (k + 1))
+        joint.position.x, joint.position.z = 1.5 + k, -2.0
+        if k:
+            joint.position_covariance.extend(range(9))
+    return bytes(message.SerializeToString())
+
+
+def one(layout: MessageLayout, data: bytes, name: str) -> list[float]:
+    return list(layout.get(np.frombuffer(data, np.uint8)[None], name)[0].tolist())
+
+
+def test_a_message_of_the_library() -> None:
+    raw = skeleton()
+    layout, block = decode.walk(raw, Skeleton), np.frombuffer(raw, np.uint8)[None]
+    assert layout.counts == {"joints": 2}
+    assert layout.texts == {"frame_id": "K\u00e4mera", "joints.0.name": "j0", "joints.1.name": "j1"}
+    assert layout.integer(block, "body")[0] == 300 and layout.integer(block, "occluded")[0] == 1
+    assert [layout.integer(block, f"joints.{k}.state")[0] for k in (0, 1)] == [1, 2]
+    assert layout.vector(
+        block, ["joints.1.position.x", "joints.1.position.y", "joints.1.position.z"]
+    ).tolist() == [[2.5, 0.0, -2.0]]
+    assert one(layout, raw, "joints.0.confidence") == [0.25]
+    assert one(layout, raw, "joints.1.position_covariance") == list(range(9))
+    assert "joints.0.position_covariance" not in layout.fields
+    assert decode.stamps(block, layout, np.array([5]))[0] == 1_700_000_000_123_456_789
+
+
+def test_rows_of_one_layout_differ_in_their_numbers_only() -> None:
+    """Tags, lengths and texts decide; of a varint only where it ends."""
+    raw = skeleton()
+    layout = decode.walk(raw, Skeleton)
+    layout.finish()
+    other = Skeleton.FromString(raw)
+    other.body, other.joints[0].position.x = 299, 77.0
+    same = other.SerializeToString()
+    for change in ("frame_id", "name", "body", "joints"):
+        message = Skeleton.FromString(raw)
+        if change == "frame_id":
+            message.frame_id = "K\u00f6mera"
+        elif change == "name":
+            message.joints[1].name = "i1"
+        elif change == "body":
+            message.body = 5  # one byte shorter
+        else:
+            message.joints.add()
+        data = message.SerializeToString()
+        if len(data) == len(raw):
+            assert not layout.matches(np.frombuffer(data, np.uint8)[None])[0], change
+    block = np.array([np.frombuffer(each, np.uint8) for each in (raw, same)])
+    assert layout.matches(block).all()
+    assert layout.integer(block, "body").tolist() == [300, 299]
+    # an end that lies elsewhere is another layout: a varint of one byte and a tag, of two bytes
+    short = decode.walk(b"\x18\x05\x28\x01", Skeleton)
+    short.finish()
+    assert not short.matches(np.frombuffer(b"\x18\x85\x28\x01", np.uint8)[None])[0]
+
+
+def test_every_cut_is_noticed() -> None:
+    raw = skeleton()
+    # at the end of a field of the message itself a shorter message is whole
+    whole = {0}
+    message = Skeleton.FromString(raw)
+    for name in ("occluded", "joints", "joints", "body", "frame_id"):
+        if name == "joints":
+            del message.joints[-1]
+        else:
+            message.ClearField(name)
+        whole.add(len(message.SerializeToString()))
+    for size in range(len(raw)):
+        if size in whole:
+            decode.walk(raw[:size], Skeleton)
+        else:
+            with pytest.raises(BROKEN):
+                decode.walk(raw[:size], Skeleton)
+
+
+def test_a_field_that_reaches_beyond_its_message() -> None:
+    """A double whose last bytes lie behind the end of the message around it."""
+    inside = b"\x09" + bytes(8)
+    whole = b"\x1a" + bytes([len(inside)]) + inside
+    assert "linear_acceleration.x" in decode.walk(whole, Imu).fields
+    with pytest.raises(IndexError):
+        decode.walk(b"\x1a" + bytes([len(inside) - 1]) + inside, Imu)
+    with pytest.raises(IndexError):
+        decode.walk(b"\x1a\x0a" + inside, Imu)
+
+
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        b"\xf8\x07\xac\x02",  # a varint
+        b"\xf9\x07" + bytes(8),
+        b"\xfd\x07" + bytes(4),
+        b"\xfa\x07\x03abc",
+    ],
+)
+def test_fields_that_nobody_knows_are_passed_over(unknown: bytes) -> None:
+    raw = skeleton()
+    layout = decode.walk(unknown + raw + unknown, Skeleton)
+    known = decode.walk(raw, Skeleton)
+    assert layout.texts == known.texts and layout.varints.keys() == known.varints.keys()
+    assert layout.fields.keys() == known.fields.keys() and layout.counts == known.counts
+    for name, (offsets, dtype, count) in known.fields.items():
+        moved = [offset + len(unknown) for offset in offsets]
+        assert layout.fields[name] == (moved, dtype, count)
+
+
+@pytest.mark.parametrize("kind", [3, 4, 6, 7])
+def test_other_wire_types_are_refused(kind: int) -> None:
+    with pytest.raises(ValueError):
+        decode.walk(bytes([15 << 3 | kind, 0]), Skeleton)
+
+
+def test_a_varint_without_an_end() -> None:
+    """Ten bytes hold any number; an eleventh is no protobuf."""
+    decode.walk(b"\x18" + b"\x80" * 9 + b"\x01", Skeleton)
+    with pytest.raises(struct.error):
+        decode.walk(b"\x18" + b"\x80" * 10 + b"\x01", Skeleton)
+
+
+def test_doubles_that_are_not_whole() -> None:
+    """A packed field of no double, or of half of one, says nothing; a double that is not packed is one."""
+
+    def joint(body: bytes) -> bytes:
+        return b"\x22" + bytes([len(body)]) + body
+
+    name = "joints.0.position_covariance"
+    for size in (0, 4, 12):
+        assert name not in decode.walk(joint(b"\x2a" + bytes([size]) + bytes(size)), Skeleton).fields
+    raw = joint(b"\x2a\x10" + struct.pack("<2d", 1.5, -2.5))
+    assert one(decode.walk(raw, Skeleton), raw, name) == [1.5, -2.5]
+    raw = joint(b"\x29" + struct.pack("<d", 3.5))
+    assert one(decode.walk(raw, Skeleton), raw, name) == [3.5]
+
+
+def test_text_that_is_not_utf_8() -> None:
+    assert decode.walk(b"\x12\x02a\xff", Skeleton).texts == {"frame_id": "a\ufffd"}
+
+
+@pytest.mark.parametrize(
+    ("stamp", "expected"),
+    [
+        (b"\x0a\x00", 77),  # a stamp that was never set: the log time
+        (b"\x0a\x02\x08\x00", 0),  # a zero that is spelled out
+        (b"\x0a\x02\x10\x05", 5),
+        (b"\x0a\x02\x08\x03", 3_000_000_000),
+        (b"\x0a\x0d\x08" + b"\xff" * 9 + b"\x01\x10\x05", -999_999_995),
+        (b"\x0a\x0b\x08" + b"\xff" * 8 + b"\x7f", 9_000_000_000 * 10**9),
+    ],
+)
+def test_stamps(stamp: bytes, expected: int) -> None:
+    stamp = bytes([stamp[0], len(stamp) - 2]) + stamp[2:]
+    layout = decode.walk(stamp, Imu)
+    assert decode.stamps(np.frombuffer(stamp, np.uint8)[None], layout, np.array([77])).tolist() == [expected]
+
+
+def test_stamps_beyond_nanoseconds_are_held() -> None:
+    for sign in (1, -1):
+        raw = Imu()
+        raw.timestamp.seconds = sign * 10**12
+        data = raw.SerializeToString()
+        layout = decode.walk(data, Imu)
+        stamp = decode.stamps(np.frombuffer(data, np.uint8)[None], layout, np.array([0]))[0]
+        assert stamp == sign * 9_000_000_000 * 10**9
+
+
+# -- written ------------------------------------------------------------------------------------------------
+
+
+def written(template: Template, rows: int, **columns: np.ndarray) -> list[bytes]:
+    """Messages, and that the room before each is empty."""
+    block = template.encode(rows, columns)
+    assert block.dtype == np.uint8 and (block[:, :HEAD_BYTES] == 0).all()
+    return [row.tobytes() for row in block[:, HEAD_BYTES:]]
+
+
+def test_a_skeleton_as_the_library_reads_it() -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.array([1_700_000_000_123_456_789, -1, 0, -1_500_000_001, 2**62])
+    position, confidence = rng.normal(size=(5, 3)), rng.uniform(size=5)
+    covariance, state = rng.normal(size=(5, 3, 3)), np.array([[0, 1], [1, 2], [2, 3], [3, 0], [127, 1]])
+    template = encode.join(
+        encode.timestamp(1, "t"),
+        encode.text(2, "K\u00e4mera" * 30),
+        encode.number(3, 70_000),
+        encode.message(
+            4,
+            encode.text(1, "wrist"),
+            encode.vector(2, "p"),
+            encode.flag(3, "state", 1),
+            encode.double(4, "confidence"),
+            encode.packed(5, "C", 9),
+        ),
+        encode.message(4, encode.text(1, "hand"), encode.vector(2, "p", (2, 0)), encode.constant(4, 0.5)),
+        encode.message(4, encode.message(2, encode.constants(1.0, -2.0, 3.5)), encode.double(4, "p", 2)),
+        encode.flag(5, "occluded"),
+    )
+    columns = encode.stamps("t", stamps) | {"p": position, "state": state, "confidence": confidence}
+    occluded = np.array([True, False, True, True, False])
+    for k, raw in enumerate(written(template, 5, **columns, C=covariance, occluded=occluded)):
+        message = Skeleton.FromString(raw)
+        seconds, nanos = divmod(int(stamps[k]), 10**9)
+        assert (message.timestamp.seconds, message.timestamp.nanos) == (seconds, nanos)
+        assert message.frame_id == "K\u00e4mera" * 30 and message.body == 70_000
+        wrist, hand, bare = message.joints
+        assert (wrist.name, hand.name, bare.name) == ("wrist", "hand", "")
+        assert [wrist.position.x, wrist.position.y, wrist.position.z] == position[k].tolist()
+        assert wrist.state == state[k, 1] and wrist.confidence == confidence[k]
+        assert list(wrist.position_covariance) == covariance[k].ravel().tolist()
+        assert [hand.position.x, hand.position.y] == [
+            position[k, 2],
+            position[k, 0],
+        ] and hand.confidence == 0.5
+        assert [bare.position.x, bare.position.y, bare.position.z] == [1.0, -2.0, 3.5]
+        assert bare.confidence == position[k, 2] and message.occluded == occluded[k]
+        # what we write we read
+        layout = decode.walk(raw, Skeleton)
+        block = np.frombuffer(raw, np.uint8)[None]
+        assert layout.counts == {"joints": 3}
+        assert one(layout, raw, "joints.0.position_covariance") == covariance[k].ravel().tolist()
+        if abs(int(stamps[k])) < 2**61:
+            assert decode.stamps(block, layout, np.array([0]))[0] == stamps[k]
+
+
+def test_what_is_empty_takes_no_bytes() -> None:
+    assert encode.text(2, "") == encode.number(3, 0) == Template(b"")
+    assert encode.text(1, "ab").data == b"\x0a\x02ab" and encode.number(3, 1).data == b"\x18\x01"
+    assert written(encode.join(), 2) == [b"", b""]
+    assert len(encode.message(4).data) == 2
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_varints_are_the_shortest(value: int) -> None:
+    raw = encode.varint(value)
+    back = sum((byte & 0x7F) << (7 * k) for k, byte in enumerate(raw))
+    assert back == value and all(byte & 0x80 for byte in raw[:-1]) and not raw[-1] & 0x80
+    assert len(raw) == max(1, -(-value.bit_length() // 7))
+
+
+def test_tags() -> None:
+    assert encode.tag(1, 2) == b"\x0a" and encode.tag(16, 0) == b"\x80\x01" and encode.tag(5, 1) == b"\x29"
+
+
+def test_rows_that_are_alike() -> None:
+    codes = np.array([[1, -1], [0, 3], [1, -1], [-1, 254], [0, 3], [-1, 253], [254, -1], [1, -1]])
+    groups = {key: rows.tolist() for key, rows in encode.alike(codes)}
+    expected: dict[tuple[int, ...], list[int]] = {}
+    for k, row in enumerate(codes.tolist()):
+        expected.setdefault(tuple(row), []).append(k)
+    assert groups == expected and len(encode.alike(codes)) == len(expected)
+    assert encode.alike(codes[:0]) == []
+    assert [rows.tolist() for _, rows in encode.alike(np.zeros((3, 2), np.int8))] == [[0, 1, 2]]
+    six = np.array([[254] * 6, [254] * 5 + [253], [253] + [254] * 5, [-1] * 6])
+    assert len(encode.alike(six)) == 4
+    small = np.array([[200], [201]], np.uint8)  # codes of a byte do not run over
+    assert [key for key, _ in encode.alike(small)] == [(200,), (201,)]
+
+
+# -- schemas ------------------------------------------------------------------------------------------------
+
+
+def test_classes_of_both_packages() -> None:
+    assert message_class("foxglove.Odometry").DESCRIPTOR.full_name == "foxglove.Odometry"
+    assert message_class("unocclude.Residuals").DESCRIPTOR.full_name == "unocclude.Residuals"
+    assert message_class("foxglove.Vector3") is message_class("foxglove.Vector3")
+    with pytest.raises((AttributeError, ModuleNotFoundError)):
+        message_class("foxglove.Nothing")
+
+
+def test_a_schema_names_each_file_once_and_its_needs_first() -> None:
+    data = schema_data("foxglove.SceneUpdate")
+    files = FileDescriptorSet.FromString(data).file
+    names = [file.name for file in files]
+    assert len(names) == len(set(names)) and names[-1] == "foxglove/SceneUpdate.proto"
+    for k, file in enumerate(files):
+        assert set(file.dependency) <= set(names[:k])

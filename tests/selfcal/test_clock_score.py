@@ -1,0 +1,325 @@
+"""The clock from residuals, step by step: the score sample by sample, the models against dense Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from small_window import NODES, small_window
+
+from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
+from smoother.recording import FloatArray
+from smoother.selfcal import clock_fit
+from smoother.selfcal.clock_fit import (
+    ClockScore,
+    _likeliest,
+    _line,
+    _local_level,
+    clock_score,
+    pooled_score,
+    refined_clock,
+    refined_clocks,
+)
+from smoother.window.problem import States, Window
+from smoother.window.shared import Gaussian
+from smoother.window.solution import Message, Solution
+
+PRIOR_S = 0.07
+
+
+def observations(
+    seed: int, walk: float = 0.0, skew: float = 0.0, count: int = 30
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(t, x, variance): uneven times, noise from 2 to 20 ms."""
+    rng = np.random.default_rng(seed)
+    t = 3.0 + np.cumsum(rng.uniform(0.5, 4.0, count))
+    variance = rng.uniform(0.002, 0.02, count) ** 2
+    level = 0.03 + np.cumsum(walk * np.sqrt(np.diff(t, prepend=t[0])) * rng.normal(size=count))
+    return t, level + skew * (t - t[0]) + np.sqrt(variance) * rng.normal(size=count), variance
+
+
+def evidence(x: FloatArray, prior: FloatArray, variance: FloatArray) -> float:
+    """Log-likelihood of values with a Gaussian prior and noise, without the constant of pi."""
+    logpdf = multivariate_normal(np.zeros(len(x)), prior + np.diag(variance)).logpdf(x)
+    return float(logpdf) + 0.5 * len(x) * np.log(2 * np.pi)
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.004])
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_the_local_level_with_any_prior(walk: float, count: int) -> None:
+    t, x, variance = observations(1, walk, count=count)
+    loglik, level, sigma, local = _local_level(t, x, variance, walk, PRIOR_S)
+    prior = PRIOR_S**2 + walk**2 * np.minimum(t[:, None] - t[0], t - t[0])
+    gain = prior @ np.linalg.inv(prior + np.diag(variance))
+    assert loglik == pytest.approx(evidence(x, prior, variance), abs=1e-8)
+    np.testing.assert_allclose(level, gain @ x, atol=1e-10)
+    assert sigma == pytest.approx((PRIOR_S**-2 + np.sum(1 / variance)) ** -0.5)
+    spread = np.diag(prior - gain @ prior).mean()
+    assert local**2 == pytest.approx(max(spread - sigma**2, 0.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("skew", [0.0, 3e-4])
+def test_the_line_is_the_dense_regression(skew: float) -> None:
+    t, x, variance = observations(2, skew=skew)
+    found = _line(t, x, 1 / variance, PRIOR_S)
+    assert found is not None
+    loglik, offset, slope, spread = found
+    centre = np.sum(t / variance) / np.sum(1 / variance)
+    H = np.column_stack([np.ones(len(t)), t - centre])
+    P = np.diag([PRIOR_S**2, 5e-4**2])
+    S = H @ P @ H.T + np.diag(variance)
+    mean = P @ H.T @ np.linalg.solve(S, x)
+    posterior = P - P @ H.T @ np.linalg.solve(S, H @ P)
+    assert loglik == pytest.approx(evidence(x, H @ P @ H.T, variance), abs=1e-7)
+    np.testing.assert_allclose(offset, H @ mean, atol=1e-12)
+    assert slope == pytest.approx(mean[1], rel=1e-9)
+    assert spread == pytest.approx(np.sqrt(posterior[1, 1] * np.mean((t - centre) ** 2)), rel=1e-9)
+
+
+def test_it_is_too_soon_for_a_line() -> None:
+    information = np.full(5, 1e4)
+    t = np.array([0.0, 1.0, 2.0, 3.0, 30.0])
+    assert _line(t, 0 * t, information, PRIOR_S) is not None
+    assert _line(t * 0.999, 0 * t, information, PRIOR_S) is None
+    assert _line(t[1:] * 2, 0 * t[1:], information[1:], PRIOR_S) is None
+
+
+@pytest.mark.parametrize("synthetic", [False, True])
+@pytest.mark.parametrize("walk", [0.0, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.04])
+def test_the_likeliest_walk(synthetic: bool, walk: float) -> None:
+    """Of all that are tried; for measured stamps only where six in the log-likelihood speak for it."""
+    walks = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04) if synthetic else (0.0, 0.0003, 0.001)
+    for seed in range(4):
+        given = observations(seed, walk, count=60)
+        answers = [_local_level(*given, each, PRIOR_S) for each in walks]
+        gains = [
+            answer[0] - answers[0][0] - (0.0 if synthetic or k == 0 else 6.0)
+            for k, answer in enumerate(answers)
+        ]
+        best = int(np.argmax(gains))
+        answer, chosen = _likeliest(*given, synthetic, PRIOR_S)
+        assert chosen == walks[best] and answer[0] == answers[best][0]
+        np.testing.assert_array_equal(answer[1], answers[best][1])
+
+
+def test_all_walks_are_found() -> None:
+    """Each of the walks that are tried is the likeliest of some series."""
+    for synthetic in (False, True):
+        walks = clock_fit.WALKS_SYNTHETIC if synthetic else clock_fit.WALKS
+        chosen = {
+            _likeliest(*observations(seed, walk, count=200), synthetic, PRIOR_S)[1]
+            for walk in walks
+            for seed in range(4)
+        }
+        assert chosen == set(walks)
+
+
+# -- the score ----------------------------------------------------------------------------------------------
+
+
+def solution(window: Window, seed: int, information: float) -> Solution:
+    rng = np.random.default_rng(seed)
+    states = States(window.start.R, window.start.p, rng.normal(size=(NODES, 3)))
+    residuals = {
+        each.joint: each.sigma_m[:, None] * 2.0 * rng.normal(size=each.position.shape)
+        for each in window.joint_measurements
+    }
+    message = Message(0.0, Gaussian(np.zeros(1), np.eye(1)))
+    return Solution(
+        0, states, None, None, None, None, message, np.zeros((NODES, 6)), residuals, 1, 0.0, information
+    )
+
+
+def by_hand(window: Window, answer: Solution) -> tuple[list[tuple[float, float, float]], float]:
+    """(t, slope, bound) of each sample in the core, and the bound of all."""
+    rows, total = [], 0.0
+    for each in window.joint_measurements:
+        for k, node in enumerate(each.node):
+            velocity = answer.states.v[node] + each.velocity[k]
+            residual = answer.residuals[each.joint][k]
+            off = np.linalg.norm(residual) / each.sigma_m[k] / window.noise.cauchy
+            weight = 1.0 / (1.0 + off**2) / each.sigma_m[k] ** 2
+            total += weight * float(velocity @ velocity)
+            if window.core_start_s <= each.t_s[k] <= window.core_end_s:
+                rows.append(
+                    (each.t_s[k], weight * float(residual @ velocity), weight * float(velocity @ velocity))
+                )
+    return rows, total
+
+
+@pytest.mark.parametrize(("share", "used"), [(0.4, 0.4), (0.001, 0.02), (3.0, 1.0)])
+def test_the_score_of_samples_in_the_core(share: float, used: float) -> None:
+    """Slope and information sample by sample; of the bound the share that the window states."""
+    window, _ = small_window(upper=False)
+    first = window.joint_measurements[1]
+    window = replace(window, core_start_s=float(first.t_s[1]), core_end_s=float(first.t_s[-2]))
+    empty = replace(window, joint_measurements=())
+    other, _ = small_window(1, upper=False)
+    windows, answers = (
+        [window, empty, other],
+        [solution(each, k, 0.0) for k, each in enumerate((window, window, other))],
+    )
+    expected = []
+    for number in (0, 2):
+        rows, total = by_hand(windows[number], answers[number])
+        answers[number] = replace(answers[number], offset_information=share * total)
+        expected += [(t, slope, used * bound, number) for t, slope, bound in rows]
+    score = clock_score(windows, answers)
+    found = np.column_stack([score.t, score.slope, score.information, score.window])
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+    assert score.window.dtype.kind == "i"
+
+
+def test_no_samples_no_score() -> None:
+    window, _ = small_window(upper=False)
+    score = clock_score([replace(window, joint_measurements=())], [solution(window, 0, 1.0)])
+    assert len(score.t) == len(score.slope) == len(score.information) == len(score.window) == 0
+    assert score.window.dtype.kind == "i"
+    still = replace(
+        window,
+        joint_measurements=tuple(
+            replace(each, velocity=0 * each.velocity) for each in window.joint_measurements
+        ),
+    )
+    answer = solution(still, 0, 1.0)
+    answer = replace(answer, states=replace(answer.states, v=0 * answer.states.v))
+    assert (clock_score([still], [answer]).information == 0).all()  # and no division by zero
+
+
+def test_a_score_half_a_second_at_a_time() -> None:
+    t = np.array([10.1, 10.4, 10.49, 10.5, 11.2, 11.4, 9.9])
+    score = ClockScore(t, np.arange(7.0), 10.0 + np.arange(7.0), np.full(7, 4))
+    short = score.condensed()
+    np.testing.assert_allclose(short.t, [9.9, (10.1 + 10.4 + 10.49) / 3, 10.5, 11.3])
+    np.testing.assert_allclose(short.slope, [6, 0 + 1 + 2, 3, 4 + 5])
+    np.testing.assert_allclose(short.information, [16, 33, 13, 29])
+    assert short.window.tolist() == [4] * 4
+    nothing = ClockScore(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int)).condensed()
+    assert len(nothing.t) == len(nothing.window) == 0 and nothing.slope.dtype == float
+
+
+def test_scores_apart_are_one() -> None:
+    one = ClockScore(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]), np.array([7, 7]))
+    two = ClockScore(np.array([8.0]), np.array([9.0]), np.array([10.0]), np.array([7]))
+    both = pooled_score([one, two])
+    assert both.t.tolist() == [1.0, 2.0, 8.0] and both.slope.tolist() == [3.0, 4.0, 9.0]
+    assert both.information.tolist() == [5.0, 6.0, 10.0] and both.window.tolist() == [0, 0, 1]
+
+
+# -- the clock ----------------------------------------------------------------------------------------------
+
+
+def made_score(
+    offset: FloatArray, clock: Clock, middle: FloatArray, information: FloatArray, per_window: int = 4
+) -> ClockScore:
+    """A score that says these offsets at these camera times, four samples a window."""
+    t_camera = (middle[:, None] + np.linspace(-0.15, 0.15, per_window)).ravel()
+    share = np.tile(np.arange(1.0, per_window + 1) / np.arange(1.0, per_window + 1).sum(), len(middle))
+    own = np.repeat(information, per_window) * share
+    slope = np.repeat((offset - clock.at(middle)) * information, per_window) * share
+    return ClockScore(t_camera + clock.mean_s, slope, own, np.repeat(np.arange(len(middle)), per_window) * 3)
+
+
+START = Clock(np.array([0.0, 100.0]), np.array([0.01, 0.03]), 0.02, prior_sigma_s=PRIOR_S)
+
+
+def test_a_clock_moves_to_what_the_residuals_say() -> None:
+    t, x, variance = observations(3)
+    t = np.round(t) + 0.25  # far from the borders of half seconds
+    for synthetic in (False, True):
+        found = refined_clock(START, made_score(x, START, t, 1 / variance), synthetic)
+        (_, level, sigma, local), walk = _likeliest(t, x, variance, synthetic, PRIOR_S)
+        assert (
+            _line(t, x, 1 / variance, PRIOR_S)[0] < _likeliest(t, x, variance, synthetic, PRIOR_S)[0][0] + 3.0
+        )  # type: ignore[index]
+        np.testing.assert_allclose(found.t, t, atol=1e-9)
+        np.testing.assert_allclose(found.offset, level, atol=1e-9)
+        assert found.walk == walk and found.skew == 0.0 and found.prior_sigma_s == PRIOR_S
+        assert found.sigma_s == pytest.approx(sigma, rel=1e-9)
+        synthetic_s = 0.06 if synthetic else 0.0
+        assert found.local_sigma_s == pytest.approx(np.sqrt(sigma**2 + local**2 + synthetic_s**2), rel=1e-9)
+
+
+def test_synthetic_stamps_are_taken_half_a_second_at_a_time() -> None:
+    """Within a window too; stamps that were measured, a window at a time."""
+    t = 20.25 + 0.5 * np.arange(12)
+    score = made_score(np.full(12, 0.02), START, t, np.full(12, 1e4))
+    score = replace(score, window=np.repeat([0, 1], 24))
+    assert len(refined_clock(START, score, True).t) == 12
+    (one, two) = refined_clock(START, score, False).t
+    assert (one, two) == (pytest.approx(t[:6].mean()), pytest.approx(t[6:].mean()))
+
+
+@pytest.mark.parametrize(
+    ("synthetic", "skew", "count", "walk", "is_line"),
+    [
+        (False, 8e-4, 40, 0.0, True),
+        (True, 8e-4, 40, 0.0, True),
+        (False, 8e-4, 150, 0.0003, True),
+        (True, 8e-4, 150, 0.001, True),
+        (False, 4e-4, 150, 0.001, False),  # likelier by 2.5 in the log-likelihood: not clear enough
+    ],
+)
+def test_a_clock_that_drifts(synthetic: bool, skew: float, count: int, walk: float, is_line: bool) -> None:
+    """A line, with what wanders about it where there is enough of it to see; or a walk alone."""
+    rng = np.random.default_rng(0)
+    step_s, noise_s = (2.0, 0.001) if count == 150 else (4.0, 0.003)
+    t = 5.25 + step_s * np.arange(count)
+    variance = np.full(count, noise_s**2)
+    x = skew * (t - t.mean()) + np.cumsum(0.0003 * np.sqrt(step_s) * rng.normal(size=count))
+    line = _line(t, x, 1 / variance, PRIOR_S)
+    assert line is not None
+    (loglik, level, sigma, local), own = _likeliest(t, x, variance, synthetic, PRIOR_S)
+    assert (line[0] > loglik + 3.0) == is_line and line[0] > loglik
+    expected = level
+    if is_line:
+        (_, level, _, wandering), own = _likeliest(t, x - line[1], variance, synthetic, PRIOR_S)
+        expected, local = (line[1] + level, wandering) if own > 0.0 else (line[1], line[3])
+    assert own == walk
+    near = Clock(t[[0, -1]], skew * (t[[0, -1]] - t.mean()), 0.02, prior_sigma_s=PRIOR_S)
+    found = refined_clock(near, made_score(x, near, t, 1 / variance), synthetic)
+    assert found.skew == (pytest.approx(line[2]) if is_line else 0.0) and found.walk == walk
+    np.testing.assert_allclose(found.offset, expected, atol=1e-9)
+    assert found.sigma_s == pytest.approx(sigma)
+    extra = 0.06 if synthetic else 0.0
+    assert found.local_sigma_s == pytest.approx(np.sqrt(sigma**2 + local**2 + extra**2))
+
+
+def test_steps_and_offsets_are_limited() -> None:
+    """No more than 60 ms at a time, no farther than a clock is looked for."""
+    t = np.array([10.25, 12.25, 14.25])
+    near = Clock(np.zeros(1), np.zeros(1), 0.02, prior_sigma_s=10.0)
+    for sign in (1.0, -1.0):
+        found = refined_clock(near, made_score(np.full(3, sign * 0.2), near, t, np.full(3, 1e8)), False)
+        np.testing.assert_allclose(found.offset, sign * 0.06, atol=1e-6)
+        far = replace(near, offset=np.full(1, sign * 0.39))
+        found = refined_clock(far, made_score(np.full(3, sign * 0.5), far, t, np.full(3, 1e8)), False)
+        np.testing.assert_allclose(found.offset, sign * LARGEST_OFFSET_S)
+
+
+def test_what_says_nothing_makes_no_knot() -> None:
+    t, information = np.array([10.25, 12.25, 14.25]), np.array([1e4, 0.9e-2, 1e4])
+    score = made_score(np.full(3, 0.02), START, t, information)
+    np.testing.assert_allclose(refined_clock(START, score, False).t, t[[0, 2]])
+    score = made_score(np.full(3, 0.02), START, t, np.array([1e4, 1.1e-2, 1e4]))
+    np.testing.assert_allclose(refined_clock(START, score, False).t, t)
+    nothing = replace(score, information=0 * score.information)
+    assert refined_clock(START, nothing, False) is START
+    weak = replace(score, information=score.information * 1e-5, slope=score.slope * 1e-5)
+    assert refined_clock(START, weak, False) is not START
+
+
+def test_each_recording_has_its_own_windows() -> None:
+    windows = [small_window(k, upper=False)[0] for k in range(3)]
+    answers = [solution(window, k, 1e5) for k, window in enumerate(windows)]
+    clocks = (START, replace(START, offset=START.offset + 0.1), replace(START, offset=START.offset - 0.1))
+    found = refined_clocks(clocks, (False, True, False), windows, answers, np.array([1, 0, 1]))
+    assert found[2] is clocks[2] and isinstance(found, tuple)  # none of its windows was solved
+    for number, own, synthetic in ((0, [1], False), (1, [0, 2], True)):
+        score = clock_score([windows[k] for k in own], [answers[k] for k in own])
+        expected = refined_clock(clocks[number], score, synthetic)
+        np.testing.assert_array_equal(found[number].offset, expected.offset)
+        np.testing.assert_array_equal(found[number].t, expected.t)
+        assert found[number].local_sigma_s == expected.local_sigma_s
