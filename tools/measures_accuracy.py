@@ -56,7 +56,7 @@ def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
 
 
 def recovered(simulated: SimulatedArm, draws: int, seed: int) -> Recovery:
-    """The recording smoothed without its truth; the forearm's axes in the IMU are given, as by a calibration."""
+    """The recording smoothed without its truth; the forearm's axes in the IMU are given."""
     recovery = smooth(replace(simulated.recording, truth=None), processes=1, draws=draws, seed=seed)
     assert recovery.calibration is not None
     return replace(recovery, calibration=replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A))
@@ -78,7 +78,7 @@ def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSet
         zones = {key for key in by_place[place] if "_zone_" in key} if place == SESSION else set()
         for key in (*figures, *(zones - figures.keys())):
             absent = 0.0 if "_zone_" in key else np.nan
-            value, share = figures[key] if key in figures else (0.0, 0.0)
+            value, share = figures.get(key, (0.0, 0.0))
             truth = by_place[place][key].value if key in by_place[place] else absent
             yield Sample(key, place[0], value, truth, share, measuring.drawn.values(place, key))
 
@@ -173,9 +173,10 @@ def hidden_range(preset: str, seeds: range) -> None:
         rows = {s.key: s for s in samples_of(simulated, recovery, MeasureSettings()) if s.scope == "session"}
         sample = rows["elbow_flexion_range_deg"]
         errors.append(sample.value - sample.truth)
+    rms, bias = float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(errors))
     print(
-        f"{preset}: elbow's range, two thirds of both extremes hidden: rms"
-        f" {np.sqrt(np.mean(np.square(errors))):.2f}, bias {np.mean(errors):+.2f} degrees, {len(errors)} seeds"
+        f"{preset}: elbow's range, two thirds of both extremes hidden: rms {rms:.2f}, bias {bias:+.2f} degrees,"
+        f" {len(errors)} seeds"
     )
 
 
