@@ -4,7 +4,7 @@ Drawn motions say how far a measure may be off, not on which side. Noise makes a
 more extreme; a drawn motion is the answer and an error on top, rougher than the error in the answer, which is
 the smoothest motion that fits. So draws lie to one side of the answer, and by more than the answer lies off
 the truth (on simulated arms, docs/measures.md). Quantiles of the draws as they are then miss the truth, and
-the basic bootstrap's, mirrored about the answer (Davison and Hinkley, Bootstrap Methods and their Application,
+the basic bootstrap's, mirrored about the answer (Davison, Hinkley, Bootstrap Methods and their Application,
 1997, section 5.2), overshoot to the other side. The spread of the draws about their own median is therefore
 laid about the answer's value. Whole numbers (counts, reached or not) do not shift: their quantiles count.
 """
