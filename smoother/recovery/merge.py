@@ -90,6 +90,7 @@ def merge(
         upper=upper.motion(recording, model, coarse_clock),
         body=recording.body,
         trunk=None,  # beside the arm: `with_trunk`
+        draws=None,
     )
     return magnetometer.noted(recovery)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from .draws import Draws
 from .estimates import Estimates
 from .frame_residuals import FrameResiduals
 from .recoveries import Recoveries, arm_tags, is_of_arm
 from .recovery import Recovery
 
-__all__ = ["Estimates", "FrameResiduals", "Recoveries", "Recovery", "arm_tags", "is_of_arm"]
+__all__ = ["Draws", "Estimates", "FrameResiduals", "Recoveries", "Recovery", "arm_tags", "is_of_arm"]

@@ -16,6 +16,7 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks, arm_words
 from ..trunk_motion import TrunkMotion
 from ..upper_motion import UpperMotion
+from .draws import Draws
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
 
@@ -80,6 +81,8 @@ class Recovery:
         Of an IMU on the trunk, at the same samples.
     body : int, optional
         The camera's number of the person, where several are told apart.
+    draws : Draws, optional
+        Whole motions drawn from the posterior, where they were asked for.
     """
 
     method: str
@@ -108,6 +111,7 @@ class Recovery:
     upper: UpperMotion | None = None
     trunk: TrunkMotion | None = None
     body: int | None = None
+    draws: Draws | None = None
 
     @property
     def arm_label(self) -> str:
@@ -148,6 +152,30 @@ class Recovery:
             upper=None if self.upper is None else self.upper.rows(rows),
             trunk=None if self.trunk is None else self.trunk.rows(rows),
         )
+
+    def drawn(self, k: int) -> Recovery:
+        """A motion drawn from the posterior in place of the answer (`Draws.recovery`).
+
+        Parameters
+        ----------
+        k : int
+            Its number, from 0.
+
+        Returns
+        -------
+        Recovery
+            At the same samples; covariances are zero.
+
+        Raises
+        ------
+        UnoccludeError
+            None were drawn, or there is no such number.
+        """
+        if self.draws is None:
+            raise UnoccludeError(
+                f"{self.name}: no motions were drawn; ask `unocclude smooth` for them with --draws 64"
+            )
+        return self.draws.recovery(self, k)
 
     def batches(self, overlap: int = 0) -> Iterator[Recovery]:
         """All samples, some thousand at a time (`rows`).

@@ -1,0 +1,93 @@
+"""Drawn motions in place of the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import made_results
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from smoother.errors import UnoccludeError
+from smoother.result import Draws, Recovery
+
+
+def with_draws(count: int = 3, step_s: float = 0.04) -> Recovery:
+    """A made-up answer with deviations that swing smoothly, at their own times."""
+    recovery = made_results.recovery()
+    t = np.arange(recovery.t_s[0], recovery.t_s[-1], step_s)
+    phase = np.arange(count)[:, None, None] + np.arange(3) + 2 * np.pi * 0.5 * t[:, None]
+    swing = 0.01 * np.sin(phase)
+    joints = {joint: 2 * swing for joint in ("elbow", "wrist")}
+    return replace(recovery, draws=Draws(t, 7, swing, 3 * swing, joints))
+
+
+def swing(recovery: Recovery, k: int) -> np.ndarray:
+    t = recovery.t_s
+    return 0.01 * np.sin(k + np.arange(3) + 2 * np.pi * 0.5 * t[:, None])
+
+
+def test_a_drawn_motion_is_the_answer_and_its_deviation_at_every_sample() -> None:
+    recovery = with_draws()
+    drawn, inner = recovery.drawn(1), slice(10, 380)
+    moved = swing(recovery, 1)
+    # a cubic spline through 50 points a period: its error is of the fourth order of the step
+    np.testing.assert_allclose((drawn.position - recovery.position)[inner], moved[inner], atol=1e-6)
+    np.testing.assert_allclose(
+        (drawn.joints["wrist"] - recovery.joints["wrist"])[inner], 2 * moved[inner], atol=2e-6
+    )
+    np.testing.assert_array_equal(drawn.joints["shoulder"], recovery.joints["shoulder"])  # not drawn
+    known = np.isfinite(recovery.quaternion).all(axis=1) & (np.arange(400) > 9) & (np.arange(400) < 380)
+    turn = (
+        Rotation.from_quat(drawn.quaternion[known], scalar_first=True)
+        * Rotation.from_quat(recovery.quaternion[known], scalar_first=True).inv()
+    )
+    np.testing.assert_allclose(turn.as_rotvec(), 3 * moved[known], atol=3e-6)
+    assert np.array_equal(np.isnan(drawn.quaternion), np.isnan(recovery.quaternion))
+    assert drawn.draws is None and not drawn.pose_covariance.any()
+    np.testing.assert_array_equal(drawn.t_s, recovery.t_s)
+    assert drawn.gaps == recovery.gaps
+
+
+def test_velocity_is_the_derivative_of_the_drawn_position() -> None:
+    recovery = with_draws()
+    faster = recovery.drawn(2).velocity - recovery.velocity
+    slope = np.gradient(swing(recovery, 2), recovery.t_s, axis=0)
+    rows = np.flatnonzero(np.isfinite(faster).all(axis=1))
+    rows = rows[(rows > 30) & (rows < 370)]
+    np.testing.assert_allclose(faster[rows], slope[rows], atol=2e-4)  # of 0.03 m/s; both are differences
+
+
+def test_what_was_not_drawn_is_nan_and_ends_are_held() -> None:
+    recovery = with_draws()
+    draws = recovery.draws
+    assert draws is not None
+    position = draws.position.copy()
+    away = (draws.t_s > 1.0) & (draws.t_s < 3.0)
+    position[:, away] = np.nan
+    drawn = replace(recovery, draws=replace(draws, position=position)).drawn(0)
+    t = recovery.t_s
+    assert np.isnan(drawn.position[(t > 1.6) & (t < 2.4)]).all()
+    late = recovery.rows(slice(380, 400))
+    cut = replace(draws, t_s=draws.t_s[:95], position=draws.position[:, :95])
+    held = replace(late, draws=replace(cut, rotation=cut.rotation[:, :95], joints={})).drawn(0)
+    beyond = late.t_s > cut.t_s[-1]
+    assert beyond.any()
+    np.testing.assert_allclose(
+        (held.position - late.position)[beyond], np.tile(cut.position[0, -1], (beyond.sum(), 1)), atol=1e-9
+    )
+    np.testing.assert_allclose(held.velocity[beyond], late.velocity[beyond])
+
+
+def test_the_first_of_them_are_the_same_and_wrong_numbers_are_refused() -> None:
+    recovery = with_draws(5)
+    assert recovery.draws is not None
+    few = replace(recovery, draws=recovery.draws.first(2))
+    assert few.draws is not None and len(few.draws) == 2
+    np.testing.assert_array_equal(few.drawn(1).position, recovery.drawn(1).position)
+    for number in (2, -1):
+        with pytest.raises(UnoccludeError, match="2 were drawn"):
+            few.drawn(number)
+    with pytest.raises(UnoccludeError, match="--draws"):
+        replace(recovery, draws=None).drawn(0)
