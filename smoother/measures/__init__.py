@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from .measure import Measure, Scope
 from .measures import Measures
+from .measuring import measure
 from .movement import Movement
+from .settings import MeasureSettings
+from .symmetry import BothArms, measure_both
 
-__all__ = ["Measure", "Measures", "Movement", "Scope"]
+__all__ = [
+    "BothArms",
+    "Measure",
+    "MeasureSettings",
+    "Measures",
+    "Movement",
+    "Scope",
+    "measure",
+    "measure_both",
+]
