@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from .calibration import ArmCalibration
 from .config import Config
-from .errors import SolveError
+from .errors import SolveError, UnoccludeError
 from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.timeline import Timeline
@@ -47,6 +47,8 @@ def smooth(
     store: Store | None = None,
     processes: int | None = None,
     clock: Clock | None = None,
+    draws: int = 0,
+    seed: int = 0,
 ) -> Recovery:
     """Recover the arm's motion over a whole recording.
 
@@ -71,6 +73,11 @@ def smooth(
     clock : Clock, optional
         The camera's against the IMU's as it was measured, with its sigma: a prior. The motion tells it where
         there is none.
+    draws : int
+        So many whole motions drawn from the posterior (`Recovery.draws`); the answer is the same with and
+        without.
+    seed : int
+        Of the draws' random numbers, 0 or more: the same one gives the same motions.
 
     Returns
     -------
@@ -79,9 +86,13 @@ def smooth(
 
     Raises
     ------
+    UnoccludeError
+        `draws` or `seed` is below zero.
     SolveError, CalibrationError
         Nothing of the recording can be solved, in one sentence.
     """
+    if draws < 0 or seed < 0:
+        raise UnoccludeError(f"draws and seed are whole numbers, 0 or more; not {min(draws, seed)}")
     config = with_measured_noise(config or Config(), recording.imu)
     given = calibration or ArmCalibration(side=recording.side)
     report, store = progress or (lambda fraction, text: None), store or Store()
@@ -116,7 +127,8 @@ def smooth(
         # 4. Pooled over all windows: the arm, the clock, the magnetic field.
         task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
         magnetometer = magnetic_field(first, task, workers)
-        # 5. Second pass: every section again, with priors from all others.
+        # 5. Second pass: every section again, with priors from all others; motions drawn where asked for.
+        task = task.drawing(draws, seed, recording, first.messages)
         jobs = first.jobs(leave_one_out_priors(first.messages, task.prior), magnetometer.by_window)
         answers = second_pass(jobs, task, workers)
         # 6. One trajectory at the IMU's own stamps.

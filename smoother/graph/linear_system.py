@@ -8,7 +8,8 @@ asked for (Takahashi et al., 1973; block form as in the Rauch-Tung-Striebel smoo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import gtsam
@@ -26,6 +27,33 @@ DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
 def dimension(key: int) -> int:
     """How many coordinates a variable has."""
     return DIMENSION[chr(gtsam.Symbol(key).chr())]
+
+
+@dataclass(frozen=True)
+class Conditional:
+    """A group of the chain given the next group and the border: a block row of the Cholesky factor.
+
+    It is what GTSAM's `GaussianBayesNet` holds, a `GaussianConditional` a group.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (k,)
+        Of the group in `LinearSystem.jacobian`.
+    factor : ndarray, shape (k, k)
+        Lower Cholesky factor of the group's information, scaled.
+    gain : ndarray, shape (k, m), or None
+        The group falls by this times the next one, both scaled; None of the last one.
+    scale : ndarray, shape (k,)
+        A coordinate is its scaled one times this.
+    follows : ndarray, shape (k, b + e)
+        The group falls by this times the border and the extra quantities, not scaled.
+    """
+
+    columns: IntArray
+    factor: FloatArray
+    gain: FloatArray | None
+    scale: FloatArray
+    follows: FloatArray
 
 
 class LinearSystem:
@@ -216,6 +244,13 @@ class LinearSystem:
         borders = len(self._border)
         across = self.information[:borders, self.extras]
         return np.asarray(self._shared_covariance @ ((0.0 if pull is None else pull) - across))
+
+    def conditionals(self) -> Iterator[Conditional]:
+        """The groups of the chain, each given what comes after it, from the last to the first."""
+        gains = [*self._gains, None]
+        for g in range(len(self._groups) - 1, -1, -1):
+            follows = self._solved[g][:, : len(self.information)]
+            yield Conditional(self._groups[g], self._factors[g], gains[g], self._scale[g], follows)
 
     def _rows(self, key: int) -> tuple[int, IntArray]:
         columns = self._columns[key]

@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import Gaussian
 from ..window.solution import Message, Solution
@@ -21,6 +22,7 @@ from .clock_information import offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
 from .linear_system import LinearSystem
 from .optimise import optimise
+from .sampling import sample_window
 from .shared_prior import shared_jacobian, shared_keys
 
 #: Where `solve` stops by default.
@@ -44,6 +46,7 @@ def solve(
     with_message: bool = True,
     with_evidence: bool = False,
     tolerance: float = RELATIVE_TOLERANCE,
+    plan: DrawPlan | None = None,
 ) -> Solution:
     """Optimise a window (see `optimise`) and read its answer.
 
@@ -60,6 +63,8 @@ def solve(
         Also what the window says of errors that are constant over the recording.
     tolerance : float
         The optimiser stops when an iteration lowers the error by less than this share of it.
+    plan : DrawPlan, optional
+        Also motions drawn from the posterior; needs the covariance.
 
     Returns
     -------
@@ -71,7 +76,7 @@ def solve(
         The window leaves something free; the text names the time.
     """
     try:
-        return _solved(window, with_covariance, with_offset, with_message, with_evidence, tolerance)
+        return _solved(window, with_covariance, with_offset, with_message, with_evidence, tolerance, plan)
     except np.linalg.LinAlgError as error:
         raise SolveError(
             f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
@@ -86,6 +91,7 @@ def _solved(
     with_message: bool,
     with_evidence: bool,
     tolerance: float,
+    plan: DrawPlan | None,
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
     for tighten in TIGHTEN:
@@ -100,11 +106,14 @@ def _solved(
             if with_evidence or window.considered is not None:
                 errors = partial(constant_error_columns, window=window, biases=biases, R=states.R)
             system = LinearSystem(graph, values, node_of_variables(window), errors)
-            pose_covariance = velocity_covariance = None
+            pose_covariance = velocity_covariance = draws = None
             following = _Following.of(system, values, window, biases)
             if with_covariance:
                 pose_covariance, velocity_covariance = _covariances(following, window, states.R)
-                pose_covariance[:, 3:, 3:] += _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
+                lost = _lost_to_tightening(pose_covariance[:, 3:, 3:], window, tighten)
+                pose_covariance[:, 3:, 3:] += lost
+                if plan is not None:
+                    draws = sample_window(system, values, window, biases, plan, following.shared, lost)
             shoulder, shoulder_covariance = _shoulder(values, following, window, with_covariance)
             message = _message(values, system, window, biases, with_message)
             nodes = _covariance_nodes(window) if with_covariance else None
@@ -131,6 +140,7 @@ def _solved(
             accepted=optimum.accepted,
             evidence=evidence(system, values, message.shared.mean, window, biases) if with_evidence else None,
             upper=upper,
+            draws=draws,
         )
     raise np.linalg.LinAlgError
 

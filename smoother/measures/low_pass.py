@@ -18,7 +18,7 @@ SHORTEST_RUN_S = 0.5
 
 
 @dataclass(frozen=True)
-class EvenTimes:
+class TimeGrid:
     """Even times in runs that have an answer throughout.
 
     Attributes
@@ -36,7 +36,7 @@ class EvenTimes:
     runs: tuple[slice, ...]
 
 
-def grid_of(recovery: Recovery, settings: Smoothing) -> EvenTimes:
+def grid_of(recovery: Recovery, settings: Smoothing) -> TimeGrid:
     """The even times at which a recovery is measured.
 
     Parameters
@@ -48,7 +48,7 @@ def grid_of(recovery: Recovery, settings: Smoothing) -> EvenTimes:
 
     Returns
     -------
-    grid : EvenTimes
+    grid : TimeGrid
         Empty where there is no answer.
     """
     rate = min(median_rate_hz(recovery.t_s), settings.most_rate_hz)
@@ -64,10 +64,10 @@ def grid_of(recovery: Recovery, settings: Smoothing) -> EvenTimes:
             times.append(start + np.arange(int((end - start) * rate) + 1) / rate)
             places.append(slice(count, count + len(times[-1])))
             count += len(times[-1])
-    return EvenTimes(np.concatenate(times) if times else np.empty(0), rate, tuple(places))
+    return TimeGrid(np.concatenate(times) if times else np.empty(0), rate, tuple(places))
 
 
-def on_grid(recovery: Recovery, grid: EvenTimes, cutoff_hz: float) -> Recovery:
+def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
     """The recovery at a grid's times, low-passed; its covariances are left out.
 
     A second-order Butterworth filter run forth and back, so without delay (Winter, Biomechanics and Motor
@@ -78,7 +78,7 @@ def on_grid(recovery: Recovery, grid: EvenTimes, cutoff_hz: float) -> Recovery:
     ----------
     recovery : Recovery
         Of N samples.
-    grid : EvenTimes
+    grid : TimeGrid
         Of n times.
     cutoff_hz : float, Hz
         Where a single run of the filter lets half the power through.
@@ -126,7 +126,7 @@ def on_grid(recovery: Recovery, grid: EvenTimes, cutoff_hz: float) -> Recovery:
     )
 
 
-def low_passed(values: FloatArray, grid: EvenTimes, cutoff_hz: float) -> FloatArray:
+def low_passed(values: FloatArray, grid: TimeGrid, cutoff_hz: float) -> FloatArray:
     """Values (n, k) on a grid without what is faster than the cut-off; runs that are too short stay."""
     from scipy.signal import butter, sosfiltfilt  # where something is measured only
 
@@ -144,7 +144,7 @@ def low_passed(values: FloatArray, grid: EvenTimes, cutoff_hz: float) -> FloatAr
     return smooth
 
 
-def slope(values: FloatArray, grid: EvenTimes) -> FloatArray:
+def slope(values: FloatArray, grid: TimeGrid) -> FloatArray:
     """Derivative by time of values (n, ...) on a grid, by central differences within each run."""
     change = np.full_like(values, np.nan)
     for run in grid.runs:

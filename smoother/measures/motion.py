@@ -11,7 +11,7 @@ from ..joint_angles import defined, recovery_angles, torso_axes
 from ..recording import BoolArray, FloatArray
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
-from .low_pass import EvenTimes, on_grid, slope
+from .low_pass import TimeGrid, on_grid, slope
 
 #: The angles that are measured, in the order of the tables.
 MEASURED_ANGLES = (
@@ -34,7 +34,7 @@ class Motion:
 
     Attributes
     ----------
-    grid : EvenTimes
+    grid : TimeGrid
         Of n times.
     occluded : ndarray of bool, shape (n,)
         The camera did not see the forearm.
@@ -57,7 +57,7 @@ class Motion:
         "left", "right" or "".
     """
 
-    grid: EvenTimes
+    grid: TimeGrid
     occluded: BoolArray
     hand: FloatArray
     hand_joint: str
@@ -82,14 +82,14 @@ class Motion:
         return turned * np.array([1.0, 1.0, -1.0]) if self.side == "left" else turned
 
 
-def motion_of(recovery: Recovery, grid: EvenTimes, cutoff_hz: float) -> Motion:
+def motion_of(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Motion:
     """The arrays of a recovery that measures are made of.
 
     Parameters
     ----------
     recovery : Recovery
         An answer, a drawn motion, or a truth in a recovery's place.
-    grid : EvenTimes
+    grid : TimeGrid
         Where to measure.
     cutoff_hz : float, Hz
         Of the low-pass filter.

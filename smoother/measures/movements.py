@@ -6,12 +6,12 @@ import numpy as np
 
 from ..linalg import runs
 from ..recording import FloatArray
-from .low_pass import EvenTimes
+from .low_pass import TimeGrid
 from .movement import Movement
 from .settings import SegmentingMovements
 
 
-def find_movements(speed: FloatArray, grid: EvenTimes, settings: SegmentingMovements) -> list[slice]:
+def find_movements(speed: FloatArray, grid: TimeGrid, settings: SegmentingMovements) -> list[slice]:
     """Rows of the movements, in the order of time.
 
     A movement is a run in which the hand gets faster than `start_m_s`; it starts and ends where the speed
@@ -22,7 +22,7 @@ def find_movements(speed: FloatArray, grid: EvenTimes, settings: SegmentingMovem
     ----------
     speed : ndarray, shape (n,), m/s
         Of the hand.
-    grid : EvenTimes
+    grid : TimeGrid
         Its times.
     settings : SegmentingMovements
         The thresholds.
@@ -48,7 +48,7 @@ def find_movements(speed: FloatArray, grid: EvenTimes, settings: SegmentingMovem
     return [place for place in places if place.stop - place.start >= settings.shortest_s * grid.rate_hz]
 
 
-def as_movements(places: list[slice], grid: EvenTimes) -> tuple[Movement, ...]:
+def as_movements(places: list[slice], grid: TimeGrid) -> tuple[Movement, ...]:
     """Rows as times."""
     return tuple(
         Movement(float(grid.t_s[place.start]), float(grid.t_s[place.stop - 1]), "movement")

@@ -18,6 +18,7 @@ from ..selfcal.rounds import SelfCalibration
 from ..window.solution import Message
 from ..window.trajectory import share_after
 from .blending import between_quaternions, blend
+from .draw_columns import DrawColumns
 from .magnetometer import Magnetometer
 from .notes import notes_on
 from .samples import SectionAnswer
@@ -56,10 +57,12 @@ def merge(
     """
     columns = _Columns(recording, task.joints, store)
     upper = UpperColumns(len(recording.imu), store)
+    drawn = DrawColumns(recording.imu.t_s, task.plan, store)
     unexplained: list[Gap] = []
     for answer in answers:
         share, rows = columns.add(answer.answer, answer.messages), answer.answer.samples
         upper.add(answer.upper, rows, share)
+        drawn.add(answer.draws, rows, share)
         unexplained = merged_gaps(unexplained, answer.unexplained)
     model = task.model
     clock = model.clock.after(coarse_clock)
@@ -90,7 +93,7 @@ def merge(
         upper=upper.motion(recording, model, coarse_clock),
         body=recording.body,
         trunk=None,  # beside the arm: `with_trunk`
-        draws=None,
+        draws=drawn.draws(),
     )
     return magnetometer.noted(recovery)
 

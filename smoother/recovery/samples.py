@@ -14,7 +14,7 @@ from ..linalg import interpolate, rotate_covariance
 from ..measurements.alignment import lever_of
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
-from ..recording import JOINTS, BoolArray, FloatArray
+from ..recording import JOINTS, BoolArray, FloatArray, IntArray
 from ..selfcal.rounds import SelfCalibration
 from ..window.cut import PreparedSegment
 from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose
@@ -129,21 +129,48 @@ def widen_turns(pose_covariance: FloatArray) -> FloatArray:
     A linearised problem overrates what it knows of an angle that is hardly known: an angle's variance v
     becomes v (1 + v / LINEAR_RAD^2)^2. Small angles keep what they have.
     """
+    wide = wide_turns(pose_covariance)
+    if wide is None:
+        return pose_covariance
+    added = wide.variance * ((1.0 + wide.variance / LINEAR_RAD**2) ** 2 - 1.0)
+    more = rotate_covariance(wide.axes, added[:, :, None] * np.eye(3))
+    follows = np.concatenate([wide.position_follows, np.tile(np.eye(3), (len(wide.rows), 1, 1))], axis=1)
+    widened = pose_covariance.copy()
+    widened[wide.rows] += rotate_covariance(follows, more)
+    return widened
+
+
+@dataclass(frozen=True)
+class WideTurns:
+    """Samples whose orientation is hardly known.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (w,)
+    variance : ndarray, shape (w, 3), rad^2
+        Along the principal axes.
+    axes : ndarray, shape (w, 3, 3)
+        The axes, a column each.
+    position_follows : ndarray, shape (w, 3, 3), m/rad
+        How the position follows a turn.
+    """
+
+    rows: IntArray
+    variance: FloatArray
+    axes: FloatArray
+    position_follows: FloatArray
+
+
+def wide_turns(pose_covariance: FloatArray) -> WideTurns | None:
+    """Which samples of covariances (n, 6, 6) `widen_turns` widens, and along what; None without any."""
     turn = pose_covariance[:, 3:, 3:]
     rows = np.flatnonzero(np.trace(turn, axis1=1, axis2=2) > (0.2 * LINEAR_RAD) ** 2)
     if not len(rows):
-        return pose_covariance
+        return None
     variance, axes = np.linalg.eigh(turn[rows])
     variance = np.maximum(variance, 1e-12)
-    added = variance * ((1.0 + variance / LINEAR_RAD**2) ** 2 - 1.0)
-    more = rotate_covariance(axes, added[:, :, None] * np.eye(3))
     known = rotate_covariance(axes, (1.0 / variance)[:, :, None] * np.eye(3))
-    follows = np.concatenate(
-        [pose_covariance[rows, :3, 3:] @ known, np.tile(np.eye(3), (len(rows), 1, 1))], axis=1
-    )
-    widened = pose_covariance.copy()
-    widened[rows] += rotate_covariance(follows, more)
-    return widened
+    return WideTurns(rows, variance, axes, pose_covariance[rows, :3, 3:] @ known)
 
 
 def _joint(

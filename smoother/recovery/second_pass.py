@@ -10,8 +10,10 @@ from ..graph.optimise import LONG_S
 from ..graph.solve import solve
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
+from ..window.drawn_trajectory import merge_draws
 from ..window.solution import Message
 from ..window.trajectory import merge_windows
+from .draws import SectionDraws, sample_draws
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
 from .task import Task
@@ -34,12 +36,15 @@ class SecondAnswer:
         Of an upper-arm IMU at the same samples.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
+    draws : SectionDraws or None
+        Motions drawn from the posterior; None where not asked for.
     """
 
     answer: SectionAnswer
     messages: list[Message]
     unexplained: tuple[Gap, ...]
     upper: UpperAnswer | None = None
+    draws: SectionDraws | None = None
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
@@ -62,7 +67,8 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         for number, window in enumerate(task.windows(state.prepared, state.borders, job.priors))
     ]
     solutions = [
-        solve(window, with_covariance=True, with_message=False, tolerance=TOLERANCE) for window in windows
+        solve(window, with_covariance=True, with_message=False, tolerance=TOLERANCE, plan=task.plan)
+        for window in windows
     ]
     trajectory = merge_windows(state.prepared.t, windows, solutions)
     answer = sample_section(
@@ -83,7 +89,11 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     )
     rows = slice(answer.samples.start - state.first_sample, answer.samples.stop - state.first_sample)
     upper = sample_upper(answer, state.imu_t[rows], trajectory, state.prepared.upper, task.model)
-    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper)
+    draws = None
+    if task.plan is not None:
+        drawn = merge_draws(state.prepared.t, windows, solutions)
+        draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, task.plan)
+    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper, draws)
 
 
 def second_pass(jobs: Iterable[SecondJob], task: Task, workers: Pool) -> Iterator[SecondAnswer]:

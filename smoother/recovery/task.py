@@ -17,7 +17,8 @@ from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from ..selfcal.rounds import SelfCalibration, with_initial_values
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
-from ..window.pooling import pooled
+from ..window.draw_plan import DrawPlan, samples_apart
+from ..window.pooling import pooled, pooled_shared
 from ..window.prepare import prepare
 from ..window.priors import calibration_from, first_priors, noise_of
 from ..window.problem import NoiseModel, Priors, Window
@@ -53,6 +54,8 @@ class Task:
         There is a calibrated one.
     with_clock : bool
         The first pass asks every section for the clock.
+    plan : DrawPlan or None
+        Of the motions to draw from the posterior in the second pass; None where not asked for.
     """
 
     model: SelfCalibration
@@ -63,6 +66,7 @@ class Task:
     joints: tuple[str, ...]
     magnetometer: bool
     with_clock: bool
+    plan: DrawPlan | None = None
 
     @classmethod
     def of(cls, recording: Recording, sections: Sections, model: SelfCalibration, config: Config) -> Task:
@@ -101,6 +105,29 @@ class Task:
         if self.with_clock:
             clocks = (refined_clock(model.clock, pooled_score(scores), synthetic_stamps),)
         return replace(self, model=replace(model, estimate=estimate, clocks=clocks))
+
+    def drawing(self, count: int, seed: int, recording: Recording, messages: Sequence[Message]) -> Task:
+        """The task with motions to draw in the second pass; the same one where none are asked for.
+
+        Parameters
+        ----------
+        count, seed : int
+            How many, and of the random numbers.
+        recording : Recording
+        messages : sequence of Message
+            Of all windows of the first pass.
+        """
+        if not count:
+            return self
+        plan = DrawPlan(
+            count=count,
+            seed=seed,
+            arm=f"{recording.side}/{recording.body}",
+            every=samples_apart(recording.imu.t_s),
+            shared=pooled_shared(messages, self.prior).covariance,
+            considered=self.model.errors.considered,
+        )
+        return replace(self, plan=plan)
 
     def windows(
         self, prepared: PreparedSegment, borders: list[float], priors: Sequence[Priors]

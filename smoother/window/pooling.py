@@ -94,6 +94,25 @@ def pooled(messages: Sequence[Message], prior: Priors) -> Gaussian:
     return (start + widened.sum()).gaussian()
 
 
+def pooled_shared(messages: Sequence[Message], prior: Priors) -> Gaussian:
+    """The whole shared vector from all windows and the prior together, as if biases were constant.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        The windows' answers, in any order.
+    prior : Priors
+        The windows' prior, the same for all of them.
+
+    Returns
+    -------
+    shared : Gaussian
+        Of all rows; what differs between windows widens it.
+    """
+    start, widened, _ = _accumulated([message.shared for message in messages], prior.shared)
+    return (start + widened.sum()).gaussian()
+
+
 def _marginal(gaussian: Gaussian, rows: slice) -> Gaussian:
     return Gaussian(gaussian.mean[rows], gaussian.covariance[rows, rows])
 

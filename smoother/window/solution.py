@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ..recording import BoolArray, FloatArray
 from .constant_errors import ErrorEvidence
+from .drawn_window import WindowDraws
 from .problem import States
 from .shared import Gaussian
 
@@ -84,6 +85,8 @@ class Solution:
         On errors that are constant over the recording; None where not asked for.
     upper : UpperSolution or None
         None where the recording has no upper-arm IMU.
+    draws : WindowDraws or None
+        Drawn from the posterior; None where not asked for.
     """
 
     index: int
@@ -101,3 +104,4 @@ class Solution:
     accepted: bool = True
     evidence: ErrorEvidence | None = None
     upper: UpperSolution | None = None
+    draws: WindowDraws | None = None

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
-from ..recording import FloatArray
+from ..recording import FloatArray, IntArray
 from .problem import States, Window
 from .solution import Solution
 
@@ -89,12 +89,7 @@ def merge_windows(t: FloatArray, windows: list[Window], solutions: list[Solution
     levers = {joint: np.zeros((n, 3)) for joint in windows[0].priors.layout.joints}
     filled = np.zeros(n, dtype=bool)
     for window, solution in zip(windows, solutions, strict=True):
-        offset = int(np.searchsorted(t, window.t[0] - 1e-9))
-        own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == n)
-        rows = offset + own
-        # share of this window against the one before
-        share = share_after(window.t[own], window.core_start_s)
-        share[~filled[rows]] = 1.0
+        own, rows, share = window_share(t, window, filled)
         turn = turn_to(R[rows], solution.states.R[own], filled[rows])
         base = np.where(filled[rows, None, None], R[rows], solution.states.R[own])
         R[rows] = base @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
@@ -154,6 +149,32 @@ def _merge_upper(t: FloatArray, windows: list[Window], solutions: list[Solution]
     if len(own) < len(solutions):
         return None
     return merge_windows(t, [replace(window, shoulder=None) for window in windows], own)
+
+
+def window_share(t: FloatArray, window: Window, filled: np.ndarray) -> tuple[IntArray, IntArray, FloatArray]:
+    """What a window counts for in its section.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        The section's nodes.
+    window : Window
+    filled : ndarray of bool, shape (n,)
+        Nodes that windows before it have answered for.
+
+    Returns
+    -------
+    own, rows : ndarray of int, shape (k,)
+        The nodes that it answers for, counted in the window and in the section.
+    share : ndarray, shape (k,)
+        Its share there against the window before.
+    """
+    offset = int(np.searchsorted(t, window.t[0] - 1e-9))
+    own = _own_nodes(window, first=offset == 0, last=offset + len(window.t) == len(t))
+    rows = offset + own
+    share = share_after(window.t[own], window.core_start_s)
+    share[~filled[rows]] = 1.0
+    return own, rows, share
 
 
 def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:

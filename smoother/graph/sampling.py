@@ -1,0 +1,192 @@
+"""Motions drawn from a window's posterior: `GaussianBayesNet.sample` for the chain with a border.
+
+`LinearSystem` holds the factorisation that GTSAM's Bayes net is: each group of nodes given the next one and
+the border. The border is drawn first, then the groups from the last to the first (back substitution). The
+order of elimination is that of the nodes' times, and the random numbers are the nodes' own, so that
+neighbouring windows draw the same motion where they overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
+from scipy.linalg import solve_triangular
+
+from ..recording import FloatArray, IntArray
+from ..window.draw_plan import DrawPlan, root_of
+from ..window.drawn_window import WindowDraws
+from ..window.problem import Window
+from .error_columns import node_of_variables
+from .linear_system import DIMENSION, LinearSystem
+from .shared_prior import shared_jacobian, shared_keys
+
+#: Variables of a node in the order of their random numbers, by the letter of their keys.
+_LETTERS = "xvsywe"
+_FIRST = dict(
+    zip(_LETTERS, np.cumsum([0, *(DIMENSION[letter] for letter in _LETTERS)])[:-1].tolist(), strict=True)
+)
+_WIDTH = sum(DIMENSION[letter] for letter in _LETTERS)
+#: Random numbers of the biases belong to slices of time so long, s, as windows cut them differently.
+_SLICE_S = 0.5
+
+
+def sample_window(
+    system: LinearSystem,
+    values: gtsam.Values,
+    window: Window,
+    biases: IntArray,
+    plan: DrawPlan,
+    shared_sensitivity: FloatArray | None,
+    lost: FloatArray,
+) -> WindowDraws:
+    """Draw motions with the covariance that the window states (GTSAM: `GaussianBayesNet.sample`).
+
+    Parameters
+    ----------
+    system : LinearSystem
+        At the solution.
+    values : gtsam.Values
+        The solution.
+    window : Window
+    biases : ndarray of int, shape (n - 1,)
+        From `bias_of_intervals`.
+    plan : DrawPlan
+    shared_sensitivity : ndarray, shape (b, e), or None
+        How the border follows considered errors; None without any.
+    lost : ndarray, shape (3, 3), rad^2
+        Covariance of the attitude, in {K}, that the solver's priors lack.
+
+    Returns
+    -------
+    draws : WindowDraws
+    """
+    nodes = node_of_variables(window)
+    # 1. What all windows share, drawn once, and the biases given that.
+    border = _border(system, values, window, biases, plan)
+    # 2. The chain, node by node from the last.
+    errors = _chain(system, nodes, window.t, border, plan)
+    # 3. Errors that are constant over the recording.
+    if shared_sensitivity is not None and plan.constant_errors is not None:
+        _add_constant(errors, system, shared_sensitivity, plan.constant_errors)
+
+    width = errors.shape[1]
+
+    def of(keys: list[int]) -> FloatArray:
+        columns = np.concatenate([np.arange(width)[system.columns(key)] for key in keys])
+        return errors[:, columns].reshape(plan.count, len(keys), -1)
+
+    # 4. From GTSAM's (rotation, translation) in the body's axes to the camera's.
+    count = range(len(window.t))
+    R = np.array([values.atPose3(X(i)).rotation().matrix() for i in count])
+    body = of([X(i) for i in count])
+    rotation = np.einsum("nij,knj->kni", R, body[:, :, :3])
+    rotation += (plan.once("attitude", 3) @ root_of(lost))[:, None]
+    shoulder = None
+    if window.shoulder is not None:
+        shoulder = of([S(k) for k in range(len(window.shoulder.node))])
+    return WindowDraws(
+        position=np.einsum("nij,knj->kni", R, body[:, :, 3:]),
+        rotation=rotation,
+        velocity=of([V(i) for i in count]),
+        shoulder=shoulder,
+        upper_rotation=_upper(values, window, plan, of) if window.priors.layout.has_upper_imu else None,
+    )
+
+
+def _upper(
+    values: gtsam.Values, window: Window, plan: DrawPlan, of: Callable[[list[int]], FloatArray]
+) -> FloatArray:
+    """Rotation errors of the upper-arm IMU at all nodes; nan where it has no samples."""
+    rotation = np.full((plan.count, len(window.t), 3), np.nan)
+    for run in window.upper:
+        rows = range(run.first, run.first + len(run.start.p))
+        R = np.array([values.atPose3(Y(i)).rotation().matrix() for i in rows])
+        rotation[:, rows] = np.einsum("nij,knj->kni", R, of([Y(i) for i in rows])[:, :, :3])
+    return rotation
+
+
+def _border(
+    system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray, plan: DrawPlan
+) -> FloatArray:
+    """Errors (count, b) of the border's variables: the shared vector, then the other biases given it."""
+    keys = shared_keys(window, biases)
+    jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
+    covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
+    size = system.extras.start
+    border = np.zeros((plan.count, size))
+    known = system.border_rows(keys)
+    border[:, known] = plan.shared_errors(covariance) @ np.linalg.inv(jacobian).T
+    others = np.setdiff1d(np.arange(size), known)  # biases, in the order of time
+    if len(others):
+        own = system.information[np.ix_(others, others)]
+        scale = 1.0 / np.sqrt(np.diag(own))
+        factor = np.linalg.cholesky(own * scale * scale[:, None])
+        pull = solve_triangular(
+            factor, scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T, lower=True
+        )
+        normals = _bias_normals(system, window, biases, plan)[:, others].T
+        border[:, others] = (scale[:, None] * solve_triangular(factor, normals - pull, lower=True, trans="T")).T
+    return border
+
+
+def _bias_normals(
+    system: LinearSystem, window: Window, biases: IntArray, plan: DrawPlan
+) -> FloatArray:
+    """Standard normals (count, b) of the border's rows that are biases; zero of the others.
+
+    A bias covers some seconds; its numbers are sums over slices of that time.
+    """
+    normals = np.zeros((plan.count, system.extras.start))
+    start, end, count = window.t[0], window.t[-1], int(biases[-1]) + 1
+    edges = np.linspace(start, end, count + 1)
+    first = np.ceil(edges / _SLICE_S - 0.5).astype(int)
+    for letter, at in ((B, 0), (C, 6)) if window.priors.layout.has_upper_imu else ((B, 0),):
+        for k in range(count):
+            slices = (np.arange(first[k], max(first[k + 1], first[k] + 1)) + 0.5) * _SLICE_S
+            of_slices = plan.at_times("bias", slices, 12)[:, :, at : at + 6]
+            rows = system.border_rows([letter(k)])
+            normals[:, rows] = of_slices.sum(axis=1) / np.sqrt(len(slices))
+    return normals
+
+
+def _chain(
+    system: LinearSystem, nodes: dict[int, int], t: FloatArray, border: FloatArray, plan: DrawPlan
+) -> FloatArray:
+    """Errors (count, columns) of all variables in time, given the border's; zero of the border."""
+    width = system.jacobian.shape[1]
+    normals = plan.at_times("node", t, _WIDTH)
+    # the node of each column, and which of the node's random numbers it has
+    place = np.full((width, 2), -1)
+    for key, node in nodes.items():
+        letter = chr(gtsam.Symbol(key).chr())
+        place[system.columns(key), 0] = node
+        place[system.columns(key), 1] = _FIRST[letter] + np.arange(DIMENSION[letter])
+    errors = np.zeros((plan.count, width))
+    after = np.zeros((0, plan.count))
+    for group in system.conditionals():
+        node, number = place[group.columns].T
+        order = np.lexsort((number, node))  # by time, however nodes are grouped
+        lower = np.tril(group.factor)
+        information = (lower @ lower.T)[np.ix_(order, order)]
+        own = normals[:, node[order], number[order]].T
+        drawn = np.empty_like(own)
+        drawn[order] = solve_triangular(np.linalg.cholesky(information), own, lower=True, trans="T")
+        if group.gain is not None:
+            drawn -= group.gain @ after
+        after = drawn
+        follows = group.follows[:, : border.shape[1]] @ border.T
+        errors[:, group.columns] = (group.scale[:, None] * drawn - follows).T
+    return errors
+
+
+def _add_constant(
+    errors: FloatArray, system: LinearSystem, shared: FloatArray, constant: FloatArray
+) -> None:
+    """What considered errors (count, e) add, in place."""
+    borders = len(shared)
+    for group in system.conditionals():
+        sensitivity = -group.follows[:, borders:] - group.follows[:, :borders] @ shared
+        errors[:, group.columns] += constant @ sensitivity.T

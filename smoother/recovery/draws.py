@@ -1,0 +1,156 @@
+"""Drawn motions at the samples of a section, with all that widens the answer's covariance there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..linalg import interpolate
+from ..measurements.alignment import lever_of
+from ..recording import FloatArray, IntArray
+from ..selfcal.rounds import SelfCalibration
+from ..window.draw_plan import DrawPlan
+from ..window.drawn_window import WindowDraws
+from ..window.trajectory import Trajectory
+from .samples import LINEAR_RAD, UNKNOWN_LEVER_M, UNKNOWN_RAD, SectionAnswer, wide_turns
+
+#: Names of the columns of joints begin so.
+JOINT = "joint_"
+
+
+@dataclass(frozen=True)
+class SectionDraws:
+    """Motions drawn at some of a section's samples.
+
+    Attributes
+    ----------
+    samples : ndarray of int, shape (m,)
+        Which of the section's samples.
+    columns : dict of str to ndarray of float32, shape (m, k, 3)
+        Deviations from the answer by name, `joint_` before a joint's; see `result.Draws`.
+    """
+
+    samples: IntArray
+    columns: dict[str, FloatArray]
+
+
+def sample_draws(
+    answer: SectionAnswer,
+    imu_t: FloatArray,
+    drawn: WindowDraws,
+    trajectory: Trajectory,
+    model: SelfCalibration,
+    plan: DrawPlan,
+) -> SectionDraws:
+    """A section's drawn motions at its samples.
+
+    Each step of `sample_section` that widens the covariance moves the draws by as much: by a factor, or by an
+    error that is drawn once for the recording.
+
+    Parameters
+    ----------
+    answer : SectionAnswer
+        At the same samples.
+    imu_t : ndarray, shape (n,), s
+        Their stamps.
+    drawn : WindowDraws
+        At the nodes.
+    trajectory : Trajectory
+        Of the second pass.
+    model : SelfCalibration
+        As all sections have it.
+    plan : DrawPlan
+
+    Returns
+    -------
+    draws : SectionDraws
+    """
+    first = -answer.samples.start % plan.every
+    samples = np.arange(first, len(imu_t), plan.every)
+    t, nodes = imu_t[samples], trajectory.t
+    R = Rotation.from_quat(answer.quaternion[samples], scalar_first=True).as_matrix()
+    v = answer.velocity[samples]
+    # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
+    p = _hermite(nodes, drawn.position, drawn.velocity, t)
+    r = _curve(nodes, drawn.rotation, t)
+    # 2. Angles that are hardly known, widened as the covariance is, and positions by what depends on them.
+    p, r = _widened(p, r, interpolate(nodes, trajectory.pose_covariance, t))
+    # 3. A clock that is off by a moment moves the whole path along itself.
+    p = p + model.clock.local_sigma_s * plan.once("clock", 1)[:, :, None] * v
+    # 4. Joints follow the pose; their lever arms have errors of their own.
+    columns = {"position": p, "rotation": r}
+    for joint in answer.joints:
+        if joint == "shoulder":
+            if drawn.shoulder is not None:
+                columns[JOINT + joint] = _linear(nodes, drawn.shoulder, t)
+        elif lever_of(model.estimate, joint) is not None:
+            arm = np.einsum("nij,nj->ni", R, trajectory.lever_at(joint, t))
+            columns[JOINT + joint] = p + np.cross(r, arm)
+            if (lever := model.estimate.lever_arms.get(joint)) is not None:
+                error = plan.once(f"lever {joint}", 3) * lever.sigma_m
+                columns[JOINT + joint] += np.einsum("nij,kj->kni", R, error)
+    # 5. A sensor whose mounting the motion did not show.
+    if model.mounting_unknown:
+        columns["position"] = p + np.einsum("nij,kj->kni", R, UNKNOWN_LEVER_M * plan.once("mounting", 3))
+        columns["rotation"] = r + np.einsum("nij,kj->kni", R, UNKNOWN_RAD * plan.once("mounting turn", 3))
+    if drawn.upper_rotation is not None and trajectory.upper is not None:
+        columns["upper_rotation"] = _upper(drawn.upper_rotation, trajectory.upper, t)
+    return SectionDraws(
+        samples,
+        {name: np.moveaxis(values, 0, 1).astype(np.float32) for name, values in columns.items()},
+    )
+
+
+def _upper(rotation: FloatArray, upper: Trajectory, t: FloatArray) -> FloatArray:
+    """Turns (k, m, 3) of the upper-arm IMU; nan where it has no samples."""
+    at_samples = _linear(upper.t, rotation, t)
+    covariance = interpolate(upper.t, upper.pose_covariance, t)
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    at_samples[:, ~known] = np.nan
+    if known.any():
+        nothing = np.zeros_like(at_samples[:, known])
+        at_samples[:, known] = _widened(nothing, at_samples[:, known], covariance[known])[1]
+    return at_samples
+
+
+def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions and turns (k, m, 3) with the covariance that `widen_turns` makes of theirs.
+
+    It takes a variance v to v (1 + v / LINEAR_RAD^2)^2, so the turn about that axis grows by the factor in
+    brackets, and the position by what follows from that.
+    """
+    wide = wide_turns(pose_covariance)
+    if wide is None:
+        return p, r
+    grows = wide.axes @ ((wide.variance / LINEAR_RAD**2)[:, :, None] * np.swapaxes(wide.axes, 1, 2))
+    more = np.einsum("mij,kmj->kmi", grows, r[:, wide.rows])
+    p, r = p.copy(), r.copy()
+    r[:, wide.rows] += more
+    p[:, wide.rows] += np.einsum("mij,kmj->kmi", wide.position_follows, more)
+    return p, r
+
+
+def _hermite(nodes: FloatArray, p: FloatArray, v: FloatArray, t: FloatArray) -> FloatArray:
+    """Cubics through values and slopes (k, n, 3) at times (m,)."""
+    left = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
+    h = np.diff(nodes)[left][:, None]
+    u = ((t - nodes[left])[:, None] / h).clip(0.0, 1.0)
+    rises = u * u * (3.0 - 2.0 * u)
+    start, end = u * (1.0 - u) ** 2 * h, u * u * (u - 1.0) * h
+    return np.asarray(
+        (1.0 - rises) * p[:, left] + rises * p[:, left + 1] + start * v[:, left] + end * v[:, left + 1]
+    )
+
+
+def _curve(nodes: FloatArray, r: FloatArray, t: FloatArray) -> FloatArray:
+    """A smooth curve through values (k, n, 3) at times (m,)."""
+    from scipy.interpolate import CubicSpline  # only where motions are drawn
+
+    inside = np.clip(t, nodes[0], nodes[-1])
+    return np.asarray(CubicSpline(nodes, r, axis=1, bc_type="natural")(inside))
+
+
+def _linear(nodes: FloatArray, values: FloatArray, t: FloatArray) -> FloatArray:
+    return np.moveaxis(interpolate(nodes, np.moveaxis(values, 1, 0), t), 0, 1)

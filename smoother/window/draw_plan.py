@@ -1,0 +1,117 @@
+"""Random numbers of the motions that are drawn: whose they are decides them, not where or when.
+
+A number belongs to a draw, to a node's time, or to a quantity that the whole recording shares. So windows
+that overlap draw the same motion where they do, and the draws do not depend on the number of processes.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..recording import FloatArray
+from ..runtime.column import sampled
+from .constant_errors import Considered
+
+#: Times are told apart to this, s.
+_TICK_S = 1e-6
+#: Drawn motions have a position at least so often, s.
+DRAWN_S = 0.04
+
+
+@dataclass(frozen=True)
+class DrawPlan:
+    """What all windows have to know of the motions that are drawn.
+
+    Attributes
+    ----------
+    count : int
+        Motions.
+    seed : int
+        As it was asked for.
+    arm : str
+        Side and person: each arm has its own random numbers.
+    every : int
+        Each so-many-th sample of the recording's IMU has a drawn position.
+    shared : ndarray, shape (s, s)
+        Covariance of the shared vector by all windows together (`pooling.pooled_shared`).
+    considered : Considered or None
+        Errors that are constant over the recording.
+    """
+
+    count: int
+    seed: int
+    arm: str
+    every: int
+    shared: FloatArray
+    considered: Considered | None = None
+
+    def once(self, name: str, width: int) -> FloatArray:
+        """Standard normals (count, width) of something that the whole recording has once."""
+        return self._normals(self._stream(name), 0, width)
+
+    def at_times(self, name: str, t: FloatArray, width: int) -> FloatArray:
+        """Standard normals (count, k, width) of times (k,), the same wherever the time is met again."""
+        stream = self._stream(name)
+        ticks = np.rint(t / _TICK_S).astype(np.int64) + (1 << 60)
+        return np.stack([self._normals(stream, int(tick), width) for tick in ticks], axis=1)
+
+    def shared_errors(self, covariance: FloatArray) -> FloatArray:
+        """Errors (count, s) of the shared vector, drawn once, as a window with this covariance has them.
+
+        One draw is taken from what all windows say together. A window's own posterior differs a little from
+        that, so its errors are the nearest ones with its covariance: the optimal transport between two
+        Gaussians (Olkin and Pukelsheim, Linear Algebra Appl. 1982).
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (s, s)
+            That the window states.
+
+        Returns
+        -------
+        errors : ndarray, shape (count, s)
+        """
+        scale, root, inverse_root = self._reference
+        middle = root_of(root @ (covariance / scale / scale[:, None]) @ root)
+        return np.asarray(self.once("shared", len(scale)) @ middle @ inverse_root * scale)
+
+    @cached_property
+    def _reference(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Standard deviations of the pooled covariance, root of its correlation, and that root's inverse."""
+        scale = np.sqrt(np.diag(self.shared))
+        root = root_of(self.shared / scale / scale[:, None])
+        return scale, root, np.linalg.inv(root)
+
+    @cached_property
+    def constant_errors(self) -> FloatArray | None:
+        """Considered errors (count, SIZE), drawn once; None without any."""
+        if self.considered is None:
+            return None
+        root = root_of(self.considered.covariance)
+        return np.asarray(self.once("considered", len(root)) @ root)
+
+    def _stream(self, name: str) -> int:
+        """Number of a stream of random numbers, by seed, arm and name."""
+        words = [self.seed, zlib.crc32(self.arm.encode()), zlib.crc32(name.encode())]
+        return int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0])
+
+    def _normals(self, stream: int, number: int, width: int) -> FloatArray:
+        # row after row: the first draws are the same however many there are
+        key = np.array([stream, number], np.uint64)
+        return np.random.Generator(np.random.Philox(key=key)).standard_normal((self.count, width))
+
+
+def samples_apart(t: FloatArray) -> int:
+    """Each so-many-th of the samples at times (n,) has a drawn position: `DRAWN_S` apart or closer."""
+    step_s = float(np.median(np.diff(sampled(t)))) if len(t) > 1 else DRAWN_S
+    return max(int(DRAWN_S / step_s + 1e-6), 1)
+
+
+def root_of(covariance: FloatArray) -> FloatArray:
+    """Symmetric square roots (..., k, k) of covariances, which may be singular."""
+    variance, axes = np.linalg.eigh(covariance)
+    return np.asarray((axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]) @ np.swapaxes(axes, -1, -2))
