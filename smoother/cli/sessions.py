@@ -122,7 +122,7 @@ def _print(progress: PersonProgress) -> None:
     """Print a person's table, and what takes no part."""
     say(f"--- {progress.person}: {len(progress.sessions)} sessions ({', '.join(progress.sessions)}) ---")
     if len(progress.sessions) > 1:
-        columns = ("measure", "arm", "first", "last", "change", "95 % interval", "", "recovered")
+        columns = ("measure", "first", "last", "change", "95 % interval", "", "recovered")
         print_table(
             f"Last session ({progress.sessions[-1]}) against the first ({progress.sessions[0]})",
             columns,
@@ -135,15 +135,14 @@ def _print(progress: PersonProgress) -> None:
 
 
 def _cells(series: Series) -> tuple[str, ...]:
-    from ..evaluation.quantity import interval, quantity
+    from ..evaluation.quantity import interval, quantity, worded
 
     change, unit = series.change, series.unit
     assert change is not None
     return (
-        f"{series.name}{f' ({series.task})' if series.task else ''}",
-        series.side or "-",
-        quantity(change.first.value, unit),
-        quantity(change.last.value, unit),
+        ", ".join(filter(None, (series.name, series.side, series.task))),
+        worded(series.key, change.first.value, unit),
+        worded(series.key, change.last.value, unit),
         quantity(change.difference, unit, signed=True),
         interval(change.low, change.high, unit, signed=True) or "-",
         change.word,

@@ -12,7 +12,9 @@ from ..measures import Measures
 from ..recording import Truth
 from ..result import Recovery
 from .detectable import PairAgreement, pair_agreement
-from .measure_pairs import MeasurePair, is_measurable, pairs_of, same_movements, same_samples
+from .main_measures import is_main
+from .measure_pairs import MeasurePair, is_measurable, pairs_of, same_movements, same_samples, unique_pairs
+from .quantity import interval, quantity
 
 
 @dataclass(frozen=True)
@@ -67,10 +69,15 @@ class MeasureComparison:
     notes: tuple[str, ...] = ()
 
     @property
+    def together(self) -> list[MeasurePair]:
+        """All pairs, the pooled ones first."""
+        return unique_pairs((*self.pooled, *self.pairs))
+
+    @property
     def agreements(self) -> tuple[KeyAgreement, ...]:
         """Figures by scope and measure, over these pairs and the pooled ones."""
         groups: dict[tuple[str, str], list[MeasurePair]] = {}
-        for pair in (*self.pooled, *self.pairs):
+        for pair in self.together:
             groups.setdefault((pair.scope, pair.key), []).append(pair)
         order = {"session": 0, "movement": 1, "repetition": 2}
         return tuple(_agreement(groups[each]) for each in sorted(groups, key=lambda each: order[each[0]]))
@@ -82,7 +89,7 @@ class MeasureComparison:
             agreements.setdefault(each.scope, {})[each.key] = each.to_dict()
         return {
             "agreement": agreements,
-            "pairs": [pair.to_dict() for pair in (*self.pooled, *self.pairs)],
+            "pairs": [pair.to_dict() for pair in self.together],
             "notes": list(self.notes),
         }
 
@@ -154,3 +161,57 @@ def _agreement(pairs: Sequence[MeasurePair]) -> KeyAgreement:
             np.array([pair.value for pair in pairs]), np.array([pair.reference for pair in pairs])
         ),
     )
+
+
+def pair_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Columns and rows of a table of the session's main measures."""
+    rows = [
+        (
+            pair.name,
+            quantity(pair.value, pair.unit),
+            interval(pair.low, pair.high, pair.unit) or "-",
+            quantity(pair.reference, pair.unit),
+            quantity(pair.difference, pair.unit, signed=True),
+            {None: "-", True: "yes", False: "no"}[pair.inside],
+            f"{100 * pair.recovered_share:.0f} %" if np.isfinite(pair.recovered_share) else "-",
+        )
+        for pair in comparison.pairs
+        if pair.scope == "session" and is_main(pair.key)
+    ]
+    return (
+        "measure",
+        "answer",
+        "95 % interval",
+        "truth",
+        "difference",
+        "inside",
+        "recovered",
+    ), rows
+
+
+def agreement_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Columns and rows of a table of agreement: the main measures with three pairs or more."""
+    rows = [
+        (
+            one.name,
+            one.scope,
+            f"{found.pairs} of {one.recordings}",
+            quantity(found.bias or 0.0, one.unit, signed=True),
+            interval(found.limits_low, found.limits_high or 0.0, one.unit, signed=True),
+            "-" if found.icc is None else f"{found.icc:.3f} ({found.icc_low:.3f} to {found.icc_high:.3f})",
+            quantity(found.mdc95 or 0.0, one.unit),
+            f"{one.inside} of {one.intervals}" if one.intervals else "-",
+        )
+        for one in comparison.agreements
+        if is_main(one.key) and (found := one.agreement).limits_low is not None
+    ]
+    return (
+        "measure",
+        "of",
+        "pairs of arms",
+        "bias",
+        "limits of agreement",
+        "ICC(2,1), 95 % interval",
+        "MDC95",
+        "inside",
+    ), rows

@@ -51,10 +51,12 @@ def read_detectable(path: Path) -> dict[str, float]:
     if path.suffix.lower() == ".toml":
         return _detectable_of_user(path)
     found: dict[str, float] = {}
+    pairs: dict[str, int] = {}
     for arm in _figures(path):
         for key, figures in arm.get("measures", {}).get("agreement", {}).get("session", {}).items():
-            if isinstance(value := figures.get("mdc95"), int | float):
-                found[key] = max(float(value), found.get(key, 0.0))
+            value, count = figures.get("mdc95"), figures.get("pairs", 0)
+            if isinstance(value, int | float) and value > 0 and count > pairs.get(key, 0):
+                found[key], pairs[key] = float(value), count
     if not found:
         raise UnoccludeError(
             f"{path} holds no minimal detectable change of a session; it takes three recordings with motion"

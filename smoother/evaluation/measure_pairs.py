@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -65,9 +65,20 @@ class MeasurePair:
             return None
         return self.low <= self.reference <= self.high
 
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """The same for a pair that was written and read again."""
+        numbers = (f"{self.value:.9g}", f"{self.reference:.9g}")
+        return (self.recording, self.side, self.scope, self.movement, self.key, *numbers)
+
     def to_dict(self) -> dict[str, object]:
         """Plain values by name, as `--json` writes them."""
         return asdict(self) | {"difference": self.difference, "inside": self.inside}
+
+
+def unique_pairs(pairs: Iterable[MeasurePair]) -> list[MeasurePair]:
+    """The pairs without those that come again: files that were pooled hold what was pooled before."""
+    return list({pair.identity: pair for pair in pairs}.values())
 
 
 def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recovery]:
@@ -93,7 +104,7 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
         for name, place in reference.joints.items()
         if name in recovery.joints and np.isfinite(place).any()
     }
-    known = {name: np.isfinite(place).all(axis=1) for name, place in joints.items()}
+    known = {name: np.isfinite(place).all(axis=1, keepdims=True) for name, place in joints.items()}
     quaternion = np.where(score, reference.quaternion, np.nan)
     motion = replace(
         recovery,
@@ -108,7 +119,7 @@ def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recove
     )
     answer = replace(
         recovery,
-        joints={name: np.where(known[name][:, None], recovery.joints[name], np.nan) for name in joints},
+        joints={name: np.where(known[name], recovery.joints[name], np.nan) for name in joints},
         joint_covariance={name: each for name, each in recovery.joint_covariance.items() if name in joints},
     )
     return answer, motion

@@ -125,16 +125,18 @@ def _border(
         scale = 1.0 / np.sqrt(np.diag(own))
         factor = np.linalg.cholesky(own * scale * scale[:, None])
         pull = solve_triangular(
-            factor, scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T, lower=True
+            factor,
+            scale[:, None] * system.information[np.ix_(others, known)] @ border[:, known].T,
+            lower=True,
         )
         normals = _bias_normals(system, window, biases, plan)[:, others].T
-        border[:, others] = (scale[:, None] * solve_triangular(factor, normals - pull, lower=True, trans="T")).T
+        border[:, others] = (
+            scale[:, None] * solve_triangular(factor, normals - pull, lower=True, trans="T")
+        ).T
     return border
 
 
-def _bias_normals(
-    system: LinearSystem, window: Window, biases: IntArray, plan: DrawPlan
-) -> FloatArray:
+def _bias_normals(system: LinearSystem, window: Window, biases: IntArray, plan: DrawPlan) -> FloatArray:
     """Standard normals (count, b) of the border's rows that are biases; zero of the others.
 
     A bias covers some seconds; its numbers are sums over slices of that time.
@@ -182,9 +184,7 @@ def _chain(
     return errors
 
 
-def _add_constant(
-    errors: FloatArray, system: LinearSystem, shared: FloatArray, constant: FloatArray
-) -> None:
+def _add_constant(errors: FloatArray, system: LinearSystem, shared: FloatArray, constant: FloatArray) -> None:
     """What considered errors (count, e) add, in place."""
     borders = len(shared)
     for group in system.conditionals():

@@ -15,7 +15,7 @@ from .sheet import headed
 #: Left and right of the marks stay so much of the width, %.
 _EDGE = 4.0
 #: Heights, pixels.
-_ROW, _SESSIONS, _BARS = 46, 128, 96
+_ROW, _SESSIONS, _BARS = 42, 116, 92
 #: More marks than this show no numbers, and more names do not fit below.
 _MOST_NUMBERS, _MOST_NAMES = 12, 24
 
@@ -110,12 +110,16 @@ def strips(rows: Sequence[Strip], low: float, high: float, ticks: Iterable[float
     for number, row in enumerate(rows):
         top = _ROW * number
         parts.append(f'<text x="0" y="{top + 14}">{escape(row.name)}</text>')
-        parts.append(f'<text class="value" x="100%" y="{top + 14}" text-anchor="end">{escape(row.text)}</text>')
+        parts.append(
+            f'<text class="value" x="100%" y="{top + 14}" text-anchor="end">{escape(row.text)}</text>'
+        )
         if not math.isfinite(row.start.value) or not math.isfinite(row.end.value):
             continue
         y = top + 29
         width = f"calc({x(row.end.value)} - {x(row.start.value)})"
-        parts.append(f'<rect class="bar" x="{x(row.start.value)}" y="{y - 5}" height="10" style="width:{width}"/>')
+        parts.append(
+            f'<rect class="bar" x="{x(row.start.value)}" y="{y - 5}" height="10" style="width:{width}"/>'
+        )
         parts += [_whisker_across(x(m.low), x(m.high), y) for m in (row.start, row.end) if _has(m)]
     return _svg("".join(parts), height, ", ".join(f"{row.name}: {row.text}" for row in rows))
 
@@ -209,9 +213,8 @@ def _svg(inside: str, height: int, words: str) -> str:
 
 
 def _whisker_across(low: str, high: str, y: float) -> str:
-    return (
-        f'<line class="whisker" x1="{low}" x2="{high}" y1="{y}" y2="{y}"/>'
-        + "".join(f'<line class="whisker" x1="{x}" x2="{x}" y1="{y - 6}" y2="{y + 6}"/>' for x in (low, high))
+    return f'<line class="whisker" x1="{low}" x2="{high}" y1="{y}" y2="{y}"/>' + "".join(
+        f'<line class="whisker" x1="{x}" x2="{x}" y1="{y - 6}" y2="{y + 6}"/>' for x in (low, high)
     )
 
 
