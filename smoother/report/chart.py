@@ -15,9 +15,9 @@ from .sheet import headed
 #: Left and right of the marks stay so much of the width, %.
 _EDGE = 4.0
 #: Heights, pixels.
-_ROW, _SESSIONS, _BARS = 42, 116, 92
+_ROW, _NARROW_ROW, _SESSIONS, _BARS = 42, 34, 116, 92
 #: More marks than this show no numbers, and more names do not fit below.
-_MOST_NUMBERS, _MOST_NAMES = 12, 24
+_MOST_NUMBERS, _MOST_NAMES = 12, 12
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,8 @@ def strips(rows: Sequence[Strip], low: float, high: float, ticks: Iterable[float
         Behind these numbers.
     """
     ticks = list(ticks)
-    height = _ROW * len(rows) + 20
+    each = _ROW if len(rows) <= 3 else _NARROW_ROW
+    height = each * len(rows) + 20
 
     def x(value: float) -> str:
         return f"{_EDGE + (100 - 2 * _EDGE) * (np.clip(value, low, high) - low) / (high - low):.2f}%"
@@ -108,14 +109,14 @@ def strips(rows: Sequence[Strip], low: float, high: float, ticks: Iterable[float
         for tick in ticks
     ]
     for number, row in enumerate(rows):
-        top = _ROW * number
+        top = each * number
         parts.append(f'<text x="0" y="{top + 14}">{escape(row.name)}</text>')
         parts.append(
             f'<text class="value" x="100%" y="{top + 14}" text-anchor="end">{escape(row.text)}</text>'
         )
         if not math.isfinite(row.start.value) or not math.isfinite(row.end.value):
             continue
-        y = top + 29
+        y = top + 24
         width = f"calc({x(row.end.value)} - {x(row.start.value)})"
         parts.append(
             f'<rect class="bar" x="{x(row.start.value)}" y="{y - 5}" height="10" style="width:{width}"/>'
@@ -151,9 +152,15 @@ def sessions(marks: Sequence[Mark], *, reference: bool = True, words: str = "") 
             f' height="{max(y(first.low) - y(first.high), 1):.1f}"/>'
         )
     count = len(marks)
+    if count > _MOST_NUMBERS and known:
+        parts += [
+            f'<text class="tick" x="0" y="{y(mark.value) + 4:.1f}">{escape(mark.text)}</text>'
+            for mark in (min(known, key=lambda each: each.value), max(known, key=lambda each: each.value))
+        ]
     step = max(1, math.ceil(count / _MOST_NAMES))
+    left = 9.0 if count > _MOST_NUMBERS else 0.0  # room for the numbers
     for place, mark in enumerate(marks):
-        x = f"{100 * (place + 0.5) / count:.2f}%"
+        x = f"{left + (100 - left) * (place + 0.5) / count:.2f}%"
         if place % step == 0:
             name = _short(mark.name, 60 // count + 3)
             parts.append(
@@ -186,7 +193,7 @@ def bars(marks: Sequence[Mark], unit: str, words: str = "") -> str:
         return bottom - (bottom - 14.0) * max(value, 0.0) / high
 
     count, parts = len(marks), [f'<text class="tick" x="0" y="10">{high:.3g}{escape(unit)}</text>']
-    step = max(1, math.ceil(count / 10))
+    step = max(1, math.ceil(count / 6))
     for place, mark in enumerate(marks):
         left, middle = 100 * (place + 0.1) / count, 100 * (place + 0.5) / count
         if math.isfinite(mark.value):

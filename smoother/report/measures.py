@@ -9,14 +9,14 @@ from html import escape
 
 from ..evaluation.change import SessionValue, change_between
 from ..evaluation.main_measures import first_of, is_main
-from ..evaluation.quantity import interval, number, quantity
+from ..evaluation.quantity import interval, number, quantity, shown_unit
 from ..measures import Measure, Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .sheet import Html, bullets, headed, tabulated, write_sheet
 from .terms import NO_DIAGNOSIS, explained, terms_of
 
 #: Rows of the table, and sentences of the limits.
-MOST_ROWS, MOST_LIMITS = 10, 8
+MOST_ROWS, MOST_LIMITS = 10, 6
 #: Angles whose range is drawn, and those whose time is.
 RANGES = ("elbow_flexion", "shoulder_elevation", "pronation")
 TIMES = ("elbow_flexion", "shoulder_elevation")
@@ -94,14 +94,14 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
 
 
 def _sections(arms: Sequence[Measures]) -> Iterator[str]:
-    figures = [_ranges(arms), _reach(arms), _speed(arms), _smoothness(arms), _times(arms)]
+    figures = [_ranges(arms), _times(arms), _reach(arms), _speed(arms), _smoothness(arms)]
     yield from (figure for figure in figures if figure)
     yield _table(arms)
     yield _limits(arms)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered"]
     if _both(arms) is not None:
-        words += ["clear", "unknown"]
+        words += ["clear", "unclear", "unknown"]
     elif REACHED.keys() & set(keys):
         words += ["unknown"]
     yield explained("The words on this page", [*words, *terms_of(keys)])
@@ -133,8 +133,34 @@ def _ranges(arms: Sequence[Measures]) -> str:
     )
 
 
+def _times(arms: Sequence[Measures]) -> str:
+    """Figure 2: how long each angle was held."""
+    boxes = ""
+    for angle in TIMES:
+        for arm in arms:
+            zones = {
+                int(row.key.split("_zone_")[1].split("_")[0]): row
+                for row in arm.session
+                if row.key.startswith(f"{angle}_zone_") and row.is_known
+            }
+            if not zones:
+                continue
+            width = 10
+            starts = range(min(zones), max(zones) + 1, width)
+            marks = [
+                _mark(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
+                for start in starts
+            ]
+            name = zones[min(zones)].name.partition(",")[0]
+            title = f"<h3>{escape(_capital(name.partition(' ')[0]) + _of_arm(arm, arms))}</h3>"
+            boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
+    caption = "Percent of the time in each ten degrees of the angle."
+    drawing = f'<div class="charts narrow">{boxes}</div>'
+    return charted("How long each angle was held", caption, drawing) if boxes else ""
+
+
 def _reach(arms: Sequence[Measures]) -> str:
-    """Figure 2: what the hand reached, and the volume that it passed through."""
+    """Figure 3: what the hand reached, and the volume that it passed through."""
     rows = [
         [words, *(Html(_reached(arm, key)) for arm in arms)]
         for key, words in REACHED.items()
@@ -146,10 +172,7 @@ def _reach(arms: Sequence[Measures]) -> str:
         rows.append(["reach volume", *known])
     if not rows:
         return ""
-    caption = (
-        "Reached: the hand came into the zone at least once, in every one of the drawn motions. Behind it:"
-        " how near it came."
-    )
+    caption = "Reached: at least once, in every one of the drawn motions; behind it how near the hand came."
     columns = ["goal", *(arm.arm_label for arm in arms)]
     return tabulated("Where the hand came to", caption, columns, rows)
 
@@ -192,8 +215,8 @@ def _smoothness(arms: Sequence[Measures]) -> str:
 
 
 def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> str:
-    """Figures 3 and 4: a measure over the movements of each arm."""
-    boxes = ""
+    """Figures 4 and 5: a measure over the movements of each arm."""
+    boxes, most = "", 0
     for arm in arms:
         rows = [arm.of("movement", number).get(key) for number in range(len(arm.movements))]
         known = [row for row in rows if row is not None]
@@ -202,37 +225,12 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
         marks = [_mark(row, str(1 + (row.movement or 0))) for row in known[:MOST_MOVEMENTS]]
         session = arm.by_key.get(key)
         words = f"{session.name}, session: {_with_interval(session)}" if session else ""
-        more = len(known) - MOST_MOVEMENTS
-        below = f"<p>{more} movements more are not drawn.</p>" if more > 0 else ""
+        most = max(most, len(known))
         title = f"<h3>{escape(_capital(arm.arm_label))}</h3>" if len(arms) > 1 else ""
-        boxes += f"<div>{title}{sessions(marks, reference=False, words=words)}{below}</div>"
+        boxes += f"<div>{title}{sessions(marks, reference=False, words=words)}</div>"
+    if most > MOST_MOVEMENTS:
+        caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
     return charted(heading, caption, f'<div class="charts">{boxes}</div>') if boxes else ""
-
-
-def _times(arms: Sequence[Measures]) -> str:
-    """Figure 5: how long each angle was held."""
-    boxes = ""
-    for angle in TIMES:
-        for arm in arms:
-            zones = {
-                int(row.key.split("_zone_")[1].split("_")[0]): row
-                for row in arm.session
-                if row.key.startswith(f"{angle}_zone_") and row.is_known
-            }
-            if not zones:
-                continue
-            width = 10
-            starts = range(min(zones), max(zones) + 1, width)
-            marks = [
-                _mark(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
-                for start in starts
-            ]
-            name = zones[min(zones)].name.partition(",")[0]
-            title = f"<h3>{escape(_capital(name) + _of_arm(arm, arms))}</h3>"
-            boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
-    caption = "Percent of the time in each ten degrees of the angle."
-    drawing = f'<div class="charts">{boxes}</div>'
-    return charted("How long each angle was held", caption, drawing) if boxes else ""
 
 
 def _table(arms: Sequence[Measures]) -> str:
@@ -246,7 +244,7 @@ def _table(arms: Sequence[Measures]) -> str:
         for arm in arms:
             row = arm.by_key.get(key)
             cells.append("–" if row is None else _with_interval(row))
-        cells.append(" / ".join(_share(arm.by_key.get(key)) for arm in arms))
+        cells.append("\u00a0/\u00a0".join(_share(arm.by_key.get(key)) for arm in arms))
         if both is not None:
             cells.append(Html(badge(_compared(*both, key))))
         rows.append(cells)
@@ -317,14 +315,18 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _with_interval(row: Measure) -> str:
-    between = interval(row.low, row.high, row.unit) if row.has_interval else ""
-    return f"{quantity(row.value, row.unit)} ({between})" if between else quantity(row.value, row.unit)
+    if not row.has_interval:
+        return quantity(row.value, row.unit)
+    if row.unit.startswith("deg"):
+        return f"{quantity(row.value, row.unit)} ({interval(row.low, row.high, row.unit)})"
+    between = f"{number(row.low, row.unit)} to {number(row.high, row.unit)}"
+    return f"{number(row.value, row.unit)} ({between})\u00a0{shown_unit(row.unit)}".rstrip()
 
 
 def _share(row: Measure | None) -> str:
     if row is None or not math.isfinite(row.recovered_share):
         return "–"
-    return f"{100 * row.recovered_share:.0f} %"
+    return f"{100 * row.recovered_share:.0f}\u00a0%"
 
 
 def _mark(row: Measure, name: str = "") -> Mark:

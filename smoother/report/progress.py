@@ -16,7 +16,7 @@ from .sheet import Html, bullets, headed, tabulated, write_sheet
 from .terms import NO_DIAGNOSIS, explained, terms_of
 
 #: Figures of a page, rows of its table, and sentences of its limits.
-MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 8
+MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
 
 
 def write_progress_page(

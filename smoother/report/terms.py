@@ -29,7 +29,7 @@ TERMS = {
         " minimal detectable change where one is known. More is not always better.",
     ),
     "unclear": (
-        "no clear change",
+        "no clear change, no clear difference",
         "the recordings do not show a difference. There may be one that is smaller than the interval.",
     ),
     "unknown": (
@@ -69,7 +69,7 @@ def explained(heading: str, names: Iterable[str]) -> str:
     lines = "".join(
         f"<p><b>{escape(term)}</b>: {escape(words)}</p>" for term, words in (TERMS[name] for name in names)
     )
-    return f'<div class="together">{headed(heading)}<div class="terms">{lines}</div></div>'
+    return f'{headed(heading)}<div class="terms">{lines}</div>'
 
 
 def terms_of(keys: Iterable[str]) -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 from smoother.evaluation.agreement import icc_a1
 from smoother.evaluation.detectable import detectable_change, measurement_error, pair_agreement
 
-#: Bland and Altman, Lancet 1986, table 1: first readings, l/min, of a Wright and a mini Wright peak flow meter.
+#: Bland and Altman, Lancet 1986, table 1: first readings, l/min, of a Wright and a mini Wright meter.
 WRIGHT = np.array(
     [494, 395, 516, 434, 476, 557, 413, 442, 650, 433, 417, 656, 267, 478, 178, 423, 427], dtype=float
 )
