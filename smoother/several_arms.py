@@ -27,6 +27,7 @@ class ArmJob:
     calibration : ArmCalibration, optional
     config : Config
     clock : Clock, optional
+    draws, seed : int
         As `smooth` takes them.
     """
 
@@ -34,6 +35,8 @@ class ArmJob:
     calibration: ArmCalibration | None
     config: Config
     clock: Clock | None
+    draws: int = 0
+    seed: int = 0
 
 
 def smooth_arms(
@@ -44,6 +47,8 @@ def smooth_arms(
     store: Store | None = None,
     processes: int | None = None,
     clocks: Sequence[Clock | None] | None = None,
+    draws: int = 0,
+    seed: int = 0,
 ) -> Recoveries:
     """Recover several arms, each as `smooth` recovers it alone.
 
@@ -61,6 +66,8 @@ def smooth_arms(
         As `smooth` takes them.
     clocks : sequence of Clock or None, optional
         As measured, of the arms in the same order.
+    draws, seed : int
+        As `smooth` takes them; each arm's motions are drawn on their own.
 
     Returns
     -------
@@ -78,7 +85,9 @@ def smooth_arms(
     config = config or Config()
     none = [None] * len(recordings)
     given = zip(recordings, calibrations or none, clocks or none, strict=True)
-    jobs = [ArmJob(recording, calibration, config, clock) for recording, calibration, clock in given]
+    jobs = [
+        ArmJob(recording, calibration, config, clock, draws, seed) for recording, calibration, clock in given
+    ]
     count = config.windows.processes if processes is None else processes
     beside = min(count or os.cpu_count() or 1, len(jobs))
     if beside > 1 and max(len(recording.arm) for recording in recordings) <= WORTH_FRAMES:
@@ -120,7 +129,17 @@ def recover_arm(
 ) -> Recovery | UnoccludeError:
     """The recovery of an arm, or why there is none."""
     try:
-        return smooth(job.recording, job.calibration, job.config, progress, store, processes, job.clock)
+        return smooth(
+            job.recording,
+            job.calibration,
+            job.config,
+            progress,
+            store,
+            processes,
+            job.clock,
+            job.draws,
+            job.seed,
+        )
     except UnoccludeError as error:
         return error
 

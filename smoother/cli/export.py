@@ -61,6 +61,10 @@ def export(
             show_default=False,
         ),
     ] = None,
+    draws: Annotated[
+        bool,
+        typer.Option("--draws", help="For parquet: the motions that `smooth --draws` drew, row after row."),
+    ] = False,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -75,6 +79,8 @@ def export(
     arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
     """
     _check(format_name, frame, rate, origin)
+    if draws and format_name != "parquet":
+        raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
     _check_ending(output, format_name)
     recoveries = load_recoveries(result, one_side(side), body)
     together = format_name == "rrd"
@@ -84,7 +90,7 @@ def export(
     exports = (
         [prepared_rrd(result, recoveries)]
         if together
-        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera")
+        else _prepared(result, recoveries, format_name, frame, rate, origin or "camera", draws)
     )
     figures = []
     shown = recoveries[:1] if together else recoveries  # of one file for all what is the same in all
@@ -163,6 +169,7 @@ def _prepared(
     frame: str | None,
     rate: float | None,
     origin: str,
+    draws: bool,
 ) -> list[Export]:
     import numpy as np
 
@@ -175,7 +182,7 @@ def _prepared(
         axes = camera_frame_of(result)
     level_down = None if axes is None else axes.down  # of a camera that stands level
     return [
-        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin)
+        prepare_export(recovery, format_name, frame, rate, level_down, __version__, origin, draws)
         for recovery in recoveries
     ]
 

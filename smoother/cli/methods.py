@@ -86,6 +86,20 @@ def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float 
     return settings
 
 
+def check_draws(draws: int, seed: int | None, method: str) -> None:
+    """Check what was set for motions drawn from the posterior.
+
+    Raises
+    ------
+    typer.BadParameter
+        The method has no posterior, or there is a seed and nothing to draw.
+    """
+    if draws and method != GRAPH:
+        raise typer.BadParameter(f"--draws belongs to the method {GRAPH}: '{method}' has no posterior")
+    if seed is not None and not draws:
+        raise typer.BadParameter("--seed belongs to --draws: give a number of motions, such as --draws 64")
+
+
 class SharedGraph:
     """The graph's recovery of a recording, solved once and kept until another recording comes.
 
@@ -164,8 +178,12 @@ def recover_arms(
     settings: BaselineSettings,
     progress: Progress,
     store: Store,
+    draws: int = 0,
+    seed: int = 0,
 ) -> Recoveries:
     """The arms of a recording by one method; those that cannot be recovered are left out.
+
+    Motions are drawn from the graph's posterior only.
 
     Raises
     ------
@@ -175,7 +193,9 @@ def recover_arms(
     from ..several_arms import smooth_arms, together
 
     if name == GRAPH:
-        return smooth_arms(recordings, calibrations, config, progress, store, clocks=clocks)
+        return smooth_arms(
+            recordings, calibrations, config, progress, store, clocks=clocks, draws=draws, seed=seed
+        )
     answers: list[Recovery | UnoccludeError] = []
     for recording, calibration, clock in zip(recordings, calibrations, clocks, strict=True):
         recover = make_methods([name], calibration, config, settings, progress, store, clock)[name]

@@ -68,6 +68,20 @@ Processes = Annotated[
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the figures as JSON.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
+Draws = Annotated[
+    int,
+    typer.Option(
+        "--draws",
+        metavar="N",
+        min=0,
+        max=1000,
+        help="Also draw so many whole motions from the posterior, for intervals of what is measured on them.",
+    ),
+]
+DrawSeed = Annotated[
+    int | None,
+    typer.Option("--seed", metavar="S", min=0, help="For --draws: same seed, same motions; 0."),
+]
 Orientation = Annotated[
     str,
     typer.Option(

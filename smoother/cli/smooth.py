@@ -11,7 +11,7 @@ import typer
 from ..baselines.registry import DEFAULT_ORIENTATION
 from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arms
-from .methods import METHODS, baseline_settings, choose, recover_arms
+from .methods import METHODS, baseline_settings, check_draws, choose, recover_arms
 from .option_groups import with_groups
 from .options import (
     Anatomy,
@@ -19,6 +19,8 @@ from .options import (
     BoundaryS,
     Calibration,
     ConfigFile,
+    Draws,
+    DrawSeed,
     Force,
     Imu,
     Json,
@@ -71,6 +73,8 @@ def smooth(
     solve_lever_arms: SolveLeverArms = False,
     anatomy: Anatomy = None,
     processes: Processes = None,
+    draws: Draws = 0,
+    seed: DrawSeed = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -93,6 +97,7 @@ def smooth(
     settings = baseline_settings(names, orientation, boundary_s)
     if max_sigma_m is not None and not max_sigma_m > 0:
         raise typer.BadParameter("--max-sigma-m is a length above zero, in m")
+    check_draws(draws, seed, names[0])
     remedy, swap_sides = set_up.remedy()
     check_mcap(output, exports=True)
     check_outputs(force, [output, report, json_file], [recording_file, calibration_file, config_file])
@@ -119,7 +124,9 @@ def smooth(
             for recording, calibration in arms
         ]
         with progress_bar("recovering") as progress:
-            recoveries = recover_arms(recordings, names[0], given, clocks, config, settings, progress, store)
+            recoveries = recover_arms(
+                recordings, names[0], given, clocks, config, settings, progress, store, draws, seed or 0
+            )
         results = []
         for recovery in recoveries:
             recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..calibration import SigmaFactors
+from ..measurements.visibility import Gap
 from ..recording import FOREARM_JOINTS
-from ..result import Recovery
+from ..result import Draws, Recovery
+from ..runtime.column import batches
+from ..window.trajectory import share_after
 
 #: Gaps longer than the longest hidden one by this factor deserve a word.
 BEYOND = 1.5
+#: Drawn motions take their factor on and off over this time before and after a gap, s.
+RAMP_S = 0.3
 
 
 def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Recovery:
     """The recovery with the covariance of positions in every gap multiplied by the factor's square.
 
     What the camera saw, the shoulder and orientations stay: hidden gaps say nothing of them. Correlations
-    stay too. The covariance columns, which may lie on disk, are changed where they are.
+    stay too. The covariance columns and the drawn motions, which may lie on disk, are changed where they are.
 
     Parameters
     ----------
@@ -45,8 +51,31 @@ def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Reco
             for joint, covariance in batch.joint_covariance.items():
                 if joint in FOREARM_JOINTS:
                     covariance *= hidden[:, None, None] ** 2
+    if recovery.draws is not None:
+        _widen_draws(recovery.draws, recovery.gaps, applied)
     notes = (*recovery.notes, _note(applied, factors, max(gap.length_s for gap in recovery.gaps)))
     return replace(recovery, notes=notes, estimates=replace(recovery.estimates, sigma_factors=applied))
+
+
+def _widen_draws(draws: Draws, gaps: Sequence[Gap], factors: Sequence[float]) -> None:
+    """Drawn positions (in place) as much further from the answer as their sigma is larger.
+
+    A motion does not jump: outside a gap the factor comes and goes over `RAMP_S`.
+    """
+    moved = [draws.position, *(values for joint, values in draws.joints.items() if joint in FOREARM_JOINTS)]
+    ends = np.array([(gap.start_s, gap.end_s) for gap in gaps])
+    for rows in batches(len(draws.t_s)):
+        t = draws.t_s[rows]
+        factor = np.ones(len(t))
+        for (start_s, end_s), of_gap in zip(ends, factors, strict=True):
+            away_s = np.maximum(np.maximum(start_s - t, t - end_s), 0.0)
+            near = np.flatnonzero(away_s < RAMP_S)
+            fade = 1.0 - share_after(away_s[near], 0.5 * RAMP_S, 0.5 * RAMP_S)
+            # of two gaps side by side the stronger one counts
+            own = 1.0 + (of_gap - 1.0) * fade
+            factor[near] = np.where(np.abs(own - 1.0) > np.abs(factor[near] - 1.0), own, factor[near])
+        for column in moved:
+            column[:, rows] *= factor[:, None].astype(column.dtype)
 
 
 def _note(applied: tuple[float, ...], factors: SigmaFactors, longest_s: float) -> str:

@@ -51,6 +51,8 @@ def smooth(
     store: Store | None = None,
     processes: int | None = None,
     clock: Clock | None = None,
+    draws: int = 0,
+    seed: int = 0,
     **selection: Unpack[Selection],
 ) -> Recovery:
     """Recover the arm's motion over a whole recording, or over a recording's file.
@@ -72,6 +74,10 @@ def smooth(
         Worker processes, 0 for one a core; as the configuration says where None.
     clock : Clock, optional
         The camera's against the IMU's as it was measured, with its sigma.
+    draws : int
+        So many whole motions drawn from the posterior, in `Recovery.draws`.
+    seed : int
+        Of the draws' random numbers: the same one gives the same motions.
     imu, skeleton, side : str, optional
         Of a file with several: the IMU's and the skeleton's topic, "left" or "right".
     body : int, optional
@@ -110,7 +116,7 @@ def smooth(
             f"{os.fspath(file)}: a calibration file goes with the recording's file, as it also corrects the"
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
-    return smoother.smooth(recording, given, config, progress, store, processes, clock)
+    return smoother.smooth(recording, given, config, progress, store, processes, clock, draws, seed)
 
 
 def __getattr__(name: str) -> object:

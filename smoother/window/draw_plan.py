@@ -82,9 +82,9 @@ class DrawPlan:
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Standard deviations of the pooled covariance, root of its correlation, and that root's inverse."""
-        scale = np.sqrt(np.diag(self.shared))
+        scale = np.asarray(np.sqrt(np.diag(self.shared)))
         root = root_of(self.shared / scale / scale[:, None])
-        return scale, root, np.linalg.inv(root)
+        return scale, root, np.asarray(np.linalg.inv(root))
 
     @cached_property
     def constant_errors(self) -> FloatArray | None:

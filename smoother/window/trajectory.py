@@ -183,9 +183,9 @@ def _own_nodes(window: Window, first: bool, last: bool) -> np.ndarray:
     return np.flatnonzero((window.t >= start) & (window.t <= end))
 
 
-def share_after(t: FloatArray, border_s: float) -> FloatArray:
+def share_after(t: FloatArray, border_s: float, half_s: float = BLEND_HALF_S) -> FloatArray:
     """Share (n,) of the window after a border at times (n,): 0 before the blend, 1 after it, smooth there."""
-    u = np.clip((t - border_s + BLEND_HALF_S) / (2 * BLEND_HALF_S), 0.0, 1.0)
+    u = np.clip((t - border_s + half_s) / (2 * half_s), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 

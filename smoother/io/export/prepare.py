@@ -51,6 +51,7 @@ def prepare_export(
     level_down: FloatArray | None = None,
     version: str = "unknown",
     origin: str = "camera",
+    draws: bool = False,
 ) -> Export:
     """Bring one arm into a format, without writing yet.
 
@@ -70,6 +71,8 @@ def prepare_export(
         Of the program that made the recovery.
     origin : str
         "camera" or "shoulder" for `trc` and `c3d`; see `marker_table`.
+    draws : bool
+        For `parquet`: the drawn motions in place of the answer.
 
     Returns
     -------
@@ -92,6 +95,14 @@ def prepare_export(
         return _osim(recovery)
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
+    if format_name == "parquet" and draws:
+        from .draws_parquet import drawn_rows, export_draws
+
+        return Export(
+            drawn_rows(recovery),
+            lambda path, force: export_draws(recovery, path, version, force),
+            frame="camera",
+        )
     if format_name == "parquet":
         from .parquet import export_parquet
 

@@ -58,6 +58,7 @@ def recovery_values(recovery: Recovery, version: str) -> dict[str, str]:
             **_upper_arm(recovery),
             **({} if recovery.body is None else {"body": recovery.body}),
             **_trunk(recovery),
+            **_draws(recovery),
         }.items()
     }
 
@@ -78,6 +79,12 @@ def _trunk(recovery: Recovery) -> dict[str, object]:
         return {}
     names = ("name", "clock_offset_s", "mount_sigma_rad", "R_T_D")
     return {"trunk": {name: getattr(trunk, name) for name in names}}
+
+
+def _draws(recovery: Recovery) -> dict[str, object]:
+    """How many motions were drawn, and their seed; nothing where none were."""
+    draws = recovery.draws
+    return {} if draws is None else {"draws": {"count": len(draws), "seed": draws.seed}}
 
 
 def _lasting(config: Mapping[str, Any]) -> dict[str, Any]:

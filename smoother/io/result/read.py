@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...measurements.rejection import Reason
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
-from ...result import Estimates, FrameResiduals, Recovery
+from ...result import Draws, Estimates, FrameResiduals, Recovery
 from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.container import Container
@@ -21,10 +21,13 @@ from ..mcap.losses import plain_name
 from ..mcap.messages import Topic
 from ..mcap.stamps import seconds
 from ..recording.read import RESULT_PREFIX
+from .draw_messages import DrawsTable
 from .metadata import calibration_of, gaps_of
 from .topic_tables import TABLES, CameraTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT
 
+#: What gathers each kind of a result's topics.
+_TABLES: dict[str, type[TopicTable]] = TABLES | {"draws": DrawsTable}
 #: What values of a result that somebody else wrote, or that are damaged, end in.
 BROKEN_RESULT = (
     KeyError,
@@ -63,7 +66,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
     container = Container(path)
 
     def wanted(topic: Topic) -> bool:
-        return topic.name.startswith(RESULT_PREFIX) and kind_of(topic) in TABLES
+        return topic.name.startswith(RESULT_PREFIX) and kind_of(topic) in _TABLES
 
     tables: dict[str, TopicTable] = {}
     try:
@@ -71,7 +74,7 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
             for position, messages in batch.items():
                 topic = container.topics[position]
                 if topic.name not in tables:
-                    tables[topic.name] = TABLES[kind_of(topic)](topic)
+                    tables[topic.name] = _TABLES[kind_of(topic)](topic)
                 tables[topic.name].feed(messages)
     except BROKEN_RESULT as error:
         raise RecordingError(
@@ -121,6 +124,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
             upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
             body=values.get("body"),
             trunk=_trunk(stamp, tables.get(f"{RESULT_PREFIX}trunk{suffix}"), values.get("trunk")),
+            draws=_draws(tables.get(f"{RESULT_PREFIX}draws{suffix}"), values.get("draws"), origin),
         )
     except BROKEN_RESULT as error:
         damage = f" The file is damaged: {' '.join(container.notes[:4])}" if container.notes else ""
@@ -161,6 +165,16 @@ def _trunk(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | N
         clock_offset_s=values["clock_offset_s"],
         name=values["name"],
     )
+
+
+def _draws(table: TopicTable | None, values: dict[str, Any] | None, origin: int) -> Draws | None:
+    """Motions drawn from the posterior."""
+    if values is None:
+        return None
+    if table is None:
+        raise ValueError("its drawn motions are missing")
+    assert isinstance(table, DrawsTable)
+    return table.draws(int(values["seed"]), origin)
 
 
 def _rows(stamp: IntArray, table: TopicTable | None) -> tuple[IntArray, dict[str, NDArray]]:

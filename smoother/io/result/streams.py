@@ -19,10 +19,14 @@ from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from . import drawing as scene
 from .beads import bead_clouds
+from .draw_messages import SCHEMA, draw_messages, message_rows
 from .gap_messages import gap_messages
 from .odometry import odometry, thorax_poses, upper_arm_poses
 from .residual_messages import ResidualMessages
 from .world import world_transform
+
+#: How many `axes` a recovery has.
+AXES = 5
 
 
 class RecoveryStreams:
@@ -66,13 +70,16 @@ class RecoveryStreams:
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
 
     def axes(self) -> list[TimeAxis]:
-        """Times of the samples, the frames, the residuals and the gaps."""
+        """Times of the samples, the frames, the residuals, the gaps and the messages of drawn motions."""
         r = self.recovery
         residual_t = np.empty(0) if r.residuals is None else r.residuals.t_s
-        times = (r.t_s, r.arm.t_s, residual_t, self.gap_start_s)
+        drawn_t = np.empty(0) if r.draws is None else r.draws.t_s[message_rows(r.draws)]
+        times = (r.t_s, r.arm.t_s, residual_t, self.gap_start_s, drawn_t)
         return [TimeAxis(t_s, r.origin_ns, self.shift) for t_s in times]
 
-    def batch(self, samples: slice, frames: slice, residuals: slice, gaps: slice) -> list[Outgoing]:
+    def batch(
+        self, samples: slice, frames: slice, residuals: slice, gaps: slice, draws: slice
+    ) -> list[Outgoing]:
         """Every stream of a batch, from its rows on the `axes`."""
         part = self.recovery.rows(samples)
         part = replace(part, arm=part.arm.select(frames), gaps=part.gaps[gaps])
@@ -87,6 +94,7 @@ class RecoveryStreams:
             *self._transforms(part, nearest, inside),
             *self._joint_states(part),
             *self._gaps(part),
+            *self._draws(draws),
         ]
 
     def _stamps(self, t_s: FloatArray) -> IntArray:
@@ -236,6 +244,19 @@ class RecoveryStreams:
         for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
             channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
             yield Outgoing(channel, start + self.shift, data.__getitem__)
+
+    def _draws(self, messages: slice) -> Iterator[Outgoing]:
+        """Motions drawn from the posterior, where there are."""
+        draws = self.recovery.draws
+        if draws is None:
+            return
+        stamp, first = self._stamps(draws.t_s), message_rows(draws)[messages]
+
+        def encode(part: slice) -> Encoded:
+            return list(draw_messages(draws, stamp, first[part], self.frame_id))
+
+        channel = self.output.channel(f"{RESULT_PREFIX}draws{self.suffix}", SCHEMA)
+        yield Outgoing(channel, stamp[first] + self.shift, encode)
 
     def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
         """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.

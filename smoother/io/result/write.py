@@ -17,7 +17,7 @@ from ..recording.carried import Carrying
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
-from .streams import RecoveryStreams
+from .streams import AXES, RecoveryStreams
 from .world import common_down
 
 RESULT = "unocclude.result"
@@ -40,7 +40,8 @@ def write_recovery(
     `/unocclude/beads` (PointCloud along the bones), `/unocclude/gaps` (Event), `/unocclude/log` (Log:
     the gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
     (FrameTransforms: camera to forearm IMU, and the level `world` to the camera), `/unocclude/camera`
-    (the camera's joints on the IMU's clock), `/unocclude/residuals`. With several arms each topic ends
+    (the camera's joints on the IMU's clock), `/unocclude/residuals`, and where motions were drawn
+    `/unocclude/draws`. With several arms each topic ends
     in the arm's side, with several people in `body_N/SIDE` (`result.arm_tags`). The metadata record
     `unocclude.result` holds all else as JSON. `read_recovery` gives everything back. The same input
     gives the same bytes.
@@ -98,7 +99,7 @@ def write_recovery(
                 container.chunks(lambda topic: not topic.name.startswith(RESULT_PREFIX) and carrying(topic))
             )
         for batch in time_batches([axis for each in streams for axis in each.axes()]):
-            rows = [batch.rows[4 * i : 4 * i + 4] for i in range(len(streams))]
+            rows = [batch.rows[AXES * i : AXES * (i + 1)] for i in range(len(streams))]
             outgoing = [each.batch(*mine) for each, mine in zip(streams, rows, strict=True)]
             output.write(list(chain.from_iterable(outgoing)), batch.until_ns)
         if source is not None and METADATA in container.metadata:  # wherever in the source it stands

@@ -1,7 +1,8 @@
 r"""Our own protobuf messages, and the schemas that an MCAP file carries.
 
-`unocclude_pb2.py` is what protoc makes of `unocclude.proto`; whoever changes that file makes it anew, with
-grpcio-tools 1.68 (a newer one would ask for a newer protobuf than we do)::
+`unocclude_pb2.py` is what protoc makes of `unocclude.proto`, and `unocclude_draws_pb2.py` of
+`unocclude_draws.proto`; whoever changes such a file makes its module anew, with grpcio-tools 1.68 (a newer
+one would ask for a newer protobuf than we do)::
 
     python -c 'import sys; from smoother.io.wire.schemas import schema_data
     sys.stdout.buffer.write(schema_data("foxglove.SceneUpdate"))' > /tmp/foxglove
@@ -19,14 +20,17 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2
 
+#: Messages of `unocclude_draws.proto`.
+_OF_DRAWS = ("Draws", "DrawnMotion")
+
 
 @cache
 def message_class(name: str) -> Any:
     """Class of a message by its full name, such as `unocclude.Imu` or `foxglove.Odometry`."""
     package, _, short = name.rpartition(".")
-    module = (
-        f"foxglove_schemas_protobuf.{short}_pb2" if package == "foxglove" else f"{__package__}.unocclude_pb2"
-    )
+    module = f"foxglove_schemas_protobuf.{short}_pb2"
+    if package != "foxglove":
+        module = f"{__package__}.{'unocclude_draws_pb2' if short in _OF_DRAWS else 'unocclude_pb2'}"
     return getattr(import_module(module), short)
 
 

@@ -1,0 +1,135 @@
+"""Drawn motions of a window against GTSAM's own covariance: exactly, as draws are linear in their numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from unittest.mock import patch
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import S, V, X
+from scenes import arm, last_pass
+
+import smoother.graph.solve
+from smoother.graph.build import bias_of_intervals, build
+from smoother.graph.error_columns import node_of_variables
+from smoother.graph.linear_system import LinearSystem
+from smoother.graph.sampling import sample_window
+from smoother.graph.solve import solve
+from smoother.recording import FloatArray
+from smoother.window.draw_plan import DrawPlan
+from smoother.window.drawn_window import WindowDraws
+from smoother.window.problem import Window
+
+COUNT = 1600
+
+
+@dataclass(frozen=True)
+class BasisPlan(DrawPlan):
+    """In place of random numbers: the n-th draw has a one as the n-th number and zeros as all others.
+
+    Sums over draws are then what averages over endless draws would be.
+    """
+
+    places: dict[tuple[int, int], int] = field(default_factory=dict)
+
+    def _normals(self, stream: int, number: int, width: int) -> FloatArray:
+        # no kind has more numbers
+        start = self.places.setdefault((stream, number), 24 * len(self.places))
+        assert start + width <= self.count
+        numbers = np.zeros((self.count, width))
+        numbers[start + np.arange(width), np.arange(width)] = 1.0
+        return numbers
+
+
+@pytest.fixture(scope="module")
+def window() -> Window:
+    """Of 5 s with a gap of 1.5 s, and with errors that are considered."""
+    made = arm(3, protocol="random", duration_s=5.0, occlusion_lengths_s=(1.5,), occlusion_every_s=3.5)
+    return last_pass(made.recording, made.calibration)[0].window
+
+
+def basis(window: Window) -> BasisPlan:
+    # any covariance will do in place of what all windows say: a window's own is what comes out
+    pooled = 0.5 * window.priors.shared.covariance
+    return BasisPlan(COUNT, 0, "right", 4, pooled, window.considered)
+
+
+def covariance(draws: FloatArray, others: FloatArray | None = None) -> FloatArray:
+    return draws.T @ (draws if others is None else others)
+
+
+def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) -> None:
+    """Poses half a second apart, velocities and the shoulder, in the gap and outside."""
+    graph, values = build(replace(window, considered=None))
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    system = LinearSystem(graph, values, node_of_variables(window))
+    biases = bias_of_intervals(window)
+    plan = replace(basis(window), considered=None)
+    draws = sample_window(system, values, window, biases, plan, None, np.zeros((3, 3)))
+    reference = gtsam.Marginals(graph, values)
+    assert window.shoulder is not None
+    in_gap = int(np.flatnonzero(np.isfinite(window.velocity_change))[3])
+    for i in (4, in_gap):
+        j = int(np.searchsorted(window.t, window.t[i] + 0.5))
+        knot = int(np.searchsorted(window.shoulder.node, i))
+        keys = [X(i), X(j), V(i), S(knot)]
+        joint = reference.jointMarginalCovariance(keys)
+        expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
+        assert draws.shoulder is not None
+        R = [values.atPose3(key).rotation().matrix() for key in keys[:2]]
+        drawn = np.concatenate(
+            [
+                *(body(draws, node, of_node) for node, of_node in zip((i, j), R, strict=True)),
+                draws.velocity[:, i],
+                draws.shoulder[:, knot],
+            ],
+            axis=1,
+        )
+        scale = np.sqrt(np.diag(expected))
+        correlation = expected / scale / scale[:, None]
+        assert np.abs(correlation[:6, 6:12]).max() > 0.5  # there is something to get right
+        # two eliminations of one system, as tests/graph/test_linear_system.py has it
+        np.testing.assert_allclose(covariance(drawn) / scale / scale[:, None], correlation, atol=1e-5)
+
+
+def body(draws: WindowDraws, node: int, R: FloatArray) -> FloatArray:
+    """Back to GTSAM's (rotation, translation) in the body's axes."""
+    return np.concatenate([draws.rotation[:, node] @ R, draws.position[:, node] @ R], axis=1)
+
+
+def test_they_have_the_covariance_that_the_window_states(window: Window) -> None:
+    """Considered errors included, at nodes whose covariance is computed."""
+    assert window.considered is not None
+    with patch.multiple(smoother.graph.solve, COVARIANCE_S=1e-6, SHOULDER_COVARIANCE_S=1e-6):
+        solution = solve(window, with_covariance=True, plan=basis(window))
+    draws = solution.draws
+    assert draws is not None and draws.shoulder is not None and solution.pose_covariance is not None
+    assert solution.velocity_covariance is not None and solution.shoulder_covariance is not None
+    for node in range(0, len(window.t), 5):
+        pose = np.concatenate([draws.position[:, node], draws.rotation[:, node]], axis=1)
+        same(covariance(pose), solution.pose_covariance[node])
+        same(covariance(draws.velocity[:, node]), solution.velocity_covariance[node])
+    for knot in range(0, draws.shoulder.shape[1], 5):
+        same(covariance(draws.shoulder[:, knot]), solution.shoulder_covariance[knot])
+
+
+def same(drawn: FloatArray, stated: FloatArray) -> None:
+    scale = np.sqrt(np.diag(stated))
+    np.testing.assert_allclose(drawn / scale / scale[:, None], stated / scale / scale[:, None], atol=1e-5)
+
+
+def test_neighbouring_windows_draw_the_same_motion() -> None:
+    """So that their blend keeps its variance: positions nearly, turns for the most part."""
+    made = arm(3, protocol="random", duration_s=20.0, occlusion_lengths_s=(2.0,), occlusion_every_s=6.0)
+    one, two = (job.window for job in last_pass(made.recording, made.calibration)[:2])
+    plan = DrawPlan(100, 5, "right", 4, one.priors.shared.covariance, one.considered)
+    first, second = (solve(each, with_covariance=True, plan=plan).draws for each in (one, two))
+    assert first is not None and second is not None
+    there = np.abs(two.t - two.core_start_s) < 0.5
+    at = np.searchsorted(one.t, two.t[there] - 1e-6)
+    for name, least in (("position", 0.97), ("velocity", 0.93), ("rotation", 0.8)):
+        a, b = getattr(first, name)[:, at], getattr(second, name)[:, there]
+        correlation = (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
+        assert correlation > least, (name, correlation)
