@@ -31,6 +31,7 @@ from . import (
     match,
     measures,
     repair,
+    sessions,
     simulate,
     smooth,
     validate,
@@ -106,6 +107,7 @@ _add(app, gaps.gaps, "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps
 _add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
 _add(app, view.view, "view recovered.mcap")
 _add(app, batch.batch, "batch sessions -o recovered --calibration arm.toml --report", batch.BatchCommand)
+_add(app, sessions.progress, "progress recovered --person p12 --report p12.html")
 _add(app, config.config, "config > settings.toml")
 _add(app, doctor.doctor, "doctor")
 

@@ -20,7 +20,8 @@ from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
 from .limits import Limits, TimeUp, limited
-from .privacy import place_of, without_places
+from .measured import measured_arms
+from .privacy import person_of, place_of, relative_day, without_places
 
 #: The recording was done before, by its content; there is nothing to add to the results.
 SAME = "same"
@@ -72,6 +73,10 @@ class Job:
         Let rows hold absolute paths and the machine's name.
     limits : Limits
         What one recording may take of time and memory.
+    measures : bool
+        Measure what is recovered.
+    draws : int
+        Motions to draw for the intervals of the measures.
     """
 
     name: str
@@ -87,6 +92,8 @@ class Job:
     known: tuple[Known, ...] = ()
     keep_paths: bool = False
     limits: Limits = field(default_factory=Limits)
+    measures: bool = False
+    draws: int = 0
 
     @property
     def key(self) -> str:
@@ -235,6 +242,7 @@ def _recover_in(
     try:
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
+        measured = measured_arms(answers) if job.measures else None
         write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
@@ -246,6 +254,8 @@ def _recover_in(
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
             **figures_of_arms(results),
+            measures=measured,
+            recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,
         )
         _leave(row, folder)
