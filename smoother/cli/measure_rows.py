@@ -13,15 +13,14 @@ from .output import percent, print_table, say
 if TYPE_CHECKING:
     from ..measures import BothArms, Measure, Measures, Movement, Scope
 
-#: What the table of movements and repetitions shows; `--csv` and `--json` have all.
-MOVEMENT_KEYS = (
-    "elbow_flexion_range_deg",
-    "shoulder_elevation_range_deg",
-    "hand_path_length_m",
-    "hand_peak_speed_m_s",
-    "sparc",
-    "velocity_peaks",
-)
+#: What the table of movements and repetitions shows, and its heads; `--csv` and `--json` have all.
+HEADS = {
+    "elbow_flexion_range_deg": "elbow's range, deg",
+    "hand_path_length_m": "path, m",
+    "hand_peak_speed_m_s": "peak speed, m/s",
+    "sparc": "SPARC",
+    "velocity_peaks": "peaks",
+}
 #: More movements than this are not printed.
 _MOST_ROWS = 30
 
@@ -39,16 +38,12 @@ def print_session(one: Measures) -> None:
         say(f"not measured: {', '.join(dict.fromkeys(names))}. {reason}")
 
 
-def print_places(
-    title: str, places: Sequence[Movement], scope: Scope, one: Measures, keys: Sequence[str]
-) -> None:
+def print_places(title: str, places: Sequence[Movement], scope: Scope, one: Measures) -> None:
     """A row for each movement or repetition."""
     if not places:
         return
     some = [one.of(scope, number) for number in range(min(len(places), _MOST_ROWS))]
-    shown = [key for key in keys if any(key in row and row[key].is_known for row in some)]
-    named = {key: row[key] for row in some for key in shown if key in row}
-    heads = [f"{named[key].name}{f', {named[key].unit}' if named[key].unit else ''}" for key in shown]
+    shown = [key for key in HEADS if any(key in row and row[key].is_known for row in some)]
     rows = [
         (
             f"{number + 1}",
@@ -59,7 +54,8 @@ def print_places(
         for number, (place, row) in enumerate(zip(places, some, strict=False))
     ]
     more = len(places) - len(rows)
-    print_table(title, ("", "from, s", "length, s", *heads), rows)
+    columns = ("", "from, s", "length, s", *(HEADS[key] for key in shown))
+    print_table(f"{title}: value (95 % interval)", columns, rows)
     if more > 0:
         say(f".. and {more} more: --csv and --json have them all")
 
@@ -96,25 +92,33 @@ def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], f
 
 
 def _cells(row: Measure) -> tuple[str, ...]:
-    low_high = f"{_number(row.low)} to {_number(row.high)}" if row.has_interval else "-"
-    return row.name, _number(row.value), low_high, row.unit, percent(row.recovered_share)
+    return row.name, _text(row, row.value), _interval_text(row) or "-", row.unit, percent(row.recovered_share)
 
 
 def _value_text(row: Measure | None) -> str:
-    """A value and half its interval's width, as one cell."""
+    """A value and its interval as one cell."""
     if row is None or not row.is_known:
         return "-"
-    return (
-        f"{_number(row.value)} ({_number(row.low)} .. {_number(row.high)})"
-        if row.has_interval
-        else _number(row.value)
-    )
+    between = _interval_text(row)
+    value = _text(row, row.value)
+    return f"{value} ({between})" if between and between != value else value
 
 
-def _number(value: float) -> str:
-    """Three digits that count, never an exponent."""
+def _interval_text(row: Measure) -> str:
+    if not row.has_interval:
+        return ""
+    low, high = _text(row, row.low), _text(row, row.high)
+    return low if low == high else f"{low} to {high}"
+
+
+def _text(row: Measure, value: float) -> str:
+    """Three digits that count, never an exponent; yes or no for what is reached."""
     if not math.isfinite(value):
         return "-"
+    if row.key.endswith("_reached"):
+        return "yes" if value > 0.5 else "no"
+    if row.unit == "" and value == round(value) and value >= 0.0:
+        return f"{value:.0f}"
     digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2
     return f"{value:.{digits}f}"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .load import damage, load_recoveries
-from .options import Body, Force, Json, Result, Side, one_side
+from .options import Body, Force, Json, Report, Result, Side, one_side
 from .output import check_outputs, print_notes, say, say_written, write_json
 from .several_figures import arms_figures, say_arm
 
@@ -29,6 +29,7 @@ def measures(
         Path | None,
         typer.Option("--csv", metavar="FILE", help="Also write every measure as a row of a table."),
     ] = None,
+    report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -41,10 +42,14 @@ def measures(
     from ..measures import MeasureSettings
     from .config_file import read_settings
 
-    check_outputs(force, [csv_file, json_file], [result, config_file])
+    check_outputs(force, [csv_file, report, json_file], [result, config_file])
     settings = read_settings(config_file, MeasureSettings)
     recoveries = load_recoveries(result, one_side(side), body)
     rows, pairs = measured(recoveries, settings)
+    if report is not None:
+        from ..report.measures import write_measures_page
+
+        write_measures_page(report, rows, force=force)
     if csv_file is not None:
         from .measure_rows import write_csv
 
@@ -55,9 +60,9 @@ def measures(
     write_json(json_file, figures, force)
     for recovery, one in zip(recoveries, rows, strict=True):
         say_arm(recovery, len(recoveries))
-        _print(one, damage(recovery.notes))
+        print_arm(one, damage(recovery.notes))
     _print_symmetry(pairs)
-    say_written(csv_file, json_file)
+    say_written(csv_file, report, json_file)
 
 
 def measured(recoveries: list[Recovery], settings: MeasureSettings) -> tuple[list[Measures], list[BothArms]]:
@@ -81,15 +86,15 @@ def measured(recoveries: list[Recovery], settings: MeasureSettings) -> tuple[lis
     return [measures_of(one) for one in done], pairs
 
 
-def _print(one: Measures, damaged: list[str]) -> None:
+def print_arm(one: Measures, damaged: list[str]) -> None:
     """An arm's verdict, tables and notes; what is not to be trusted is said first."""
-    from .measure_rows import MOVEMENT_KEYS, print_places, print_session
+    from .measure_rows import print_places, print_session
 
     if one.trusted is False:
         say(f"{one.verdict} The measures below are those of an answer that is not to be trusted.")
     print_session(one)
-    print_places("Movements of the hand", one.movements, "movement", one, MOVEMENT_KEYS)
-    print_places("Repetitions", one.repetitions, "repetition", one, MOVEMENT_KEYS)
+    print_places("Movements of the hand", one.movements, "movement", one)
+    print_places("Repetitions", one.repetitions, "repetition", one)
     print_notes([*damaged, *one.notes])
 
 

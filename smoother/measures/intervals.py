@@ -41,10 +41,12 @@ def interval(value: float, drawn: FloatArray, definition: MeasureDefinition) -> 
     drawn = drawn[np.isfinite(drawn)]
     if not np.isfinite(value) or len(drawn) < FEWEST_DRAWS:
         return float("nan"), float("nan"), float("nan")
-    low, middle, high = np.quantile(drawn, [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL])
+    levels = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
     if definition.is_count:
+        low, _, high = np.quantile(drawn, levels, method="inverted_cdf")
         low, high = min(low, value), max(high, value)
     else:
+        low, middle, high = np.quantile(drawn, levels)
         low, high = low + value - middle, high + value - middle
     low, high = np.clip([low, high], definition.low, definition.high)
     return float(low), float(high), float(drawn.std(ddof=1))

@@ -8,6 +8,7 @@ has the subsequence search in compiled extras; both would outweigh the forty lin
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..recording import FloatArray, IntArray
 
@@ -58,8 +59,13 @@ def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, Int
 
 def _moved(path: tuple[FloatArray, FloatArray, IntArray], by: int) -> tuple[FloatArray, FloatArray, IntArray]:
     """The entries of so many columns before; where there are none no path ends."""
-    total, weight, start = (np.empty_like(part) for part in path)
-    for moved, part in ((total, path[0]), (weight, path[1]), (start, path[2])):
-        moved[by:], moved[:by] = part[:-by], part[:by]
+    total, weight, start = (_later(part, by) for part in path)
     total[:by] = np.inf
     return total, weight, start
+
+
+def _later(row: NDArray, by: int) -> NDArray:
+    """A row whose entry j is the one of j - by; the first ones stay."""
+    moved = row.copy()
+    moved[by:] = row[:-by]
+    return moved
