@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -234,7 +234,7 @@ def _recover_in(
     config = job.config.model_copy(update={"windows": windows})
     recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
     results = []
-    for recovery in smooth_arms(recordings, calibrations, config, store=store):
+    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=job.draws):
         recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
         results.append((recording, with_given(recovery, calibration)))
     output = folder.output(job.name)
@@ -243,6 +243,7 @@ def _recover_in(
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
         measured = measured_arms(answers) if job.measures else None
+        answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
         write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
