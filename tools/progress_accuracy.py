@@ -56,10 +56,12 @@ def sessions_of(config: ArmSimulation, seed: int) -> list[SimulatedArm]:
     ]
 
 
-def measured(simulated: SimulatedArm, draws: int) -> tuple[dict[str, Measure], dict[str, Measure]]:
-    """Measures of the answer and of the truth, by key."""
+def measured(simulated: SimulatedArm, draws: int) -> tuple[dict[str, Measure], dict[str, Measure]] | None:
+    """Measures of the answer and of the truth, by key; None where the answer is not to be trusted."""
     recovery = smooth(replace(simulated.recording, truth=None), processes=1, draws=draws)
     assert simulated.recording.truth is not None
+    if recovery.estimates.trusted is False:
+        return None
     answer, motion = same_samples(recovery, truth_at(simulated.recording.truth, recovery.t_s))
     return measure(answer).by_key, measure(motion).by_key
 
@@ -85,8 +87,10 @@ def main() -> None:
     counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     for seed in range(options.first_seed, options.first_seed + options.persons):
         rows = [measured(simulated, options.draws) for simulated in sessions_of(config, seed)]
-        for pair in ((0, 1), (0, 2)):
-            count_pair(counts, rows[pair[0]], rows[pair[1]], same=pair == (0, 1))
+        for number in (1, 2):
+            first, last = rows[0], rows[number]
+            if first is not None and last is not None:
+                count_pair(counts, first, last, same=number == 1)
         print(f"person {seed}: {summary(counts)}", flush=True)
     for key, each in sorted(counts.items()):
         print(f"{key:40s} {dict(each)}")
@@ -114,6 +118,9 @@ def count_pair(
         counts[key][f"{what}_unknown"] += change.word == UNKNOWN
         counts[key]["held"] += change.low <= true <= change.high
         counts[key]["pairs"] += 1
+        if not change.low <= true <= change.high:
+            half = 0.5 * (change.high - change.low)
+            print(f"  {what}: {key} {change.difference:.3g} (true {true:.3g}, half {half:.3g})")
 
 
 def summary(counts: dict[str, dict[str, int]]) -> str:

@@ -77,6 +77,8 @@ class Job:
         Measure what is recovered.
     draws : int
         Motions to draw for the intervals of the measures.
+    hash_names : bool
+        The recording's name is a hash.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Job:
     limits: Limits = field(default_factory=Limits)
     measures: bool = False
     draws: int = 0
+    hash_names: bool = False
 
     @property
     def key(self) -> str:
@@ -244,6 +247,8 @@ def _recover_in(
         answers = [recovery for _, recovery in results]
         measured = measured_arms(answers) if job.measures else None
         answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
+        if job.hash_names:
+            answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
         write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(

@@ -76,6 +76,7 @@ def test_names_are_hashed_on_request(made: Path, tmp_path: Path, capsys):
     word = StudyFolder(out).mark.read_text()
     name = hashed_name(word, "Mustermann/reach one.mcap")
     assert (out / name).is_file() and name.count("/") == 1
+    assert b"Mustermann" not in (out / name).read_bytes() and b"reach one" not in (out / name).read_bytes()
     written = [path.read_bytes() for path in (out / "results").glob("*.parquet")]
     texts = [str(query(out, "*")), (tmp_path / "s.json").read_text(), capsys.readouterr().out]
     for text in (*texts, (out / "report.html").read_text(encoding="utf-8"), str(written)):
