@@ -1,8 +1,8 @@
 """Where the truth ranks among motions drawn from the posterior: `python tools/draws_check.py --gaps 200`.
 
 Simulation-based calibration (Talts et al., arXiv:1804.06788, 2018): if the posterior is right, the truth's
-rank among the draws is uniform. One sample a gap, at a random time and along a random direction, so that ranks
-are nearly independent. A spread of the ranks below 1 means that sigma is too wide (ranks pile up in the middle),
+rank among the draws is uniform. One sample a gap, at a random time and along a random direction, so that the
+ranks are nearly independent. A spread below 1 means that sigma is too wide (ranks pile up in the middle),
 above 1 that it is too narrow.
 """
 
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chisquare, norm
 from shared import ONE_PROCESS
 
+from smoother.calibration import ArmCalibration
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
@@ -35,12 +36,15 @@ def main() -> None:
     parser.add_argument("presets", nargs="*", default=PRESETS)
     parser.add_argument("--gaps", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument(
+        "--exact", action="store_true", help="give the true calibration, not one as uncertain as it says"
+    )
     options = parser.parse_args()
     for preset in options.presets:
         ranks: dict[str, list[int]] = {}
         seed, count = options.first_seed, 0
         while count < options.gaps:
-            for of_gap in ranks_of(preset, seed):
+            for of_gap in ranks_of(preset, seed, options.exact):
                 count += 1
                 for name, rank in of_gap.items():
                     ranks.setdefault(name, []).append(rank)
@@ -52,18 +56,29 @@ def main() -> None:
             print(line(name, np.array(found[: options.gaps])), flush=True)
 
 
-def ranks_of(preset: str, seed: int) -> Iterator[dict[str, int]]:
+def ranks_of(preset: str, seed: int, exact: bool) -> Iterator[dict[str, int]]:
     """The truth's rank in each gap of a simulated recording, by quantity."""
     made = simulate_arm(ArmSimulation.preset(preset, **SETTINGS), seed=seed)
-    recovery = smooth(
-        replace(made.recording, truth=None), made.calibration, ONE_PROCESS, draws=DRAWS, seed=seed
-    )
-    assert recovery.draws is not None
     rng = np.random.default_rng([seed, 1])
+    calibration = made.calibration if exact else as_measured(made.calibration, rng)
+    recovery = smooth(replace(made.recording, truth=None), calibration, ONE_PROCESS, draws=DRAWS, seed=seed)
+    assert recovery.draws is not None
     for gap in recovery.gaps:
         inside = np.flatnonzero((recovery.draws.t_s > gap.start_s) & (recovery.draws.t_s < gap.end_s))
         if gap.length_s >= SHORTEST_S and len(inside):
             yield ranks_at(recovery, made, int(rng.choice(inside)), rng)
+
+
+def as_measured(calibration: ArmCalibration, rng: np.random.Generator) -> ArmCalibration:
+    """A calibration with errors as large as its sigmas."""
+    levers = {
+        joint: replace(lever, position_m=rng.normal(lever.position_m, lever.sigma_m))
+        for joint, lever in calibration.lever_arms.items()
+    }
+    length = calibration.upper_arm
+    if length is not None:
+        length = replace(length, value_m=float(rng.normal(length.value_m, length.sigma_m)))
+    return replace(calibration, lever_arms=levers, upper_arm=length)
 
 
 def ranks_at(recovery: Recovery, made: SimulatedArm, row: int, rng: np.random.Generator) -> dict[str, int]:

@@ -175,8 +175,8 @@ def hidden_range(preset: str, seeds: range) -> None:
         errors.append(sample.value - sample.truth)
     rms, bias = float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(errors))
     print(
-        f"{preset}: elbow's range, two thirds of both extremes hidden: rms {rms:.2f}, bias {bias:+.2f} degrees,"
-        f" {len(errors)} seeds"
+        f"{preset}: elbow's range, two thirds of both extremes hidden: rms {rms:.2f}, bias {bias:+.2f}"
+        f" degrees, {len(errors)} seeds"
     )
 
 

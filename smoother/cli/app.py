@@ -29,6 +29,7 @@ from . import (
     imports,
     info,
     match,
+    measures,
     repair,
     sessions,
     simulate,
@@ -101,6 +102,7 @@ _add(app, repair.repair, "repair broken.mcap -o whole.mcap --json lost.json")
 _add(app, smooth.smooth, "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html")
 _add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml")
 _add(app, compare.compare, "compare session.mcap --truth trial.c3d --markers map.toml --report c.html")
+_add(app, measures.measures, "measures out.mcap --csv measures.csv --json measures.json")
 _add(app, gaps.gaps, "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json")
 _add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
 _add(app, view.view, "view recovered.mcap")

@@ -75,12 +75,14 @@ def angle_figures(name: str, angle: FloatArray, occluded: BoolArray, rate_hz: fl
         Figure(high, share_high),
     ]
     for percentile in np.percentile(values, PERCENTILES):
-        figures.append(Figure(float(percentile), share_of(hidden, np.abs(values - percentile) <= NEAR_DEG)))
+        away = np.abs(values - percentile)
+        near = away <= max(NEAR_DEG, float(away.min()))
+        figures.append(Figure(float(percentile), share_of(hidden, near)))
     speed = np.abs(_speed(angle, known, rate_hz))
     peak = float(np.nanmax(speed))
     with np.errstate(invalid="ignore"):
-        near = speed >= (1.0 - NEAR_SHARE) * peak
-    figures.append(Figure(peak, share_of(occluded, near)))
+        quick = speed >= (1.0 - NEAR_SHARE) * peak
+    figures.append(Figure(peak, share_of(occluded, quick)))
     return dict(zip([*keys, f"{name}_peak_speed_deg_s"], figures, strict=True))
 
 

@@ -54,7 +54,7 @@ class Reach(_Leaves):
     """The reach volume, and the zones about the trunk."""
 
     voxel_m: float = Field(
-        default=0.02, gt=0.002, le=0.2, description="one place of the hand in a cube of this size, m"
+        default=0.01, gt=0.002, le=0.2, description="one place of the hand in a cube of this size, m"
     )
     alpha_m: float = Field(
         default=0.30, gt=0.01, description="alpha shape: places this far apart do not belong together, m"

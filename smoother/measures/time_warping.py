@@ -58,6 +58,8 @@ def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, Int
 
 def _moved(path: tuple[FloatArray, FloatArray, IntArray], by: int) -> tuple[FloatArray, FloatArray, IntArray]:
     """The entries of so many columns before; where there are none no path ends."""
-    total, weight, start = np.roll(path[0], by), np.roll(path[1], by), np.roll(path[2], by)
+    total, weight, start = (np.empty_like(part) for part in path)
+    for moved, part in ((total, path[0]), (weight, path[1]), (start, path[2])):
+        moved[by:], moved[:by] = part[:-by], part[:by]
     total[:by] = np.inf
     return total, weight, start

@@ -134,6 +134,10 @@ def test_the_boundary_asked_for_is_used(session: Path, tmp_path: Path):
         (["--method", "linear-drift", "--boundary-s", "0"], "--boundary-s is a time between 0.05 and 10 s"),
         (["--method", "hold", "--boundary-s", "0.5"], "--boundary-s belongs to the method linear-drift"),
         (["--method", "hold,pchip"], "--method takes one method"),
+        (["--method", "rts", "--draws", "8"], "--draws belongs to the method graph: 'rts' has no posterior"),
+        (["--seed", "8"], "--seed belongs to --draws"),
+        (["--draws", "-1"], "-1 is not in the range"),
+        (["--draws", "64", "--seed", "-2"], "-2 is not in the range"),
     ],
 )
 def test_wrong_use(arguments: list[str], text: str, capsys):

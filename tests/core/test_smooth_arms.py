@@ -22,7 +22,7 @@ def recordings() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def recovered(recordings: list[Recording]) -> Recoveries:
-    return smooth_arms(recordings, processes=1)
+    return smooth_arms(recordings, processes=1, draws=3, seed=5)
 
 
 def test_each_arm_is_what_smooth_gives(
@@ -30,7 +30,8 @@ def test_each_arm_is_what_smooth_gives(
 ) -> None:
     assert recovered.tags == ["right", "left"]
     write_recovery(smooth(recordings[1]), tmp_path / "alone.mcap")
-    write_recovery(recovered["left"], tmp_path / "together.mcap")
+    # motions that were drawn beside it change nothing of the answer
+    write_recovery(replace(recovered["left"], draws=None), tmp_path / "together.mcap")
     assert (tmp_path / "alone.mcap").read_bytes() == (tmp_path / "together.mcap").read_bytes()
     for recording, recovery in zip(recordings, recovered, strict=True):
         assert recording.truth is not None and recovery.occluded.any()
@@ -44,11 +45,26 @@ def test_side_by_side_gives_the_same(
 ) -> None:
     monkeypatch.setattr("smoother.runtime.pool.WORTH_FRAMES", 10)
     seen: list[float] = []
-    beside = smooth_arms(recordings, progress=lambda share, _: seen.append(share), processes=2)
+    beside = smooth_arms(
+        recordings, progress=lambda share, _: seen.append(share), processes=2, draws=3, seed=5
+    )
     assert seen == [0.5, 1.0]
     for one, other in zip(recovered, beside, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
         np.testing.assert_array_equal(one.pose_covariance, other.pose_covariance)
+        assert one.draws is not None and other.draws is not None
+        np.testing.assert_array_equal(one.draws.position, other.draws.position)
+        np.testing.assert_array_equal(one.draws.joints["elbow"], other.draws.joints["elbow"])
+
+
+def test_each_arm_has_draws_of_its_own(recovered: Recoveries) -> None:
+    left, right = recovered["left"].draws, recovered["right"].draws
+    assert left is not None and right is not None and len(left) == len(right) == 3
+    assert left.seed == right.seed == 5
+    count = min(len(left.t_s), len(right.t_s))
+    a, b = left.position[:, :count].ravel(), right.position[:, :count].ravel()
+    # the same numbers would give much the same errors in arms that move alike
+    assert abs(np.corrcoef(a, b)[0, 1]) < 0.5
 
 
 def test_an_arm_that_cannot_be_solved_is_left_out(recordings: list[Recording], recovered: Recoveries) -> None:

@@ -22,7 +22,7 @@ from smoother.window.draw_plan import DrawPlan
 from smoother.window.drawn_window import WindowDraws
 from smoother.window.problem import Window
 
-COUNT = 1600
+COUNT = 2200
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class BasisPlan(DrawPlan):
 
 @pytest.fixture(scope="module")
 def window() -> Window:
-    """Of 5 s with a gap of 1.5 s, and with errors that are considered."""
-    made = arm(3, protocol="random", duration_s=5.0, occlusion_lengths_s=(1.5,), occlusion_every_s=3.5)
+    """Of 6 s with a gap of 1.5 s, and with errors that are considered."""
+    made = arm(3, protocol="random", duration_s=6.0, occlusion_lengths_s=(1.5,), occlusion_every_s=4.0)
     return last_pass(made.recording, made.calibration)[0].window
 
 

@@ -11,13 +11,16 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from smoother.io.wire.schemas import message_class, schema_data
 
-PROTO = files("smoother.io.wire").joinpath("unocclude.proto")
-SCALARS = {1: "double", 8: "bool", 9: "string", 13: "uint32"}
+FOLDER = files("smoother.io.wire")
+#: A message of each file.
+FILES = {"unocclude": "unocclude.Imu", "unocclude_draws": "unocclude.Draws"}
+SCALARS = {1: "double", 6: "fixed64", 8: "bool", 9: "string", 12: "bytes", 13: "uint32"}
 
 
-def test_the_compiled_messages_are_those_of_the_file():
-    text = re.sub(r"//[^\n]*", "", PROTO.read_text(encoding="utf-8"))
-    file = message_class("unocclude.Imu").DESCRIPTOR.file
+@pytest.mark.parametrize("name", FILES)
+def test_the_compiled_messages_are_those_of_the_file(name: str):
+    text = re.sub(r"//[^\n]*", "", FOLDER.joinpath(f"{name}.proto").read_text(encoding="utf-8"))
+    file = message_class(FILES[name]).DESCRIPTOR.file
     described = {}
     for kind, name, body in re.findall(r"(enum|message)\s+(\w+)\s*{(.*?)}", text, re.DOTALL):
         pattern = r"(\w+)\s*=\s*(\d+);" if kind == "enum" else r"(repeated )?([\w.]+)\s+(\w+)\s*=\s*(\d+);"
@@ -38,20 +41,21 @@ def test_the_compiled_messages_are_those_of_the_file():
     assert [each.name for each in file.dependencies] == re.findall(r'import "(.*)";', text)
 
 
-def test_protoc_makes_the_same(tmp_path: Path):
+@pytest.mark.parametrize("name", FILES)
+def test_protoc_makes_the_same(tmp_path: Path, name: str):
     protoc = pytest.importorskip("grpc_tools.protoc")
     (tmp_path / "foxglove").write_bytes(schema_data("foxglove.SceneUpdate"))
     command = [
         "protoc",
         f"--descriptor_set_in={tmp_path / 'foxglove'}",
-        f"-Iunocclude={Path(str(PROTO)).parent}",
+        f"-Iunocclude={FOLDER}",
     ]
-    assert protoc.main([*command, f"-o{tmp_path / 'out'}", "unocclude/unocclude.proto"]) == 0
+    assert protoc.main([*command, f"-o{tmp_path / 'out'}", f"unocclude/{name}.proto"]) == 0
     (made,) = FileDescriptorSet.FromString((tmp_path / "out").read_bytes()).file
     for message in made.message_type:
         for field in message.field:
             field.ClearField("json_name")
-    assert made.SerializeToString() == message_class("unocclude.Imu").DESCRIPTOR.file.serialized_pb
+    assert made.SerializeToString() == message_class(FILES[name]).DESCRIPTOR.file.serialized_pb
 
 
 def test_a_schema_has_all_it_builds_on_before_it():

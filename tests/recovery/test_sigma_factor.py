@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_results import recovery as made
 
 from smoother.calibration import SigmaFactor, SigmaFactors
-from smoother.recovery.sigma_factor import with_sigma_factors
+from smoother.recovery.sigma_factor import RAMP_S, with_sigma_factors
+from smoother.result import Draws
 
 FACTORS = SigmaFactors((SigmaFactor(0.1, 1.5, 24), SigmaFactor(4.0, 2.5, 31)))
 
@@ -31,6 +34,24 @@ def test_positions_in_gaps_grow_and_the_rest_stays():
         assert (finite == 1.0).all() if joint == "shoulder" else (finite > 1.4).all()
     answered = np.isfinite(after.pose_covariance).all(axis=(1, 2))
     assert (np.linalg.eigvalsh(after.pose_covariance[answered]) > 0).all()
+
+
+def test_drawn_motions_grow_as_much_and_do_not_jump():
+    recovery = made()
+    t = recovery.t_s[::4].copy()
+    ones = np.ones((2, len(t), 3), np.float32)
+    joints = {"elbow": ones.copy(), "shoulder": ones.copy()}
+    drawn = replace(recovery, draws=Draws(t, 0, ones.copy(), ones.copy(), joints))
+    draws = with_sigma_factors(drawn, FACTORS).draws
+    assert draws is not None
+    for gap in recovery.gaps:
+        inside = (t >= gap.start_s) & (t <= gap.end_s)
+        np.testing.assert_allclose(draws.position[:, inside], FACTORS.at(gap.length_s), rtol=1e-4)
+    away = np.min([np.maximum(gap.start_s - t, t - gap.end_s) for gap in recovery.gaps], axis=0)
+    np.testing.assert_array_equal(draws.position[:, away > RAMP_S], 1.0)
+    assert np.abs(np.diff(draws.position, axis=1)).max() < 0.3  # of a factor of 2, over 0.3 s
+    np.testing.assert_array_equal(draws.joints["elbow"], draws.position)
+    assert (draws.joints["shoulder"] == 1.0).all() and (draws.rotation == 1.0).all()
 
 
 def test_it_is_said():

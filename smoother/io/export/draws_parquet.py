@@ -41,8 +41,8 @@ def export_draws(
     """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer.
 
     Columns: `motion` (from 0), `t_s`, `stamp_ns`, `imu_x` .. `imu_qz`, and each joint's place; metres in the
-    camera's frame, to a hundredth of a millimetre. The file's metadata has the key `unocclude`: a JSON object with the
-    program's version, the name, the side, how many motions there are and the seed.
+    camera's frame, to a hundredth of a millimetre. The file's metadata has the key `unocclude`: a JSON object
+    with the program's version, the name, the side, how many motions there are and the seed.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def export_draws(
     assert draws is not None
     answer = recovery.rows(np.clip(np.searchsorted(recovery.t_s, draws.t_s), 0, len(recovery) - 1))
     stamp = nanoseconds(draws.t_s, recovery.origin_ns)
-    about = {"version": version, "name": recovery.name, "side": recovery.side}
+    about: dict[str, str | int] = {"version": version, "name": recovery.name, "side": recovery.side}
     about |= {"motions": len(draws), "seed": draws.seed}
     with writing(path, force) as temporary:
         writer = None

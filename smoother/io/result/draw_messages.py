@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from ...recording import FloatArray, IntArray
@@ -84,7 +85,10 @@ class DrawsTable(TopicTable):
     def feed(self, messages: TopicMessages) -> None:
         """Decode some messages."""
         for start, stop in zip(messages.start.tolist(), messages.stop.tolist(), strict=True):
-            message = message_class(SCHEMA).FromString(messages.chunk[start:stop])
+            try:
+                message = message_class(SCHEMA).FromString(messages.chunk[start:stop])
+            except DecodeError as error:
+                raise ValueError(str(error)) from error
             offset = np.array(message.offset, np.int64)
             self._stamps.append(message.timestamp.ToNanoseconds() + offset)
             for drawn in message.drawn:

@@ -1,0 +1,133 @@
+"""Drawn motions of a whole recovery: the answer's covariance, over windows and sections."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import ALONE, arm
+
+from smoother import Recovery, smooth
+from smoother.errors import UnoccludeError
+from smoother.recovery.draw_columns import DrawColumns
+from smoother.recovery.draws import SectionDraws, _hermite, _widened
+from smoother.recovery.samples import widen_turns
+from smoother.runtime.store import Store
+from smoother.simulation import SimulatedArm
+from smoother.window.draw_plan import DrawPlan
+from smoother.window.trajectory import share_after
+
+DRAWS = 300
+
+
+@pytest.fixture(scope="module")
+def made() -> SimulatedArm:
+    """Two windows, with a gap in each."""
+    return arm(2, "realistic", protocol="random", duration_s=20.0, occlusion_lengths_s=(1.5,))
+
+
+@pytest.fixture(scope="module")
+def drawn(made: SimulatedArm) -> Recovery:
+    return smooth(replace(made.recording, truth=None), made.calibration, ALONE, draws=DRAWS, seed=4)
+
+
+def whitened(drawn: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Mean square of draws (k, n, d) in sigmas at each time (n,), a coordinate: 1 where they agree."""
+    spread = np.einsum("kni,knj->nij", drawn, drawn, dtype=float) / len(drawn)
+    return np.einsum("nii->n", np.linalg.solve(covariance, spread)) / drawn.shape[2]
+
+
+def test_they_have_the_covariance_that_the_answer_states(drawn: Recovery) -> None:
+    draws = drawn.draws
+    assert draws is not None and len(draws) == DRAWS
+    rows = np.searchsorted(drawn.t_s, draws.t_s)
+    np.testing.assert_array_equal(drawn.t_s[rows], draws.t_s)
+    pose = whitened(np.concatenate([draws.position, draws.rotation], axis=2), drawn.pose_covariance[rows])
+    # six coordinates of 300 draws: a mean square is known to 3 %; between nodes covariances are interpolated
+    assert abs(np.median(pose) - 1.0) < 0.06 and pose.min() > 0.75 and pose.max() < 1.25
+    for joint in ("elbow", "wrist", "hand"):
+        square = whitened(draws.joints[joint], drawn.joint_covariance[joint][rows])
+        assert abs(np.median(square) - 1.0) < 0.1 and square.min() > 0.7 and square.max() < 1.3, joint
+    # between the shoulder's knots the stated covariance is that of the knots, a straight line has less
+    square = whitened(draws.joints["shoulder"], drawn.joint_covariance["shoulder"][rows])
+    assert square.max() < 1.25 and square.min() > 0.4 and np.percentile(square, 95) > 0.9
+
+
+def test_their_mean_is_the_answer(drawn: Recovery) -> None:
+    draws = drawn.draws
+    assert draws is not None
+    for values in (draws.position, draws.rotation, *draws.joints.values()):
+        # the mean of 300 draws is off by 0.06 sigma; four times that anywhere
+        assert (np.abs(values.mean(axis=0)) < 0.25 * values.std(axis=0)).all()
+
+
+def test_speeds_of_drawn_motions_vary_as_the_answer_states(drawn: Recovery) -> None:
+    inner = (drawn.t_s > 1.0) & (drawn.t_s < 19.0)
+    faster = np.array([drawn.drawn(k).velocity - drawn.velocity for k in range(100)])[:, inner]
+    ratio = faster.var(axis=0).sum(axis=1) / np.trace(drawn.velocity_covariance[inner], axis1=1, axis2=2)
+    # the derivative of what is drawn 25 times a second; the interpolated covariances say no more
+    assert 0.7 < np.median(ratio) < 1.3
+
+
+def test_the_same_seed_gives_the_same_motions_and_the_answer_stays(
+    made: SimulatedArm, drawn: Recovery
+) -> None:
+    recording = replace(made.recording, truth=None)
+    few = smooth(recording, made.calibration, ALONE, draws=2, seed=4)
+    assert few.draws is not None and drawn.draws is not None
+    # the same but for the rounding of products that are as wide as there are draws
+    np.testing.assert_allclose(few.draws.position, drawn.draws.first(2).position, atol=1e-6)
+    np.testing.assert_allclose(few.draws.rotation, drawn.draws.first(2).rotation, atol=1e-6)
+    for name in ("position", "quaternion", "pose_covariance"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(drawn, name))
+
+
+def test_numbers_below_zero_are_refused(made: SimulatedArm) -> None:
+    for wrong in ({"draws": -1}, {"draws": 2, "seed": -1}):
+        with pytest.raises(UnoccludeError, match="0 or more; not -1"):
+            smooth(made.recording, made.calibration, ALONE, **wrong)
+
+
+def test_wide_angles_are_widened_as_their_covariance_is() -> None:
+    """Exactly: the rows of a square root stand for the draws."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(3, 6, 6)) * np.array([0.005, 0.1, 0.4])[:, None, None]
+    covariance = root @ root.transpose(0, 2, 1)
+    draws = root.transpose(2, 0, 1)  # (k, n, 6): their sum of squares is the covariance
+    p, r = _widened(draws[:, :, :3], draws[:, :, 3:], covariance)
+    both = np.concatenate([p, r], axis=2)
+    np.testing.assert_allclose(np.einsum("kni,knj->nij", both, both), widen_turns(covariance), rtol=1e-9)
+    assert widen_turns(covariance)[2, 3, 3] > 2.0 * covariance[2, 3, 3]
+    np.testing.assert_array_equal(both[:, 0], draws[:, 0])  # small angles stay
+
+
+def test_between_nodes_a_motion_of_constant_acceleration_is_exact() -> None:
+    nodes, t = np.array([0.0, 0.1, 0.3, 0.35]), np.linspace(0.0, 0.35, 15)
+
+    def path(at: np.ndarray) -> np.ndarray:
+        return np.stack([at, at**2, 1.0 - at**3], axis=-1)[None]
+
+    speed = np.stack([np.ones(4), 2 * nodes, -3 * nodes**2], axis=-1)[None]
+    np.testing.assert_allclose(_hermite(nodes, path(nodes), speed, t), path(t), atol=1e-12)
+
+
+def test_sections_are_joined_as_the_answer_is() -> None:
+    t = np.arange(400) / 100
+    columns = DrawColumns(t, DrawPlan(2, 0, "", 4, np.eye(1)), Store())
+    everywhere = {"position": 1.0, "rotation": 2.0}
+
+    def add(rows: slice, border_s: float, value: float) -> None:
+        samples = np.arange(-rows.start % 4, rows.stop - rows.start, 4)
+        filled = {name: np.full((len(samples), 2, 3), value * size) for name, size in everywhere.items()}
+        share = share_after(t[rows], border_s)
+        columns.add(SectionDraws(samples, filled), rows, share)
+
+    add(slice(10, 250), -np.inf, 1.0)
+    add(slice(150, 390), 2.0, 3.0)
+    draws = columns.draws()
+    assert draws is not None and len(draws) == 2
+    np.testing.assert_array_equal(draws.t_s, t[::4])
+    expected = 1.0 + 2.0 * share_after(draws.t_s, 2.0)
+    expected[(draws.t_s < 0.1) | (draws.t_s > 3.89)] = np.nan
+    np.testing.assert_allclose(draws.rotation[1, :, 2], 2.0 * expected, rtol=1e-6)
