@@ -21,8 +21,15 @@ from pathlib import Path
 import numpy as np
 
 from smoother.evaluation.align import truth_at
-from smoother.evaluation.change import LESS, MORE, UNKNOWN, SessionValue, change_between
-from smoother.evaluation.main_measures import is_main
+from smoother.evaluation.change import (
+    LESS,
+    MORE,
+    UNKNOWN,
+    SessionValue,
+    change_between,
+    without_like_movements,
+)
+from smoother.evaluation.main_measures import BY_MOVEMENT, is_main
 from smoother.evaluation.measure_pairs import same_samples
 from smoother.measures import Measure, measure
 from smoother.simulation import ArmSimulation
@@ -111,16 +118,22 @@ def count_pair(
         change = change_between(value(first[0][key]), value(last[0][key]))
         if not math.isfinite(change.p):
             continue
+        movements = [each[0]["movement_count"].value for each in (first, last)]
+        if key in BY_MOVEMENT:
+            change = without_like_movements(change, *movements)
+        if change.word == UNKNOWN:
+            counts[key]["unknown"] += 1
+            continue
         true = last[1][key].value - first[1][key].value
         what = "same" if same else "other"
-        counts[key][what] += 1
-        counts[key][f"{what}_called"] += change.word in (MORE, LESS)
-        counts[key][f"{what}_unknown"] += change.word == UNKNOWN
         counts[key]["held"] += change.low <= true <= change.high
         counts[key]["pairs"] += 1
+        counts[key][what] += 1
+        counts[key][f"{what}_called"] += change.word in (MORE, LESS)
         if not change.low <= true <= change.high:
             half = 0.5 * (change.high - change.low)
-            print(f"  {what}: {key} {change.difference:.3g} (true {true:.3g}, half {half:.3g})")
+            numbers = f"{change.difference:.3g} (true {true:.3g}, half {half:.3g}, movements {movements})"
+            print(f"  {what}: {key} {numbers}")
 
 
 def summary(counts: dict[str, dict[str, int]]) -> str:

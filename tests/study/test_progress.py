@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_measures import made_measures, study_row, write_study
+from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.change import LESS, MORE, UNCLEAR, UNKNOWN
@@ -140,6 +141,20 @@ def test_the_minimal_detectable_change_decides_too(tmp_path: Path):
         return next(each.change.word for each in person.series if each.key == FLEXION)
 
     assert (word(), word(**{FLEXION: 8.0}), word(**{FLEXION: 12.0})) == (MORE, MORE, UNCLEAR)
+
+
+def test_means_over_other_movements_are_not_compared():
+    attended = {f"p/s{n}.mcap": Attendance(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
+    rows = []
+    for number, name in enumerate(attended):
+        arm = made_measures(change={"sparc": 0.5 * number, FLEXION: 20.0 * number}, movements=0)
+        count = made_measure("movement_count", 6.0 - 3 * number, 0.0)
+        rows.append(study_row(name, [replace(arm, rows=(*arm.rows, count))]))
+    (person,) = progress_of(rows, attended)
+    words = {each.key: each.change.word for each in person.series}
+    assert (words["sparc"], words[FLEXION]) == (UNKNOWN, MORE)
+    limits = next(each.change.limits for each in person.series if each.key == "sparc")
+    assert limits[0] == "sessions s0 and s1 have 6 and 3 movements: a mean over them is of other movements"
 
 
 def test_tasks_and_arms_are_compared_with_their_own(tmp_path: Path):
