@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,8 @@ UNKNOWN: Word = "cannot be said"
 LEVEL = 0.05
 #: A value that rests on more recovered samples than this is said to.
 MOSTLY_RECOVERED = 0.5
+#: Sessions whose numbers of movements differ more do not have the same movements.
+LIKE_SHARE = 0.75
 #: What none of n draws shows is rarer than this over n, with 95 % (Hanley and Lippman-Hand, JAMA 249, 1983).
 RULE_OF_THREE = 3.0
 #: Half of a normal interval of 95 %, in standard deviations.
@@ -163,6 +165,35 @@ def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.
         word = UNKNOWN
         limits = ("the interval is wider than the minimal detectable change", *limits)
     return Change(first, last, difference, difference - half, difference + half, p, mdc95, word, limits)
+
+
+def without_like_movements(change: Change, first_count: float, last_count: float) -> Change:
+    """A measure of movements whose sessions have other movements: what changed of it cannot be said.
+
+    Its interval holds errors of the motion, not which movements were found: where one session has many more
+    of them than the other, their mean is of other movements.
+
+    Parameters
+    ----------
+    change : Change
+        Of a measure that is a mean over movements.
+    first_count, last_count : float
+        Movements of both sessions; nan where that is not known.
+
+    Returns
+    -------
+    Change
+        The same where the counts are; with the numbers among its limits where they are alike.
+    """
+    fewer, more = sorted((first_count, last_count))
+    if not fewer < more:
+        return change
+    sentence = (
+        f"sessions {change.first.session} and {change.last.session} have {first_count:.0f} and"
+        f" {last_count:.0f} movements: a mean over them is of other movements"
+    )
+    word = UNKNOWN if fewer < LIKE_SHARE * more else change.word
+    return replace(change, word=word, limits=(sentence, *change.limits))
 
 
 def together(changes: Sequence[Change]) -> list[float]:

@@ -12,6 +12,11 @@ FIRST = (
 )
 #: Those that grow with the length of the recording, whatever the person does.
 OF_LENGTH = ("duration_s", "hand_path_length_m", "movement_count", "repetition_count")
+#: Those that are means over the movements of a session, or of one of them.
+BY_MOVEMENT = (
+    *("sparc", "ldlj_v", "velocity_peaks", "hand_path_ratio", "movement_duration_s"),
+    *("hand_time_to_peak_s", "hand_time_to_peak_percent"),
+)
 #: Details of an angle's distribution: in files, not on pages.
 _DETAILS = ("_zone_", "_p5_", "_p25_", "_p50_", "_p75_", "_p95_")
 

@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -77,6 +77,8 @@ class Job:
         Measure what is recovered.
     draws : int
         Motions to draw for the intervals of the measures.
+    hash_names : bool
+        The recording's name is a hash.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Job:
     limits: Limits = field(default_factory=Limits)
     measures: bool = False
     draws: int = 0
+    hash_names: bool = False
 
     @property
     def key(self) -> str:
@@ -234,7 +237,7 @@ def _recover_in(
     config = job.config.model_copy(update={"windows": windows})
     recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
     results = []
-    for recovery in smooth_arms(recordings, calibrations, config, store=store):
+    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=job.draws):
         recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
         results.append((recording, with_given(recovery, calibration)))
     output = folder.output(job.name)
@@ -243,6 +246,9 @@ def _recover_in(
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
         measured = measured_arms(answers) if job.measures else None
+        answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
+        if job.hash_names:
+            answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
         write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(

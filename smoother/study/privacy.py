@@ -86,7 +86,7 @@ def without_places(text: str, job: Job) -> str:
     if job.calibration:
         places |= {job.calibration: calibration.name, str(calibration.parent): ""}
     places[str(Path(job.source).parent)] = ""
-    if Path(job.name).name != Path(job.source).name:  # its name is a hash
+    if job.hash_names:
         places |= {Path(job.source).name: Path(job.name).name}
     for folder in (tempfile.gettempdir(), os.getcwd(), os.path.expanduser("~")):
         places.setdefault(folder, f"[{'temporary' if folder == tempfile.gettempdir() else 'own'} folder]")

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
-from ..evaluation.change import SessionValue, change_between, together
-from ..evaluation.main_measures import is_main
+from ..evaluation.change import SessionValue, change_between, together, without_like_movements
+from ..evaluation.main_measures import BY_MOVEMENT, is_main
 from ..evaluation.series import PersonProgress, Series
 from .columns import DONE, Row, schema
 from .folder import StudyFolder
@@ -164,6 +164,7 @@ def _progress(
         _series(person, key, about[key], [_since(value, first_day) for value in each], mdc95)
         for key, each in values.items()
     ]
+    series = [_of_like_movements(each, values) for each in series]
     return PersonProgress(
         person=person,
         sessions=tuple(used),
@@ -230,6 +231,21 @@ def _series(
     known = mdc95.get(measure, math.nan)
     changes = tuple(change_between(values[0], later, known) for later in values[1:])
     return Series(person, side, task, measure, *about, tuple(values), changes)
+
+
+def _of_like_movements(series: Series, values: Mapping[_Key, Sequence[SessionValue]]) -> Series:
+    """Changes of means over movements only where the sessions have as many of them."""
+    if series.key not in BY_MOVEMENT:
+        return series
+    counted = values.get((series.side, series.task, "movement_count"), ())
+    counts = {value.session: value.value for value in counted}
+    changes = [
+        without_like_movements(
+            change, counts.get(change.first.session, math.nan), counts.get(change.last.session, math.nan)
+        )
+        for change in series.changes
+    ]
+    return replace(series, changes=tuple(changes))
 
 
 def _counted_together(series: Sequence[Series]) -> list[Series]:

@@ -242,6 +242,7 @@ class _Plan:
             limits=settings.limits,
             measures=settings.measures,
             draws=settings.draws,
+            hash_names=settings.hash_names,
         )
 
 

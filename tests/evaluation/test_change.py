@@ -16,6 +16,7 @@ from smoother.evaluation.change import (
     SessionValue,
     change_between,
     together,
+    without_like_movements,
 )
 
 
@@ -100,6 +101,15 @@ def test_counts_on_which_all_draws_agree():
     assert change_between(reached(0), reached(1)).word == MORE
     assert change_between(reached(1), reached(1)).word == UNCLEAR
     assert change_between(reached(0, 20), reached(1, 20)).word == UNCLEAR  # too few draws to be sure
+
+
+@pytest.mark.parametrize(
+    ("counts", "word", "said"),
+    [((5, 5), MORE, False), ((10, 9), MORE, True), ((3, 2), UNKNOWN, True), ((math.nan, 2), MORE, False)],
+)
+def test_means_over_other_movements(counts: tuple[float, float], word: str, said: bool):
+    change = without_like_movements(change_between(value(60), value(75)), *counts)
+    assert change.word == word and bool(change.limits) is said
 
 
 def test_many_comparisons_together():
