@@ -19,7 +19,7 @@ from .measure import Scope
 from .motion import Motion
 from .movement import Movement
 from .movements import as_movements, find_movements
-from .reach import reach_figures
+from .reach import reach_figures, voxel_means
 from .repetitions import find_repetitions
 from .settings import MeasureSettings
 from .smoothness import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
@@ -29,6 +29,8 @@ from .zones import bone_lengths, zone_figures_of
 Place = tuple[Scope, int | None]
 Figures = dict[str, Figure]
 SESSION: Place = ("session", None)
+#: More places make an alpha shape slow, and no other.
+MOST_PLACES = 2000
 #: Measures of a movement whose mean over movements describes a longer time; of a ratio it is the median.
 _MEANS = ("sparc", "ldlj_v", "velocity_peaks", "hand_time_to_peak_s", "hand_time_to_peak_percent")
 _MEDIANS = ("hand_path_ratio",)
@@ -52,6 +54,8 @@ class Layout:
         Where an angle is known, by its name.
     centres_deg : dict of str to float, deg
         What an angle lies within half a turn of.
+    voxel_m : float, m
+        Size of the cubes of which one place counts for the alpha shape.
     """
 
     settings: MeasureSettings
@@ -61,6 +65,7 @@ class Layout:
     repetitions: tuple[Movement, ...]
     known: dict[str, BoolArray]
     centres_deg: dict[str, float]
+    voxel_m: float
 
     @classmethod
     def of(cls, motion: Motion, settings: MeasureSettings) -> Layout:
@@ -77,6 +82,7 @@ class Layout:
             repetitions,
             {name: np.isfinite(angle) for name, angle in motion.angles.items()},
             {name: centre_of(angle) for name, angle in motion.angles.items()},
+            _voxel(motion, settings.reach.voxel_m),
         )
 
     def figures(self, motion: Motion) -> dict[Place, Figures]:
@@ -183,10 +189,22 @@ class Layout:
         )
         if motion.hand_joint == "hand":
             arm_m += lengths.get("hand", np.nan)
-        places = motion.hand[place]
-        if "shoulder" in motion.joints:
-            places = places - motion.joints["shoulder"][place]
-        return reach_figures(places, motion.occluded[place], arm_m, reach.voxel_m, reach.alpha_m)
+        places = _from_shoulder(motion)[place]
+        return reach_figures(places, motion.occluded[place], arm_m, self.voxel_m, reach.alpha_m)
+
+
+def _from_shoulder(motion: Motion) -> FloatArray:
+    """The hand's places (n, 3) from the shoulder, where there is one."""
+    return motion.hand - motion.joints["shoulder"] if "shoulder" in motion.joints else motion.hand
+
+
+def _voxel(motion: Motion, voxel_m: float) -> float:
+    """The size asked for, or as much more as leaves no more than `MOST_PLACES` places."""
+    places = _from_shoulder(motion)
+    places = places[np.isfinite(places).all(axis=1)]
+    while len(places) > MOST_PLACES and len(voxel_means(places, voxel_m)) > MOST_PLACES:
+        voxel_m *= 1.25
+    return voxel_m
 
 
 def _inside(motion: Motion, place: slice) -> tuple[slice, ...]:

@@ -17,6 +17,7 @@ from smoother.measures.intervals import interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Recovery
 from smoother.runtime.plain_values import plain
+from smoother.upper_motion import UpperMotion
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +146,29 @@ def test_intervals_hold_the_truth_where_errors_are_as_drawn(what: str):
     assert 0.85 <= held / 200 <= 0.995
 
 
+def test_how_the_upper_arm_s_imu_sits_is_in_the_interval():
+    """A level upper arm whose IMU may be turned by 4 degrees about the bone: so may its rotation."""
+    t = np.arange(0.0, 2.5, 0.025)
+    still = np.ones((len(t), 1))
+    bend = 1.0 + 0.3 * np.sin(2 * t)
+    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
+    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
+    bare = recovery_of(t, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})
+    # the bone's axes: y from elbow to shoulder, z to the lateral epicondyle (up), x = y cross z
+    axes = np.column_stack([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    quaternion = np.tile(Rotation.from_matrix(axes).as_quat(scalar_first=True), (len(t), 1))
+    sigma = np.radians([0.0, 4.0, 0.0])
+    upper = UpperMotion(elbow, quaternion, np.zeros((len(t), 6, 6)), sigma)
+    assert bare.calibration is not None
+    calibration = replace(bare.calibration, R_U_B=np.eye(3))
+    answer = with_draws(replace(bare, upper=upper, calibration=calibration), count=40, sigma_m=0.0)
+    rows = measure(answer).by_key
+    assert rows["shoulder_rotation_p50_deg"].sigma == pytest.approx(4.0, rel=0.35)  # of 40 draws
+    assert rows["shoulder_elevation_p50_deg"].sigma < 0.01
+    assert rows["shoulder_rotation_range_deg"].sigma < 0.01  # one turn for the whole recording
+
+
 def test_the_interval_lies_about_the_value():
     definition = MeasureDefinition("a length", "m", 0.0)
     drawn = 3.0 + np.linspace(-1.0, 1.0, 201)  # to one side of the answer, as draws of a path length are
@@ -189,7 +213,7 @@ def test_symmetry_as_robinson_defines_it():
 
 def test_both_arms():
     left, right = (
-        with_draws(simulated(4, side, protocol="random", duration_s=6.0), count=20)
+        with_draws(simulated(4, side, protocol="random", duration_s=4.0), count=20)
         for side in ("left", "right")
     )
     both = measure_both([right, left])

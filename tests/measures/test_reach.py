@@ -24,11 +24,11 @@ def sphere(radius: float, count: int) -> np.ndarray:
 
 
 def test_a_sphere_has_the_volume_of_a_ball():
-    points = sphere(0.5, 4000)
+    points = sphere(0.5, 600)
     figures = reach_figures(points, np.zeros(len(points), bool), 0.5, 0.02, 1.0)
-    # a polyhedron with 4000 corners fills all but some thousandths of the ball
-    assert figures["hand_reach_hull_l"].value == pytest.approx(4e3 / 3 * np.pi * 0.125, rel=0.005)
-    assert figures["hand_reach_sphere_percent"].value == pytest.approx(100.0, rel=0.005)
+    # a polyhedron with 600 corners fills all but a hundredth or two of the ball
+    assert figures["hand_reach_hull_l"].value == pytest.approx(4e3 / 3 * np.pi * 0.125, rel=0.025)
+    assert figures["hand_reach_sphere_percent"].value == pytest.approx(100.0, rel=0.025)
 
 
 def test_a_cube():
