@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
     from .measures import Measures, MeasureSettings, measure, measure_both
     from .recording import ImuStream, JointState, JointTracks, Recording, Truth
-    from .result import Recoveries, Recovery
+    from .result import Draws, Recoveries, Recovery
     from .several_arms import smooth_arms
     from .smoothing import smooth
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _HOME = {
     "ArmCalibration": "smoother.calibration",
     "Config": "smoother.config",
+    "Draws": "smoother.result",
     "ImuStream": "smoother.recording",
     "JointState": "smoother.recording",
     "JointTracks": "smoother.recording",
@@ -56,6 +57,7 @@ _HOME = {
 __all__ = [
     "ArmCalibration",
     "Config",
+    "Draws",
     "ImuStream",
     "JointState",
     "JointTracks",

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from smoother.calibration import ArmCalibration
 from smoother.evaluation.align import truth_at
 from smoother.measures import MeasureSettings
 from smoother.measures.definitions import definition_of
@@ -55,9 +56,12 @@ def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
     return replace(recovery, position=at.position, quaternion=at.quaternion, joints=joints, draws=None)
 
 
-def recovered(simulated: SimulatedArm, draws: int, seed: int) -> Recovery:
+def recovered(
+    simulated: SimulatedArm, draws: int, seed: int, calibration: ArmCalibration | None = None
+) -> Recovery:
     """The recording smoothed without its truth; the forearm's axes in the IMU are given."""
-    recovery = smooth(replace(simulated.recording, truth=None), processes=1, draws=draws, seed=seed)
+    recording = replace(simulated.recording, truth=None)
+    recovery = smooth(recording, calibration, processes=1, draws=draws, seed=seed)
     assert recovery.calibration is not None
     return replace(recovery, calibration=replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A))
 
@@ -164,20 +168,28 @@ def hidden_extremes(simulated: SimulatedArm) -> SimulatedArm:
 
 
 def hidden_range(preset: str, seeds: range) -> None:
-    """The elbow's range with two thirds of both extremes hidden, nothing else."""
-    errors = []
+    """The elbow's range with nothing hidden, and with two thirds of both extremes hidden."""
     config = ArmSimulation.preset(preset, protocol="random", occlusion_lengths_s=())
-    for seed in seeds:
-        simulated = hidden_extremes(simulate_arm(config, seed))
-        recovery = recovered(simulated, 0, seed)
-        rows = {s.key: s for s in samples_of(simulated, recovery, MeasureSettings()) if s.scope == "session"}
-        sample = rows["elbow_flexion_range_deg"]
-        errors.append(sample.value - sample.truth)
-    rms, bias = float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(errors))
-    print(
-        f"{preset}: elbow's range, two thirds of both extremes hidden: rms {rms:.2f}, bias {bias:+.2f}"
-        f" degrees, {len(errors)} seeds"
-    )
+    for words, is_hidden, is_calibrated in (
+        ("nothing hidden", False, False),
+        ("two thirds of both extremes hidden", True, False),
+        ("the same, the arm calibrated", True, True),
+    ):
+        errors: dict[str, list[float]] = defaultdict(list)
+        for seed in seeds:
+            simulated = simulate_arm(config, seed)
+            simulated = hidden_extremes(simulated) if is_hidden else simulated
+            calibration = simulated.calibration if is_calibrated else None
+            recovery = recovered(simulated, 0, seed, calibration)
+            for sample in samples_of(simulated, recovery, MeasureSettings()):
+                if sample.scope == "session":
+                    errors[sample.key].append(sample.value - sample.truth)
+        figures = "  ".join(
+            f"{what} {np.sqrt(np.mean(np.square(off))):.2f} ({np.mean(off):+.2f})"
+            for what in ("range", "max", "min")
+            for off in [errors[f"elbow_flexion_{what}_deg"]]
+        )
+        print(f"{preset}: elbow, {words}: rms (bias), degrees: {figures}; {len(seeds)} seeds", flush=True)
 
 
 def sparc_bias(preset: str, samples: list[Sample]) -> None:
@@ -197,6 +209,25 @@ def sparc_bias(preset: str, samples: list[Sample]) -> None:
             )
 
 
+def markdown(tables: dict[str, list[dict[str, object]]]) -> str:
+    """The table of docs/measures.md: by measure how often its interval holds, and its rms error."""
+    by_key = {(preset, row["scope"], row["key"]): row for preset, rows in tables.items() for row in rows}
+    presets = list(tables)
+    heads = [
+        f"{preset}: {what}" for preset in presets for what in ("sessions", "movements", "rms of sessions")
+    ]
+    lines = [f"| measure | {' | '.join(heads)} |", "|---" * (1 + len(heads)) + "|"]
+    for key in dict.fromkeys(row["key"] for rows in tables.values() for row in rows):
+        cells = []
+        for preset in presets:
+            session, movement = (by_key.get((preset, scope, key)) for scope in ("session", "movement"))
+            for row in (session, movement):
+                cells.append(f"{100 * row['coverage']:.0f} % of {row['cases']}" if row else "")
+            cells.append(f"{session['rms']:.2g}" if session else "")
+        lines.append(f"| `{key}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Read the options and run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -206,6 +237,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=64)
     parser.add_argument("--keep-in", type=Path, help="folder for what was recovered, to measure it again")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path, help="the table of docs/measures.md")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     tables = {}
@@ -217,6 +249,8 @@ def main() -> None:
             print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
         sparc_bias(preset, samples)
         hidden_range(preset, seeds)
+    if options.markdown is not None:
+        options.markdown.write_text(markdown(tables) + "\n", encoding="utf-8")
     if options.json is not None:
         options.json.write_text(json.dumps(tables, indent=1), encoding="utf-8")
 

@@ -9,7 +9,7 @@ from ..result import Draws
 from ..runtime.store import Store
 from ..window.draw_plan import DrawPlan
 from .blending import blend
-from .draws import JOINT, SectionDraws
+from .drawn_samples import JOINT, SectionDraws
 
 
 class DrawColumns:

@@ -13,7 +13,7 @@ from ..runtime.pool import Pool
 from ..window.drawn_trajectory import merge_draws
 from ..window.solution import Message
 from ..window.trajectory import merge_windows
-from .draws import SectionDraws, sample_draws
+from .drawn_samples import SectionDraws, sample_draws
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
 from .task import Task
@@ -92,7 +92,8 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     draws = None
     if task.plan is not None:
         drawn = merge_draws(state.prepared.t, windows, solutions)
-        draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, task.plan)
+        layout = task.prior.layout
+        draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, layout, task.plan)
     return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper, draws)
 
 

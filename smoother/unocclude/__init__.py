@@ -19,6 +19,7 @@ from smoother import __version__ as __version__
 if TYPE_CHECKING:
     from smoother import ArmCalibration as ArmCalibration
     from smoother import Config as Config
+    from smoother import Draws as Draws
     from smoother import ImuStream as ImuStream
     from smoother import JointState as JointState
     from smoother import JointTracks as JointTracks

@@ -11,8 +11,9 @@ from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..recording import FloatArray, IntArray
 from ..selfcal.rounds import SelfCalibration
-from ..window.draw_plan import DrawPlan
+from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
+from ..window.shared import SharedLayout
 from ..window.trajectory import Trajectory
 from .samples import LINEAR_RAD, UNKNOWN_LEVER_M, UNKNOWN_RAD, SectionAnswer, wide_turns
 
@@ -42,6 +43,7 @@ def sample_draws(
     drawn: WindowDraws,
     trajectory: Trajectory,
     model: SelfCalibration,
+    layout: SharedLayout,
     plan: DrawPlan,
 ) -> SectionDraws:
     """A section's drawn motions at its samples.
@@ -61,6 +63,8 @@ def sample_draws(
         Of the second pass.
     model : SelfCalibration
         As all sections have it.
+    layout : SharedLayout
+        Of the shared vector that the plan has.
     plan : DrawPlan
 
     Returns
@@ -81,6 +85,7 @@ def sample_draws(
     p = p + model.clock.local_sigma_s * plan.once("clock", 1)[:, :, None] * v
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
+    levers = lever_errors(model, layout, plan)
     for joint in answer.joints:
         if joint == "shoulder":
             if drawn.shoulder is not None:
@@ -88,9 +93,8 @@ def sample_draws(
         elif lever_of(model.estimate, joint) is not None:
             arm = np.einsum("nij,nj->ni", R, trajectory.lever_at(joint, t))
             columns[JOINT + joint] = p + np.cross(r, arm)
-            if (lever := model.estimate.lever_arms.get(joint)) is not None:
-                error = plan.once(f"lever {joint}", 3) * lever.sigma_m
-                columns[JOINT + joint] += np.einsum("nij,kj->kni", R, error)
+            if joint in levers:
+                columns[JOINT + joint] += np.einsum("nij,kj->kni", R, levers[joint])
     # 5. A sensor whose mounting the motion did not show.
     if model.mounting_unknown:
         columns["position"] = p + np.einsum("nij,kj->kni", R, UNKNOWN_LEVER_M * plan.once("mounting", 3))
@@ -101,6 +105,28 @@ def sample_draws(
         samples,
         {name: np.moveaxis(values, 0, 1).astype(np.float32) for name, values in columns.items()},
     )
+
+
+def lever_errors(model: SelfCalibration, layout: SharedLayout, plan: DrawPlan) -> dict[str, FloatArray]:
+    """Errors of the lever arms by joint (k, 3), m in {A}, drawn once, with the sigmas that are stated.
+
+    A sigma has two parts (`calibration_from`): the common part of the camera's constant errors, which is the
+    same for all joints, and what the windows leave open, in which joints hang together as all windows say.
+    """
+    constants = layout.constants.start
+    scale = np.sqrt(np.diag(plan.shared))
+    correlation = (plan.shared / scale / scale[:, None])[constants:, constants:]
+    own = plan.once("levers", len(correlation)) @ root_of(correlation)
+    common = plan.once("joints", 3)
+    errors = {}
+    for joint in layout.joints:
+        sigma_m = model.estimate.lever_arms[joint].sigma_m
+        shared_m = np.minimum(model.joint_bias.sigma_m, sigma_m)
+        rows = slice(layout.lever(joint).start - constants, layout.lever(joint).stop - constants)
+        errors[joint] = shared_m * common + np.sqrt(sigma_m**2 - shared_m**2) * own[:, rows]
+    for joint in model.estimate.lever_arms.keys() - errors.keys():  # of joints that no window has
+        errors[joint] = model.estimate.lever_arms[joint].sigma_m * plan.once(f"lever {joint}", 3)
+    return errors
 
 
 def _upper(rotation: FloatArray, upper: Trajectory, t: FloatArray) -> FloatArray:
