@@ -243,10 +243,9 @@ def _freedom(first: SessionValue, last: SessionValue) -> float:
 def _unknown(first: SessionValue, last: SessionValue) -> tuple[str, ...]:
     sentences = []
     for value in (first, last):
+        note = value.note.rstrip(".")
         if not math.isfinite(value.value):
-            sentences.append(
-                f"session {value.session} has no value{f' ({value.note})' if value.note else ''}"
-            )
+            sentences.append(f"session {value.session} has no value{f' ({note})' if note else ''}")
         elif not math.isfinite(value.spread):
             sentences.append(f"session {value.session} was recovered without draws: its interval is unknown")
     return tuple(dict.fromkeys(sentences))
@@ -260,9 +259,7 @@ def _limits(
         sentences.append("the change is larger than its interval but not than the minimal detectable change")
     for value in (first, last):
         if value.recovered_share > MOSTLY_RECOVERED:
-            sentences.append(
-                f"session {value.session} rests to {100 * value.recovered_share:.0f} % on recovered samples"
-            )
+            sentences.append(f"more than half of session {value.session} rests on recovered samples")
         if value.value < value.low or value.value > value.high:
             sentences.append(f"session {value.session}: the value lies outside its own interval")
     return tuple(sentences)

@@ -171,17 +171,24 @@ def _chain(
     for group in system.conditionals():
         node, number = place[group.columns].T
         order = np.lexsort((number, node))  # by time, however nodes are grouped
-        lower = np.tril(group.factor)
-        information = (lower @ lower.T)[np.ix_(order, order)]
         own = normals[:, node[order], number[order]].T
         drawn = np.empty_like(own)
-        drawn[order] = solve_triangular(np.linalg.cholesky(information), own, lower=True, trans="T")
+        drawn[order] = solve_triangular(_reordered(group.factor, order), own, lower=True, trans="T")
         if group.gain is not None:
             drawn -= group.gain @ after
         after = drawn
         follows = group.follows[:, : border.shape[1]] @ border.T
         errors[:, group.columns] = (group.scale[:, None] * drawn - follows).T
     return errors
+
+
+def _reordered(factor: FloatArray, order: IntArray) -> FloatArray:
+    """Lower Cholesky factor of the same information with its rows in another order.
+
+    By QR, which never fails: drawing must not decide whether a window counts as determined.
+    """
+    upper = np.linalg.qr(np.tril(factor)[order].T, mode="r")
+    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
 
 
 def _add_constant(errors: FloatArray, system: LinearSystem, shared: FloatArray, constant: FloatArray) -> None:

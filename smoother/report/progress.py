@@ -86,7 +86,7 @@ def _verdict(progress: PersonProgress) -> Iterator[str]:
             ]
             if names:
                 more = f" and {len(names) - 4} others" if len(names) > 4 else ""
-                yield f"{word.capitalize()}: {', '.join(names[:4])}{more}"
+                yield f"{word.capitalize()}: {'; '.join(names[:4])}{more}"
         if (compared := len(progress.compared)) >= 10 and clear:
             yield (
                 f"Of {compared} measures about {0.05 * compared:.0f} would be called clear by chance alone;"
@@ -109,14 +109,15 @@ def _standing(progress: PersonProgress) -> str:
     if not stand:
         return "none of them stands"
     more = " and others" if len(stand) > 3 else ""
-    return f"{', '.join(stand[:3])}{more} {'stand' if len(stand) > 1 else 'stands'}"
+    return f"{'; '.join(stand[:3])}{more} {'stand' if len(stand) > 1 else 'stands'}"
 
 
 def _sections(progress: PersonProgress) -> Iterator[str]:
     shown = _shown(progress)
     if shown:
         yield _figures(progress, shown)
-    rows = [each for each in progress.main if each.change is not None]
+    rows = [*progress.clear]  # what changed stands first, whatever is cut
+    rows += [each for each in progress.main if each.change is not None and each not in progress.clear]
     if rows:
         yield _table(progress, rows)
     yield _limits(progress)
@@ -194,7 +195,7 @@ def _table(progress: PersonProgress, rows: Sequence[Series]) -> str:
         if (change := each.change) is not None
     ]
     more = len(rows) - MOST_ROWS
-    caption = "The last session against the first." + (
+    caption = "The last session against the first, what changed clearly in front." + (
         f" {more} measures more are in the tables (--csv)." if more > 0 else ""
     )
     return tabulated("All changes", caption, columns, cells)

@@ -58,7 +58,7 @@ def test_no_draws_is_said():
 
 def test_what_rests_on_recovered_samples_is_said():
     change = change_between(value(60), replace(value(61), recovered_share=0.7))
-    assert change.limits == ("session 1 rests to 70 % on recovered samples",)
+    assert change.limits == ("more than half of session 1 rests on recovered samples",)
 
 
 @pytest.mark.parametrize("draws", [6, 20, 64])
