@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .errors import UnoccludeError
     from .evaluation.validate import validate
     from .io import read_recording, read_recordings, read_recovery, write_recording, write_recovery
+    from .measures import Measures, MeasureSettings, measure, measure_both
     from .recording import ImuStream, JointState, JointTracks, Recording, Truth
     from .result import Draws, Recoveries, Recovery
     from .several_arms import smooth_arms
@@ -33,11 +34,15 @@ _HOME = {
     "ImuStream": "smoother.recording",
     "JointState": "smoother.recording",
     "JointTracks": "smoother.recording",
+    "MeasureSettings": "smoother.measures",
+    "Measures": "smoother.measures",
     "Recording": "smoother.recording",
     "Recoveries": "smoother.result",
     "Recovery": "smoother.result",
     "Truth": "smoother.recording",
     "UnoccludeError": "smoother.errors",
+    "measure": "smoother.measures",
+    "measure_both": "smoother.measures",
     "read_calibration": "calib.file",
     "read_recording": "smoother.io",
     "read_recordings": "smoother.io",
@@ -56,11 +61,15 @@ __all__ = [
     "ImuStream",
     "JointState",
     "JointTracks",
+    "MeasureSettings",
+    "Measures",
     "Recording",
     "Recoveries",
     "Recovery",
     "Truth",
     "UnoccludeError",
+    "measure",
+    "measure_both",
     "read_calibration",
     "read_recording",
     "read_recordings",

@@ -36,20 +36,21 @@ STACK = (
     ("smoothing",),
     ("several_arms",),
 )
-MIDDLE = ("io", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
+MIDDLE = ("io", "measures", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
 MAY: dict[str, set[str]] = {
     "core": set(),
     "calib": set(),
     "io": {"calib"},
+    "measures": set(),
     "simulation": {"calib"},
     "baselines": {"calib"},
     "strap_search": {"calib", "io"},
-    "evaluation": {"calib", "io", "baselines"},
-    "study": {"calib", "io", "evaluation"},
-    "report": {"calib", "io", "evaluation", "strap_search"},
+    "evaluation": {"calib", "io", "baselines", "measures"},
+    "study": {"calib", "io", "evaluation", "measures"},
+    "report": {"calib", "io", "evaluation", "measures", "strap_search"},
     "cli": {"calib", *MIDDLE},
-    "unocclude": {"io"},
+    "unocclude": {"io", "measures"},
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
 HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam"}

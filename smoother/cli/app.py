@@ -29,7 +29,9 @@ from . import (
     imports,
     info,
     match,
+    measures,
     repair,
+    sessions,
     simulate,
     smooth,
     validate,
@@ -100,10 +102,12 @@ _add(app, repair.repair, "repair broken.mcap -o whole.mcap --json lost.json")
 _add(app, smooth.smooth, "smooth session.mcap -o out.mcap --calibration arm.toml --report out.html")
 _add(app, validate.validate, "validate out.mcap --truth trial.c3d --markers map.toml --calibration rig.toml")
 _add(app, compare.compare, "compare session.mcap --truth trial.c3d --markers map.toml --report c.html")
+_add(app, measures.measures, "measures out.mcap --csv measures.csv --json measures.json")
 _add(app, gaps.gaps, "gaps session.mcap --lengths 0.5,1,2,3 --seed 1 --json gaps.json")
 _add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
 _add(app, view.view, "view recovered.mcap")
 _add(app, batch.batch, "batch sessions -o recovered --calibration arm.toml --report", batch.BatchCommand)
+_add(app, sessions.progress, "progress recovered --person p12 --report p12.html")
 _add(app, config.config, "config > settings.toml")
 _add(app, doctor.doctor, "doctor")
 

@@ -35,6 +35,8 @@ MOST_WORST, MOST_FAILURES = 10, 25
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
 TIME_LIMIT_MINUTES = 720.0
+#: Motions that are drawn for the intervals of measures.
+USUAL_DRAWS = 64
 _REPORT = "--report"
 
 
@@ -105,6 +107,24 @@ def batch(
             help="A recording that needs more memory fails, alone (Linux); 0 = none.",
         ),
     ] = 0.0,
+    measures: Annotated[
+        bool,
+        typer.Option("--measures", help="Also measure each arm, for `unocclude progress`: rows hold it."),
+    ] = False,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            "--draws",
+            metavar="N",
+            min=0,
+            max=1000,
+            help="With --measures: motions to draw for the intervals; 64, 0 = no intervals.",
+        ),
+    ] = None,
+    hash_names: Annotated[
+        bool,
+        typer.Option("--hash-names", help="Call recordings in rows and results by hashes of their names."),
+    ] = False,
     keep_paths: Annotated[
         bool,
         typer.Option("--keep-paths", help="Let rows and JSON hold absolute paths and the machine's name."),
@@ -129,6 +149,10 @@ def batch(
 
     if scheduler is not None and processes is not None:
         raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
+    if draws is not None and not measures:
+        raise typer.BadParameter("--draws is for the intervals of the measures; give --measures too")
+    if hash_names and keep_paths:
+        raise typer.BadParameter("--keep-paths shows the names that --hash-names hides; give one of them")
     folder = study_folder(output)
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
@@ -139,6 +163,9 @@ def batch(
         retry_failed=retry_failed,
         keep_paths=keep_paths,
         limits=Limits(60 * time_limit, round(1e9 * memory_limit)),
+        measures=measures,
+        draws=(USUAL_DRAWS if draws is None else draws) if measures else 0,
+        hash_names=hash_names,
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())

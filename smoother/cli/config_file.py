@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
+
+Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def read_config(path: Path | None) -> Config:
@@ -21,10 +23,21 @@ def read_config(path: Path | None) -> Config:
     UnoccludeError
         The file is no TOML, or a setting is unknown or out of range; the text names it.
     """
+    return read_settings(path, Config)
+
+
+def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
+    """Read settings of any kind; what the file does not name keeps its default.
+
+    Raises
+    ------
+    UnoccludeError
+        As of `read_config`.
+    """
     if path is None:
-        return Config()
+        return kind()
     try:
-        return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return kind.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
         raise UnoccludeError(f"{path}: {describe(error)}") from error
     except UnicodeDecodeError as error:

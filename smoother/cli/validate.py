@@ -11,6 +11,7 @@ import typer
 
 from ..errors import UnoccludeError
 from .load import camera_frame_of, damage, load_recoveries
+from .measure_tables import pooled_measures, print_measures
 from .options import Align, Body, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 from .several_figures import arms_figures, say_arm
@@ -53,13 +54,22 @@ def validate(
         ),
     ] = None,
     align: Align = False,
+    pool: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--pool",
+            metavar="FILE.json",
+            help="What an earlier `validate --json` wrote: its measures count in the agreement; may be"
+            " repeated.",
+        ),
+    ] = None,
     side: Side = None,
     body: Body = None,
     report: Report = None,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
-    """Compare a result with a reference: position, orientation, joint angles, consistency of sigma.
+    """Compare a result with a reference: position, orientation, angles, measures, consistency of sigma.
 
     Of a result with several arms each is compared with its own truth (topics /truth/left, /truth/right); a
     truth that names no side is of one arm, chosen with --side.
@@ -67,7 +77,8 @@ def validate(
     from ..evaluation.reference import read_reference
     from ..evaluation.validate import validate
 
-    check_outputs(force, [report, json_file], [result, truth_file, markers, calibration])
+    check_outputs(force, [report, json_file], [result, truth_file, markers, calibration, *(pool or ())])
+    pooled = pooled_measures(pool or ())
     recoveries = load_recoveries(result, one_side(side), body)
     _check_truth_of_several(truth_file, recoveries)
     axes = camera_frame_of(result)
@@ -77,7 +88,10 @@ def validate(
         truth, alignment = read_reference(
             truth_file, recovery, markers=markers, calibration=calibration, camera_frame=frame, align=align
         )
-        results.append((recovery, validate(recovery, truth, alignment), truth))
+        validation = validate(recovery, truth, alignment, pooled)
+        if validation.measures is not None:
+            pooled = validation.measures.together
+        results.append((recovery, validation, truth))
     if report is not None:
         write_page(results, report, force, axes)
     validations = []
@@ -125,6 +139,7 @@ def print_validation(validation: Validation) -> None:
     _print_points(validation)
     _print_gaps(validation)
     _print_angles(validation)
+    print_measures(validation)
     _print_table_one(validation)
     if (lag_s := validation.lag_s) is not None:
         say(f"lag of the answer behind the truth: {1000 * lag_s:+.1f} ms (peak of cross-correlation)")

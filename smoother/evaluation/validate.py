@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +16,8 @@ from .agreement import Agreement
 from .align import truth_at
 from .angle_figures import AngleComparison, compare_angles
 from .lag import lag_s
+from .measure_agreement import MeasureComparison, compare_measures
+from .measure_pairs import MeasurePair
 from .metrics import (
     Figures,
     coverage_95,
@@ -119,6 +122,8 @@ class Validation:
         The layout of Jatesiktat and Ang's table I.
     alignment : ReferenceAlignment
         How the truth was brought to the result.
+    measures : MeasureComparison or None
+        What clinicians read, of both.
     """
 
     all: Figures
@@ -132,6 +137,7 @@ class Validation:
     lag_s: float | None = None
     table: TableOne | None = None
     alignment: ReferenceAlignment = field(default_factory=ReferenceAlignment)
+    measures: MeasureComparison | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The figures by name, as `--json` writes them."""
@@ -156,6 +162,7 @@ class Validation:
             "angles_deg": angles,
             "carrying_truth_deg": None if self.angles is None else self.angles.carrying_truth_deg,
             "lag_s": self.lag_s,
+            "measures": None if self.measures is None else self.measures.to_dict(),
             "table_1": None if self.table is None else self.table.to_dict(),
             "notes": list(self.notes),
         }
@@ -196,7 +203,12 @@ def sample_errors(recovery: Recovery, truth: Truth) -> SampleErrors:
     )
 
 
-def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | None = None) -> Validation:
+def validate(
+    recovery: Recovery,
+    truth: Truth,
+    alignment: ReferenceAlignment | None = None,
+    pooled: Sequence[MeasurePair] = (),
+) -> Validation:
     """Compare a recovery with a reference on the same clock and in the same frame.
 
     Parameters
@@ -208,6 +220,12 @@ def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | N
         origin. Samples outside `truth.score` are not scored.
     alignment : ReferenceAlignment, optional
         How the truth was brought there; None where it came so.
+    pooled : sequence of MeasurePair
+        Measures of earlier validations, whose agreement is stated together with this one's.
+
+    Returns
+    -------
+    Validation
 
     Raises
     ------
@@ -237,6 +255,7 @@ def validate(recovery: Recovery, truth: Truth, alignment: ReferenceAlignment | N
         lag_s=_lag(recovery, truth, errors),
         table=table_one(recovery, errors.reference, errors.scored, errors.distance_m, errors.angle_deg),
         alignment=alignment,
+        measures=compare_measures(recovery, errors.reference, pooled),
     )
 
 

@@ -108,6 +108,7 @@ def sections(
     if validation is not None:
         heading = validation.title("Errors against the reference")
         yield headed(heading, _ERRORS) + tables.validation(validation) + bullets(validation.notes)
+        yield tables.measured(validation)
         for title, caption, plot, below in () if truth is None else compared(recovery, truth, validation):
             yield (_figure(title, caption, plot) or headed(title, caption)) + below
     if len(recovery):

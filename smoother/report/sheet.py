@@ -39,6 +39,7 @@ def write_sheet(
     verdict: Iterable[str],
     sections: Iterable[str],
     *,
+    two_pages: bool = False,
     force: bool = False,
 ) -> None:
     """Write one HTML page that needs no network and no other file.
@@ -53,6 +54,8 @@ def write_sheet(
         Sentences that stand first.
     sections : iterable of str
         HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`.
+    two_pages : bool
+        Print it in small type: what is short fits on two pages.
     force : bool
         Overwrite a page that exists.
 
@@ -75,6 +78,7 @@ def write_sheet(
             style=_web("style.css"),
             scripts=_programs(body),
             content=_HERE,
+            kind=' class="two-pages"' if two_pages else "",
             version=escape(__version__),
         )
         before, after = page.split(_HERE)

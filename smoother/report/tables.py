@@ -9,12 +9,13 @@ import numpy as np
 from calib.motion.estimates import ArmEstimates
 
 from ..calibration import ArmCalibration
+from ..evaluation.measure_agreement import agreement_cells, pair_cells
 from ..evaluation.rejected import rejected
 from ..evaluation.summary import gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
 from ..io.result.usable import usable
 from ..result import Estimates, Recovery
-from .sheet import in_cm, table
+from .sheet import bullets, headed, in_cm, table
 from .summary import WEAK_M
 
 #: Figures of a recovery that another section of the page shows.
@@ -166,6 +167,33 @@ def validation(comparison: Validation) -> str:
     compared = any(figure is not None for row in rows for figure in row[2:])
     sensor = table(columns, rows) if compared or not joints else "<p>The reference has joints only.</p>"
     return sensor + (table(heads, joints) if joints else "")
+
+
+def measured(comparison: Validation) -> str:
+    """The measures of answer and reference, and how well they agree; "" where there are none."""
+    measures = comparison.measures
+    if measures is None:
+        return ""
+    columns, rows = pair_cells(measures)
+    together, agreements = agreement_cells(measures)
+    heading = comparison.title("Measures against the reference")
+    below = f"{headed(heading, _MEASURED)}{table(columns, rows)}" if rows else ""
+    if agreements:
+        heading = comparison.title("How well the measures agree")
+        below += f"{headed(heading, _AGREED)}{table(together, agreements)}"
+    return below + bullets(measures.notes)
+
+
+_MEASURED = (
+    "The same functions on the answer and on the reference, over the session. Inside: the answer's 95 %"
+    " interval holds the reference's value."
+)
+_AGREED = (
+    "Answer minus reference over recordings or movements. Limits of agreement: 95 % of differences lie"
+    " between them. ICC(2,1): 1 where both agree as well as subjects differ. MDC95, minimal detectable"
+    " change: two sessions without any change differ by less, 95 times of 100 (1.96 sqrt(2) SEM; the"
+    " reference counts as free of error)."
+)
 
 
 def calibration(arm: ArmCalibration | None, estimates: Estimates) -> str:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..recording import BoolArray, FloatArray, ImuStream, Recording, TrunkSensors, Truth
-from .body import Measures, draw_measures
+from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
 from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
@@ -110,7 +110,7 @@ def random_streams(seed: int | list[int]) -> list[np.random.Generator]:
 def record_arm(
     config: ArmSimulation,
     name: str,
-    measures: Measures,
+    measures: BodyMeasures,
     stage: Stage,
     performance: Performance,
     streams: list[np.random.Generator],
@@ -123,7 +123,7 @@ def record_arm(
         Sensors and errors; the protocol says where occlusions come from.
     name : str
         Of the recording.
-    measures : Measures
+    measures : BodyMeasures
         Of the arm.
     stage : Stage
         Where the person stands.

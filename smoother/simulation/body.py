@@ -20,7 +20,7 @@ POSTURE_SIZE = 8
 
 
 @dataclass(frozen=True)
-class Measures:
+class BodyMeasures:
     """One person's arm and how the IMU sits on it.
 
     Attributes
@@ -57,7 +57,7 @@ class Measures:
         return self.R_F_A.T @ (in_forearm - self.imu_in_forearm)
 
 
-def draw_measures(rng: np.random.Generator) -> Measures:
+def draw_measures(rng: np.random.Generator) -> BodyMeasures:
     """A random adult and a random way to put on the strap."""
     upper_arm = rng.uniform(0.26, 0.34)
     forearm = rng.uniform(0.23, 0.28)
@@ -66,7 +66,7 @@ def draw_measures(rng: np.random.Generator) -> Measures:
     face = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # z of {A} along x of {F}
     turn = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
     tilt = Rotation.from_rotvec(rng.normal(0, 4, 3), degrees=True)
-    return Measures(
+    return BodyMeasures(
         upper_arm=upper_arm,
         forearm=forearm,
         hand=rng.uniform(0.07, 0.09),
@@ -78,7 +78,7 @@ def draw_measures(rng: np.random.Generator) -> Measures:
 
 
 def arm_chain(
-    posture: FloatArray, reference: Rotation, measures: Measures
+    posture: FloatArray, reference: Rotation, measures: BodyMeasures
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Shoulder and elbow (N, 3) and the forearm's rotation `R_T_F` (N, 3, 3) of a right arm.
 
@@ -88,7 +88,7 @@ def arm_chain(
         See the column names of this module.
     reference : Rotation
         The upper arm's rotation `R_T_U` that a zero shoulder rotation vector stands for.
-    measures : Measures
+    measures : BodyMeasures
         The person.
     """
     R_T_U = (reference * Rotation.from_rotvec(posture[:, SHOULDER])).as_matrix()

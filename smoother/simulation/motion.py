@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..recording import BoolArray, CameraFrame, FloatArray
 from ..units import GRAVITY
-from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, Measures, arm_chain
+from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, BodyMeasures, arm_chain
 from .path import KNOT_RATE_HZ, band_noise
 from .posture import reference
 from .protocol import Performance
@@ -105,7 +105,7 @@ class ArmMotion:
     def __init__(
         self,
         performance: Performance,
-        measures: Measures,
+        measures: BodyMeasures,
         stage: Stage,
         wobble: FloatArray,
         side: str,

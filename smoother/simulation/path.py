@@ -16,7 +16,7 @@ PAD_S = 0.5
 
 
 @dataclass(frozen=True)
-class Movement:
+class PlannedMovement:
     """One movement from rest to rest.
 
     Attributes
@@ -48,7 +48,7 @@ def knot_times(duration_s: float) -> FloatArray:
     return -PAD_S + np.arange(count) / KNOT_RATE_HZ
 
 
-def follow(start: FloatArray, movements: list[Movement], t_s: FloatArray) -> FloatArray:
+def follow(start: FloatArray, movements: list[PlannedMovement], t_s: FloatArray) -> FloatArray:
     """Points (N, D) at `t_s` of a path that starts at `start` (D,) at time 0 and moves with minimum jerk.
 
     Minimum jerk: Flash and Hogan, J. Neuroscience 5:1688-1703 (1985). A movement through via points is the

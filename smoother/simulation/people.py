@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from ..linalg import unit
 from ..recording import CameraFrame, FloatArray, ImuStream, JointTracks
-from .body import Measures, draw_measures
+from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
 from .gaps import lose_forearm, settle
@@ -257,7 +257,7 @@ def varied(posture: FloatArray, t_s: FloatArray, rng: np.random.Generator) -> Fl
     return np.asarray(mean + size * (moved - mean))
 
 
-def mounted_anew(measures: Measures, rng: np.random.Generator) -> Measures:
+def mounted_anew(measures: BodyMeasures, rng: np.random.Generator) -> BodyMeasures:
     """The same person's other arm: the strap is put on anew."""
     other = draw_measures(rng)
     return replace(

@@ -9,7 +9,7 @@ import numpy as np
 from ..recording import FloatArray
 from .body import FLEXION, GIRDLE, POSTURE_SIZE, PRONATION, SHOULDER
 from .config import ArmSimulation
-from .path import PAD_S, Movement, band_noise, follow, knot_times, ramp, wander
+from .path import PAD_S, PlannedMovement, band_noise, follow, knot_times, ramp, wander
 from .posture import posture
 
 #: How much a posture differs from its name each time: girdle m, shoulder rad, flexion rad, pronation rad.
@@ -45,13 +45,15 @@ class Performance:
 
 def _move(
     names: tuple[str, ...], seconds: float, hold: float, label: str, speed: float, rng: np.random.Generator
-) -> Movement:
+) -> PlannedMovement:
     """A movement through named postures, each a little different from its name."""
     points = np.array([posture(name) for name in names]) + _SPREAD * rng.normal(size=(len(names), 8))
-    return Movement(points, seconds * rng.uniform(0.9, 1.15) / speed, hold * rng.uniform(0.8, 1.3), label)
+    return PlannedMovement(
+        points, seconds * rng.uniform(0.9, 1.15) / speed, hold * rng.uniform(0.8, 1.3), label
+    )
 
 
-def _behind(repetitions: int, speed: float, rng: np.random.Generator) -> list[Movement]:
+def _behind(repetitions: int, speed: float, rng: np.random.Generator) -> list[PlannedMovement]:
     """The clinical protocol: held pose, behind the head and back, belly, behind the back and back."""
     movements = []
     tempo = speed * rng.uniform(0.9, 1.25)  # some people are brisk
@@ -87,16 +89,16 @@ def _random_postures(end_s: float, speed: float, rng: np.random.Generator) -> tu
 def perform(config: ArmSimulation, rng: np.random.Generator) -> Performance:
     """Joint angles for the configured protocol, with sway, slow variation and tremor."""
     hang = posture("hang")
-    movements: list[Movement] = []
+    movements: list[PlannedMovement] = []
     start = hang
     if config.protocol == "behind":
         start = posture("initial") + _SPREAD * rng.normal(size=POSTURE_SIZE)
-        movements = [Movement(start[None], 0.1, rng.uniform(2.8, 3.6))]
+        movements = [PlannedMovement(start[None], 0.1, rng.uniform(2.8, 3.6))]
         movements += _behind(config.repetitions, config.speed, rng)
     if config.still_start_s > 0 and config.protocol != "hang":
         to_start = start if config.protocol == "behind" else posture("reach")
-        lift = Movement(to_start[None], 1.5 / config.speed, 0.0)
-        movements = [Movement(hang[None], config.still_start_s, 0.0), lift, *movements]
+        lift = PlannedMovement(to_start[None], 1.5 / config.speed, 0.0)
+        movements = [PlannedMovement(hang[None], config.still_start_s, 0.0), lift, *movements]
         start = hang
 
     ends = np.cumsum([m.length_s for m in movements])

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray, ImuStream
-from .body import Measures
+from .body import BodyMeasures
 from .config import ArmSimulation
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion
@@ -49,7 +49,7 @@ class UpperMount:
         return np.asarray(np.diag([-lateral, -1.0, lateral]) @ self.axes)
 
 
-def draw_upper_mount(measures: Measures, side: str, rng: np.random.Generator) -> UpperMount:
+def draw_upper_mount(measures: BodyMeasures, side: str, rng: np.random.Generator) -> UpperMount:
     """Somewhere in the middle of the upper arm's outer side, turned as it comes."""
     roll = Rotation.from_euler("y", rng.uniform(-60, 60), degrees=True)
     axes = roll * Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)

@@ -56,9 +56,28 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("note_texts", "list", "", "the sentences"),
     ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
     ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
+    ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
+    ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
+    ("measures", "measures", "", "with --measures: the measures of each arm's session"),
     ("seconds", "double", "s", "time it took, reading and writing included"),
     ("host", "string", "", "machine that did it; empty without --keep-paths"),
     ("finished", "timestamp", "", "when it was done, UTC"),
+)
+#: Name, Arrow type, unit and meaning of what the column `measures` holds of each.
+MEASURE_FIELDS: tuple[tuple[str, str, str, str], ...] = (
+    ("side", "string", "", "left, right or empty"),
+    ("body", "int64", "", "the camera's number of the person, where several are told apart"),
+    ("trusted", "bool", "", "the arm's result is to be trusted"),
+    ("key", "string", "", "the measure's name in files, with its unit at the end"),
+    ("name", "string", "", "in plain words"),
+    ("unit", "string", "", "of value, low, high and sigma"),
+    ("value", "double", "", "null where it cannot be measured"),
+    ("low", "double", "", "lower end of the 95 % interval; null without draws"),
+    ("high", "double", "", "upper end of it"),
+    ("sigma", "double", "", "standard deviation by the draws"),
+    ("recovered_share", "double", "", "how much of it rests on samples that the camera did not see"),
+    ("n_draws", "int64", "", "how many draws the interval is of"),
+    ("note", "string", "", "what to know of it"),
 )
 
 
@@ -74,12 +93,15 @@ def schema() -> pa.Schema:
         "list": pa.list_(pa.string()),
         "timestamp": pa.timestamp("us"),
     }
-    return pa.schema(
-        [
+
+    def named(columns: tuple[tuple[str, str, str, str], ...]) -> list[pa.Field]:
+        return [
             pa.field(name, kinds[kind], metadata={"unit": unit, "description": meaning})
-            for name, kind, unit, meaning in COLUMNS
+            for name, kind, unit, meaning in columns
         ]
-    )
+
+    kinds["measures"] = pa.list_(pa.struct(named(MEASURE_FIELDS)))
+    return pa.schema(named(COLUMNS))
 
 
 def figures_of(recording: Recording, recovery: Recovery) -> Row:
@@ -99,6 +121,7 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
         "sigma_max_deg": max((v for gap in gaps if (v := gap["sigma_max_deg"]) is not None), default=None),
         "clock_offset_s": _number(recovery.clock_offset_s),
         "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
+        "trusted": recovery.estimates.trusted,
         "notes": len(notes),
         "note_texts": notes,
     }
@@ -118,6 +141,8 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
         values = [arm[name] for arm in arms if arm[name] is not None]
         if name in _SUMMED:
             together[name] = sum(values)
+        elif name == "trusted":
+            together[name] = all(values) if values else None
         elif isinstance(value, int | float) or value is None:
             together[name] = max(values, default=None)
     texts = list(dict.fromkeys(note for arm in arms for note in arm["note_texts"]))

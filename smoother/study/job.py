@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
 from .limits import Limits, TimeUp, limited
-from .privacy import place_of, without_places
+from .measured import measured_arms
+from .privacy import person_of, place_of, relative_day, without_places
 
 #: The recording was done before, by its content; there is nothing to add to the results.
 SAME = "same"
@@ -72,6 +73,12 @@ class Job:
         Let rows hold absolute paths and the machine's name.
     limits : Limits
         What one recording may take of time and memory.
+    measures : bool
+        Measure what is recovered.
+    draws : int
+        Motions to draw for the intervals of the measures.
+    hash_names : bool
+        The recording's name is a hash.
     """
 
     name: str
@@ -87,6 +94,9 @@ class Job:
     known: tuple[Known, ...] = ()
     keep_paths: bool = False
     limits: Limits = field(default_factory=Limits)
+    measures: bool = False
+    draws: int = 0
+    hash_names: bool = False
 
     @property
     def key(self) -> str:
@@ -227,7 +237,7 @@ def _recover_in(
     config = job.config.model_copy(update={"windows": windows})
     recordings, calibrations = [arm[0] for arm in arms], [arm[1] for arm in arms]
     results = []
-    for recovery in smooth_arms(recordings, calibrations, config, store=store):
+    for recovery in smooth_arms(recordings, calibrations, config, store=store, draws=job.draws):
         recording, calibration = next(arm for arm in arms if is_of_arm(recovery, arm[0]))
         results.append((recording, with_given(recovery, calibration)))
     output = folder.output(job.name)
@@ -235,6 +245,10 @@ def _recover_in(
     try:
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
+        measured = measured_arms(answers) if job.measures else None
+        answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
+        if job.hash_names:
+            answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
         write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
@@ -246,6 +260,8 @@ def _recover_in(
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
             **figures_of_arms(results),
+            measures=measured,
+            recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,
         )
         _leave(row, folder)

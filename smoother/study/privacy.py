@@ -12,10 +12,61 @@ from .fingerprint import text_hash
 if TYPE_CHECKING:
     from .job import Job
 
+_DAY_NS = 86_400 * 10**9
+#: Stamps before 2000 are those of a clock that does not know the date.
+EARLIEST_NS = 10_957 * _DAY_NS
+#: Days of a person are shifted by up to so many.
+MOST_DAYS = 3650.0
+
 
 def place_of(word: str, source: str) -> str:
     """A recording's place as a hash with the study's word as its key: known again, but not read."""
     return text_hash("place", word, source)[:32]
+
+
+def hashed_name(word: str, name: str) -> str:
+    """A recording's name as hashes with the study's word as their key, a hash a folder: layout stays.
+
+    Parameters
+    ----------
+    word : str
+        The study's.
+    name : str
+        In the study, with its ending: "p12/monday/reach.mcap".
+    """
+    stem, dot, ending = name.rpartition(".")
+    parts = (stem if dot else name).split("/")
+    return "/".join(text_hash("name", word, part)[:12] for part in parts) + dot + (ending if dot else "")
+
+
+def person_of(name: str) -> str:
+    """The first folder of a recording's name; "" where it lies in none."""
+    return name.partition("/")[0] if "/" in name else ""
+
+
+def relative_day(word: str, person: str, origin_ns: int) -> float | None:
+    """When a recording was made, in days from a time that nobody but the study knows.
+
+    The time is another one for each person, so that days of one person can be subtracted and nothing else.
+
+    Parameters
+    ----------
+    word : str
+        The study's, key of the person's secret time.
+    person : str
+        As `person_of` has it.
+    origin_ns : int, ns
+        Stamp that the recording's times count from.
+
+    Returns
+    -------
+    day : float or None
+        None where the recording's clock knows no date.
+    """
+    if origin_ns < EARLIEST_NS:
+        return None
+    shift = int(text_hash("day", word, person)[:13], 16) / 16**13 * MOST_DAYS
+    return origin_ns / _DAY_NS - shift
 
 
 def without_places(text: str, job: Job) -> str:
@@ -35,6 +86,8 @@ def without_places(text: str, job: Job) -> str:
     if job.calibration:
         places |= {job.calibration: calibration.name, str(calibration.parent): ""}
     places[str(Path(job.source).parent)] = ""
+    if job.hash_names:
+        places |= {Path(job.source).name: Path(job.name).name}
     for folder in (tempfile.gettempdir(), os.getcwd(), os.path.expanduser("~")):
         places.setdefault(folder, f"[{'temporary' if folder == tempfile.gettempdir() else 'own'} folder]")
     for path in sorted(places, key=len, reverse=True):  # the longest first: folders lie in folders

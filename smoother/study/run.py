@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,12 +13,13 @@ from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
 from .columns import DONE, FAILED, Row
-from .fingerprint import Fingerprint, config_hash, file_hash
+from .fingerprint import Fingerprint, config_hash, file_hash, text_hash
 from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
 from .ledger import Ledger
 from .limits import Limits
+from .privacy import hashed_name
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -46,6 +47,12 @@ class StudySettings:
         Let rows hold absolute paths and the machine's name.
     limits : Limits
         What one recording may take of time and memory.
+    measures : bool
+        Measure what is recovered: rows hold it.
+    draws : int
+        Motions to draw for the intervals of the measures.
+    hash_names : bool
+        Call recordings by hashes of their names.
     """
 
     config: Config = field(default_factory=Config)
@@ -55,6 +62,9 @@ class StudySettings:
     retry_failed: bool = False
     keep_paths: bool = False
     limits: Limits = field(default_factory=Limits)
+    measures: bool = False
+    draws: int = 0
+    hash_names: bool = False
 
 
 @dataclass
@@ -135,6 +145,9 @@ def run_study(
         for path in {entry.calibration or settings.calibration for entry in entries} - {""}
     }
     word = folder.open(force)
+    if settings.hash_names:
+        hashed = [replace(entry, name=hashed_name(word, entry.name)) for entry in entries]
+        entries = sorted(hashed, key=lambda entry: entry.name)
     with folder.alone():
         plan = _Plan(folder, word, settings, calibrations)
         return _work_off(entries, plan, work, progress)
@@ -199,6 +212,8 @@ class _Plan:
         self._folder, self._word, self._settings = folder, word, settings
         self._calibrations = calibrations
         self._config_hash = config_hash(settings.config, settings.choice)
+        if settings.measures:
+            self._config_hash = text_hash(self._config_hash, "measures", str(settings.draws))
         self.ledger = Ledger(folder)
         self.ids: dict[str, str] = {}
 
@@ -225,6 +240,9 @@ class _Plan:
             known=() if settings.again else known,
             keep_paths=settings.keep_paths,
             limits=settings.limits,
+            measures=settings.measures,
+            draws=settings.draws,
+            hash_names=settings.hash_names,
         )
 
 

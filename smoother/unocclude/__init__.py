@@ -23,11 +23,15 @@ if TYPE_CHECKING:
     from smoother import ImuStream as ImuStream
     from smoother import JointState as JointState
     from smoother import JointTracks as JointTracks
+    from smoother import Measures as Measures
+    from smoother import MeasureSettings as MeasureSettings
     from smoother import Recording as Recording
     from smoother import Recoveries as Recoveries
     from smoother import Recovery as Recovery
     from smoother import Truth as Truth
     from smoother import UnoccludeError as UnoccludeError
+    from smoother import measure as measure
+    from smoother import measure_both as measure_both
     from smoother import read_calibration as read_calibration
     from smoother import read_recording as read_recording
     from smoother import read_recordings as read_recordings
@@ -41,7 +45,7 @@ if TYPE_CHECKING:
     from smoother.runtime.store import Store
     from smoother.smoothing import Progress
 
-__all__ = list(smoother.__all__)
+__all__ = sorted([*smoother.__all__, "measures"])
 
 
 def smooth(
@@ -118,6 +122,57 @@ def smooth(
             " sensors; give smooth() both as paths, or an arm of it: read_calibration(FILE).arm(SIDE)"
         )
     return smoother.smooth(recording, given, config, progress, store, processes, clock, draws, seed)
+
+
+def measures(
+    result: Recovery | str | os.PathLike[str],
+    settings: MeasureSettings | None = None,
+    *,
+    side: str | None = None,
+    body: int | None = None,
+) -> Measures:
+    """Measure a recovered motion, or that of a result's file: joints, hand, smoothness, movements.
+
+    Parameters
+    ----------
+    result : Recovery or path-like
+        What `smooth` returned, or the MCAP file that it was written to. With draws there are intervals.
+    settings : MeasureSettings, optional
+        Thresholds and sizes.
+    side : str, optional
+        Of a file with several arms: "left" or "right".
+    body : int, optional
+        Of a file with several people: whose arm.
+
+    Returns
+    -------
+    Measures
+        Of the session, each movement and each repetition.
+
+    Raises
+    ------
+    UnoccludeError
+        A file cannot be used, or several arms fit; in one sentence.
+
+    Examples
+    --------
+    >>> rows = unocclude.measures("out.mcap", side="left").by_key  # doctest: +SKIP
+    >>> rows["elbow_flexion_range_deg"].value  # doctest: +SKIP
+    """
+    from smoother.errors import UnoccludeError
+    from smoother.result import Recovery
+
+    if not isinstance(result, Recovery):
+        arms = smoother.read_recovery(result)
+        fitting = [one for one in arms if side in (None, one.side) and body in (None, one.body)]
+        if len(fitting) != 1:
+            labels = ", ".join(one.arm_label for one in arms) or "none"
+            what = "several arms fit" if fitting else "no arm fits"
+            raise UnoccludeError(
+                f"{os.fspath(result)}: {what}; name one by side and body; the file has: {labels}"
+            )
+        result = fitting[0]
+    return smoother.measure(result, settings)
 
 
 def __getattr__(name: str) -> object:

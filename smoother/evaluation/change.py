@@ -1,0 +1,265 @@
+"""A measure in two sessions: whether it changed, in words that its intervals support."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+#: What may be said of a change.
+Word = Literal["clearly more", "clearly less", "no clear change", "cannot be said"]
+MORE: Word = "clearly more"
+LESS: Word = "clearly less"
+UNCLEAR: Word = "no clear change"
+UNKNOWN: Word = "cannot be said"
+#: An error of a session's value is called one where less than this is likely without any change.
+LEVEL = 0.05
+#: A value that rests on more recovered samples than this is said to.
+MOSTLY_RECOVERED = 0.5
+#: Sessions whose numbers of movements differ more do not have the same movements.
+LIKE_SHARE = 0.75
+#: What none of n draws shows is rarer than this over n, with 95 % (Hanley and Lippman-Hand, JAMA 249, 1983).
+RULE_OF_THREE = 3.0
+#: Half of a normal interval of 95 %, in standard deviations.
+HALF_95 = 1.959964
+
+
+@dataclass(frozen=True)
+class SessionValue:
+    """A measure of one session.
+
+    Attributes
+    ----------
+    session : str
+        What the session is called.
+    day : float
+        Days since the person's first session; nan where that is not known.
+    value, low, high : float
+        The value and its 95 % interval; nan without one.
+    sigma : float
+        Standard deviation by the draws; nan without them.
+    recovered_share : float, 0 to 1
+        How much of it rests on samples that the camera did not see.
+    n_draws : int
+        How many draws the interval is of.
+    note : str
+        What to know of it; where the value is nan, why.
+    recording : str
+        What it was measured on.
+    """
+
+    session: str
+    day: float
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+    sigma: float = math.nan
+    recovered_share: float = math.nan
+    n_draws: int = 0
+    note: str = ""
+    recording: str = ""
+
+    @property
+    def spread(self) -> float:
+        """Its standard deviation: of the draws, or of the interval's wider side; nan without both.
+
+        An interval to one side (the largest of noisy values lies above the true one) counts as an error.
+        """
+        widths = [self.sigma, (self.high - self.value) / HALF_95, (self.value - self.low) / HALF_95]
+        finite = [width for width in widths if math.isfinite(width)]
+        return max(finite) if finite else math.nan
+
+
+@dataclass(frozen=True)
+class Change:
+    """A measure in two sessions.
+
+    Attributes
+    ----------
+    first, last : SessionValue
+        The two.
+    difference : float
+        Last minus first.
+    low, high : float
+        Its 95 % interval by the draws of both; nan without draws.
+    p : float
+        How likely so large a difference is without any change; nan without draws.
+    p_together : float
+        The same where all measures that were compared count together (Holm 1979).
+    mdc95 : float
+        The minimal detectable change that was given; nan without one.
+    word : str
+        "clearly more", "clearly less", "no clear change" or "cannot be said".
+    limits : tuple of str
+        What limits the statement, one sentence each.
+    """
+
+    first: SessionValue
+    last: SessionValue
+    difference: float
+    low: float
+    high: float
+    p: float
+    mdc95: float = math.nan
+    word: Word = UNKNOWN
+    limits: tuple[str, ...] = ()
+    p_together: float = math.nan
+
+    @property
+    def detectable(self) -> float:
+        """The least difference that these two sessions would have shown; nan without draws."""
+        half = 0.5 * (self.high - self.low)
+        return float(np.fmax(half, self.mdc95)) if math.isfinite(half) else math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values by name, as `--json` writes them."""
+        return {
+            "from": self.first.session,
+            "to": self.last.session,
+            "difference": self.difference,
+            "low": self.low,
+            "high": self.high,
+            "p": self.p,
+            "p_together": self.p_together,
+            "mdc95": self.mdc95,
+            "detectable": self.detectable,
+            "word": self.word,
+            "limits": list(self.limits),
+        }
+
+
+def change_between(first: SessionValue, last: SessionValue, mdc95: float = math.nan) -> Change:
+    """Compare a measure of two sessions.
+
+    The errors of both are independent, so their variances add; as each sigma is of a limited number of draws,
+    the difference in sigmas has Student's t with the degrees of freedom of Welch and Satterthwaite
+    (Welch, Biometrika 34:28-35, 1947). A change is clear where zero lies outside its 95 % interval and, if a
+    minimal detectable change is given, it is larger than that.
+
+    Parameters
+    ----------
+    first, last : SessionValue
+        The two, in the order of time.
+    mdc95 : float
+        Minimal detectable change of the measure, in its unit; nan where it is not known.
+
+    Returns
+    -------
+    Change
+    """
+    difference = last.value - first.value
+    spread = math.hypot(first.spread, last.spread)
+    if not math.isfinite(difference) or not math.isfinite(spread):
+        unknown = math.nan
+        return Change(
+            first, last, difference, unknown, unknown, unknown, mdc95, UNKNOWN, _unknown(first, last)
+        )
+    half, p = _half_and_p(first, last, difference, spread)
+    clear = p < LEVEL and not abs(difference) <= mdc95
+    word: Word = (MORE if difference > 0 else LESS) if clear else UNCLEAR
+    limits = _limits(first, last, p, difference, mdc95)
+    if word == UNCLEAR and half > mdc95:  # a change that matters may hide in so wide an interval
+        word = UNKNOWN
+        limits = ("the interval is wider than the minimal detectable change", *limits)
+    return Change(first, last, difference, difference - half, difference + half, p, mdc95, word, limits)
+
+
+def without_like_movements(change: Change, first_count: float, last_count: float) -> Change:
+    """A measure of movements whose sessions have other movements: what changed of it cannot be said.
+
+    Its interval holds errors of the motion, not which movements were found: where one session has many more
+    of them than the other, their mean is of other movements.
+
+    Parameters
+    ----------
+    change : Change
+        Of a measure that is a mean over movements.
+    first_count, last_count : float
+        Movements of both sessions; nan where that is not known.
+
+    Returns
+    -------
+    Change
+        The same where the counts are; with the numbers among its limits where they are alike.
+    """
+    fewer, more = sorted((first_count, last_count))
+    if not fewer < more:
+        return change
+    sentence = (
+        f"sessions {change.first.session} and {change.last.session} have {first_count:.0f} and"
+        f" {last_count:.0f} movements: a mean over them is of other movements"
+    )
+    word = UNKNOWN if fewer < LIKE_SHARE * more else change.word
+    return replace(change, word=word, limits=(sentence, *change.limits))
+
+
+def together(changes: Sequence[Change]) -> list[float]:
+    """Probabilities of many comparisons together, each as Holm's step-down makes it.
+
+    Source: Holm, Scandinavian Journal of Statistics 6:65-70 (1979).
+
+    Parameters
+    ----------
+    changes : sequence of Change
+        All that were looked at; those without a probability do not count.
+
+    Returns
+    -------
+    p : list of float
+        In their order; nan where there is none.
+    """
+    known = sorted((change.p, place) for place, change in enumerate(changes) if math.isfinite(change.p))
+    adjusted, largest = [math.nan] * len(changes), 0.0
+    for rank, (p, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * p))
+        adjusted[place] = largest
+    return adjusted
+
+
+def _half_and_p(
+    first: SessionValue, last: SessionValue, difference: float, spread: float
+) -> tuple[float, float]:
+    """Half of the difference's 95 % interval, and how likely so large a one is without any change."""
+    if spread == 0:  # counts and answers by yes or no, on which all draws agree
+        draws = min(first.n_draws, last.n_draws)
+        return 0.0, min(1.0, RULE_OF_THREE / max(draws, 1)) if difference else 1.0
+    from scipy.stats import t as student
+
+    freedom = _freedom(first, last)
+    half = float(student.ppf(1 - LEVEL / 2, freedom)) * spread
+    return half, float(2 * student.sf(abs(difference) / spread, freedom))
+
+
+def _freedom(first: SessionValue, last: SessionValue) -> float:
+    """Degrees of freedom of the sum of two variances, each estimated by draws."""
+    parts = [(value.spread**2, max(value.n_draws - 1, 1)) for value in (first, last)]
+    total = sum(variance for variance, _ in parts)
+    return total**2 / sum(variance**2 / count for variance, count in parts)
+
+
+def _unknown(first: SessionValue, last: SessionValue) -> tuple[str, ...]:
+    sentences = []
+    for value in (first, last):
+        note = value.note.rstrip(".")
+        if not math.isfinite(value.value):
+            sentences.append(f"session {value.session} has no value{f' ({note})' if note else ''}")
+        elif not math.isfinite(value.spread):
+            sentences.append(f"session {value.session} was recovered without draws: its interval is unknown")
+    return tuple(dict.fromkeys(sentences))
+
+
+def _limits(
+    first: SessionValue, last: SessionValue, p: float, difference: float, mdc95: float
+) -> tuple[str, ...]:
+    sentences = []
+    if p < LEVEL and abs(difference) <= mdc95:
+        sentences.append("the change is larger than its interval but not than the minimal detectable change")
+    for value in (first, last):
+        if value.recovered_share > MOSTLY_RECOVERED:
+            sentences.append(f"more than half of session {value.session} rests on recovered samples")
+        if value.value < value.low or value.value > value.high:
+            sentences.append(f"session {value.session}: the value lies outside its own interval")
+    return tuple(sentences)

@@ -1,0 +1,111 @@
+"""What every measure is called, its unit, and the values that it can take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from .angles import PERCENTILES
+from .motion import MEASURED_ANGLES
+
+INFINITE = float("inf")
+#: Names of the angles for people.
+ANGLE_WORDS = {
+    "elbow_flexion": "elbow flexion",
+    "pronation": "forearm pronation",
+    "shoulder_elevation": "shoulder elevation",
+    "shoulder_plane": "plane of shoulder elevation",
+    "shoulder_rotation": "shoulder rotation",
+    "shoulder_elevation_trunk": "shoulder elevation against the trunk",
+    "shoulder_plane_trunk": "plane of shoulder elevation against the trunk",
+    "shoulder_rotation_trunk": "shoulder rotation against the trunk",
+}
+
+
+@dataclass(frozen=True)
+class MeasureDefinition:
+    """What a measure is.
+
+    Attributes
+    ----------
+    name : str
+        In plain words.
+    unit : str
+        "" for a pure number.
+    low, high : float
+        Values beyond these do not exist; an interval ends there.
+    is_count : bool
+        Whole numbers only.
+    """
+
+    name: str
+    unit: str
+    low: float = -INFINITE
+    high: float = INFINITE
+    is_count: bool = False
+
+
+_OF_HAND = {
+    "hand_path_length_m": MeasureDefinition("path length of the hand", "m", 0.0),
+    "hand_path_ratio": MeasureDefinition("path ratio of the hand (1 = straight)", "", 1.0),
+    "hand_peak_speed_m_s": MeasureDefinition("peak speed of the hand", "m/s", 0.0),
+    "hand_mean_speed_m_s": MeasureDefinition("mean speed of the hand", "m/s", 0.0),
+    "hand_time_to_peak_s": MeasureDefinition("time to peak speed", "s", 0.0),
+    "hand_time_to_peak_percent": MeasureDefinition("time to peak speed, of the movement", "%", 0.0, 100.0),
+    "hand_reach_hull_l": MeasureDefinition("reach volume, convex hull", "l", 0.0),
+    "hand_reach_alpha_l": MeasureDefinition("reach volume, alpha shape", "l", 0.0),
+    "hand_reach_sphere_percent": MeasureDefinition(
+        "reach volume, of the sphere about the shoulder", "%", 0.0, 100.0
+    ),
+    "hand_to_mouth_reached": MeasureDefinition("hand to mouth reached", "", 0.0, 1.0, True),
+    "hand_to_mouth_distance_m": MeasureDefinition("nearest to the mouth's zone", "m", 0.0),
+    "hand_to_head_reached": MeasureDefinition("hand to head reached", "", 0.0, 1.0, True),
+    "hand_to_head_distance_m": MeasureDefinition("nearest to the head's zone", "m", 0.0),
+    "hand_behind_back_reached": MeasureDefinition("hand behind back reached", "", 0.0, 1.0, True),
+    "hand_behind_back_distance_m": MeasureDefinition("nearest to the zone behind the back", "m", 0.0),
+    "elbow_trunk_distance_max_m": MeasureDefinition("largest distance of the elbow from the trunk", "m", 0.0),
+    "elbow_trunk_distance_mean_m": MeasureDefinition("mean distance of the elbow from the trunk", "m", 0.0),
+    "sparc": MeasureDefinition("smoothness, spectral arc length (SPARC)", "", high=0.0),
+    "ldlj_v": MeasureDefinition("smoothness, log dimensionless jerk (LDLJ-V)", ""),
+    "velocity_peaks": MeasureDefinition("velocity peaks in a movement", "", 0.0, is_count=True),
+    "duration_s": MeasureDefinition("duration", "s", 0.0),
+    "movement_count": MeasureDefinition("movements", "", 0.0, is_count=True),
+    "movement_time_percent": MeasureDefinition("time in movement", "%", 0.0, 100.0),
+    "movement_duration_s": MeasureDefinition("duration of a movement, mean", "s", 0.0),
+    "repetition_count": MeasureDefinition("repetitions", "", 0.0, is_count=True),
+    "repetition_duration_s": MeasureDefinition("duration of a repetition, mean", "s", 0.0),
+    "repetition_duration_cv_percent": MeasureDefinition("variation of the repetitions' duration", "%", 0.0),
+}
+
+
+@cache
+def definitions() -> dict[str, MeasureDefinition]:
+    """Every measure by its key, but for the zones of angles."""
+    by_key: dict[str, MeasureDefinition] = {}
+    for angle in MEASURED_ANGLES:
+        words = ANGLE_WORDS[angle]
+        by_key[f"{angle}_range_deg"] = MeasureDefinition(f"{words}, range", "deg", 0.0, 360.0)
+        by_key[f"{angle}_min_deg"] = MeasureDefinition(f"{words}, smallest", "deg")
+        by_key[f"{angle}_max_deg"] = MeasureDefinition(f"{words}, largest", "deg")
+        for percentile in PERCENTILES:
+            which = "median" if percentile == 50 else f"{percentile} % percentile"
+            by_key[f"{angle}_p{percentile}_deg"] = MeasureDefinition(f"{words}, {which}", "deg")
+        by_key[f"{angle}_peak_speed_deg_s"] = MeasureDefinition(f"{words}, peak speed", "deg/s", 0.0)
+    return by_key | _OF_HAND
+
+
+def definition_of(key: str) -> MeasureDefinition:
+    """The definition of a measure, zones of angles and symmetry included."""
+    if key in definitions():
+        return definitions()[key]
+    if key.endswith("_symmetry_percent"):
+        of = definitions()[key.removesuffix("_symmetry_percent")]
+        return MeasureDefinition(f"symmetry of {of.name}", "%", -200.0, 200.0)
+    angle, _, zone = key.removesuffix("_percent").partition("_zone_")
+    low, high = zone.split("_to_")
+    return MeasureDefinition(f"{ANGLE_WORDS[angle]}, time from {low} to {high} degrees", "%", 0.0, 100.0)
+
+
+def zone_key(angle: str, low_deg: int, width_deg: int) -> str:
+    """Key of a zone of an angle: "elbow_flexion_zone_30_to_40_percent"."""
+    return f"{angle}_zone_{low_deg}_to_{low_deg + width_deg}_percent"

@@ -1,0 +1,226 @@
+"""What is measured when: movements, repetitions and known angles as the answer has them.
+
+Answer, drawn motions and truth are measured over the same samples, so that an interval is of a number and not
+of where a threshold was passed; only counts of movements and repetitions are made anew for each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recording import BoolArray, FloatArray
+from .angles import ZONE_DEG, angle_figures, centre_of, centred, zone_figures
+from .definitions import zone_key
+from .figure import UNKNOWN, Figure, share_of
+from .hand import straightness_figures, way_figures
+from .measure import Scope
+from .motion import Motion
+from .movement import Movement
+from .movements import as_movements, find_movements
+from .reach import reach_figures, voxel_means
+from .repetitions import find_repetitions
+from .settings import MeasureSettings
+from .smoothness import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
+from .zones import bone_lengths, zone_figures_of
+
+#: A scope and the number in it.
+Place = tuple[Scope, int | None]
+Figures = dict[str, Figure]
+SESSION: Place = ("session", None)
+#: More places make an alpha shape slow, and no other.
+MOST_PLACES = 2000
+#: Measures of a movement whose mean over movements describes a longer time; of a ratio it is the median.
+_MEANS = ("sparc", "ldlj_v", "velocity_peaks", "hand_time_to_peak_s", "hand_time_to_peak_percent")
+_MEDIANS = ("hand_path_ratio",)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where an answer is measured.
+
+    Attributes
+    ----------
+    settings : MeasureSettings
+        How.
+    places : tuple of slice
+        Rows of the movements.
+    movements, repetitions : tuple of Movement
+        The same in times.
+    rounds : tuple of slice
+        Rows of the repetitions.
+    known : dict of str to ndarray of bool, shape (n,)
+        Where an angle is known, by its name.
+    centres_deg : dict of str to float, deg
+        What an angle lies within half a turn of.
+    voxel_m : float, m
+        Size of the cubes of which one place counts for the alpha shape.
+    """
+
+    settings: MeasureSettings
+    places: tuple[slice, ...]
+    movements: tuple[Movement, ...]
+    rounds: tuple[slice, ...]
+    repetitions: tuple[Movement, ...]
+    known: dict[str, BoolArray]
+    centres_deg: dict[str, float]
+    voxel_m: float
+
+    @classmethod
+    def of(cls, motion: Motion, settings: MeasureSettings) -> Layout:
+        """As an answer's motion has it."""
+        places = find_movements(motion.speed, motion.grid, settings.movements)
+        repetitions = find_repetitions(motion, settings.repetitions)
+        t = motion.grid.t_s
+        rounds = [np.searchsorted(t, [each.start_s, each.end_s]).tolist() for each in repetitions]
+        return cls(
+            settings,
+            tuple(places),
+            as_movements(places, motion.grid),
+            tuple(slice(first, last + 1) for first, last in rounds),
+            repetitions,
+            {name: np.isfinite(angle) for name, angle in motion.angles.items()},
+            {name: centre_of(angle) for name, angle in motion.angles.items()},
+            _voxel(motion, settings.reach.voxel_m),
+        )
+
+    def figures(self, motion: Motion) -> dict[Place, Figures]:
+        """All figures of a motion on the same grid: of the session, the movements, the repetitions.
+
+        Parameters
+        ----------
+        motion : Motion
+            The answer's own, a drawn one, or the truth's.
+
+        Returns
+        -------
+        figures : dict of Place to dict of str to Figure
+            By scope and number, then by the measure's key.
+        """
+        angles = {
+            name: np.where(known, centred(motion.angles[name], self.centres_deg[name]), np.nan)
+            for name, known in self.known.items()
+            if name in motion.angles
+        }
+        speed = motion.speed
+        of_movements = [self._of_movement(motion, place, angles, speed) for place in self.places]
+        by_place: dict[Place, Figures] = {SESSION: self._of_session(motion, angles, speed, of_movements)}
+        by_place |= {("movement", k): each for k, each in enumerate(of_movements)}
+        for k, place in enumerate(self.rounds):
+            inside = [
+                each
+                for each, part in zip(of_movements, self.places, strict=True)
+                if part.start < place.stop and part.stop > place.start
+            ]
+            by_place["repetition", k] = self._of_time(motion, place, angles, speed, inside)
+        return by_place
+
+    def _of_session(
+        self, motion: Motion, angles: dict[str, FloatArray], speed: FloatArray, of_movements: list[Figures]
+    ) -> Figures:
+        grid, occluded = motion.grid, motion.occluded
+        everything = slice(0, len(grid.t_s))
+        figures = self._of_time(motion, everything, angles, speed, of_movements)
+        for name, angle in angles.items():
+            for zone, figure in zone_figures(name, angle, occluded).items():
+                figures[zone_key(name, zone, ZONE_DEG)] = figure
+        places = find_movements(speed, grid, self.settings.movements)
+        share = share_of(occluded)
+        figures["movement_count"] = Figure(float(len(places)), share)
+        seconds = np.array([place.stop - place.start for place in places]) / grid.rate_hz
+        whole = max(len(grid.t_s), 1) / grid.rate_hz
+        figures["movement_time_percent"] = Figure(100.0 * float(seconds.sum()) / whole, share)
+        figures["movement_duration_s"] = Figure(float(seconds.mean()) if len(places) else np.nan, share)
+        rounds = np.array([each.length_s for each in find_repetitions(motion, self.settings.repetitions)])
+        figures["repetition_count"] = Figure(float(len(rounds)), share)
+        mean = float(rounds.mean()) if len(rounds) else np.nan
+        figures["repetition_duration_s"] = Figure(mean, share)
+        spread = 100.0 * float(rounds.std(ddof=1)) / mean if len(rounds) > 2 else np.nan
+        figures["repetition_duration_cv_percent"] = Figure(spread, share)
+        return figures
+
+    def _of_time(
+        self,
+        motion: Motion,
+        place: slice,
+        angles: dict[str, FloatArray],
+        speed: FloatArray,
+        of_movements: list[Figures],
+    ) -> Figures:
+        """What both a session and a repetition have."""
+        occluded, rate = motion.occluded[place], motion.grid.rate_hz
+        figures: Figures = {}
+        for name, angle in angles.items():
+            figures |= angle_figures(name, angle[place], occluded, rate)
+        figures |= way_figures(motion.hand[place], speed[place], occluded, rate, _inside(motion, place))
+        figures |= self._reach(motion, place)
+        figures |= zone_figures_of(motion, place, self.settings.reach)
+        for key in (*_MEANS, *_MEDIANS):
+            figures[key] = _together(
+                [each[key] for each in of_movements], np.median if key in _MEDIANS else np.mean
+            )
+        return figures
+
+    def _of_movement(
+        self, motion: Motion, place: slice, angles: dict[str, FloatArray], speed: FloatArray
+    ) -> Figures:
+        occluded, rate = motion.occluded[place], motion.grid.rate_hz
+        hand, pace, settings = motion.hand[place], speed[place], self.settings.movements
+        figures: Figures = {}
+        for name, angle in angles.items():
+            figures |= angle_figures(name, angle[place], occluded, rate)
+        figures |= way_figures(hand, pace, occluded, rate, (slice(0, len(hand)),))
+        figures |= straightness_figures(hand, pace, occluded, rate)
+        share = share_of(occluded)
+        peaks = velocity_peaks(pace, rate, settings.peak_rise_m_s, settings.peak_apart_s)
+        figures["sparc"] = Figure(spectral_arc_length(pace, rate), share)
+        figures["ldlj_v"] = Figure(log_dimensionless_jerk(pace, rate), share)
+        figures["velocity_peaks"] = Figure(float(len(peaks)), share)
+        figures["duration_s"] = Figure((len(pace) - 1) / rate, share)
+        return figures
+
+    def _reach(self, motion: Motion, place: slice) -> Figures:
+        reach, lengths = self.settings.reach, bone_lengths(motion)
+        arm_m = (
+            lengths["upper_arm"] + lengths["forearm"]
+            if {"upper_arm", "forearm"} <= lengths.keys()
+            else np.nan
+        )
+        if motion.hand_joint == "hand":
+            arm_m += lengths.get("hand", np.nan)
+        places = _from_shoulder(motion)[place]
+        return reach_figures(places, motion.occluded[place], arm_m, self.voxel_m, reach.alpha_m)
+
+
+def _from_shoulder(motion: Motion) -> FloatArray:
+    """The hand's places (n, 3) from the shoulder, where there is one."""
+    return motion.hand - motion.joints["shoulder"] if "shoulder" in motion.joints else motion.hand
+
+
+def _voxel(motion: Motion, voxel_m: float) -> float:
+    """The size asked for, or as much more as leaves no more than `MOST_PLACES` places."""
+    places = _from_shoulder(motion)
+    places = places[np.isfinite(places).all(axis=1)]
+    while len(places) > MOST_PLACES and len(voxel_means(places, voxel_m)) > MOST_PLACES:
+        voxel_m *= 1.25
+    return voxel_m
+
+
+def _inside(motion: Motion, place: slice) -> tuple[slice, ...]:
+    """The grid's runs within some rows, counted from the first of these."""
+    parts = [
+        slice(max(run.start, place.start) - place.start, min(run.stop, place.stop) - place.start)
+        for run in motion.grid.runs
+    ]
+    return tuple(part for part in parts if part.stop > part.start)
+
+
+def _together(figures: list[Figure], middle: object) -> Figure:
+    """Mean or median of a measure over some movements."""
+    known = [figure for figure in figures if np.isfinite(figure.value)]
+    if not known or not callable(middle):
+        return UNKNOWN
+    return Figure(
+        float(middle([each.value for each in known])), float(np.mean([each.share for each in known]))
+    )

@@ -1,0 +1,185 @@
+"""`measure`: the measures of a recovery, each with its interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..result import Recovery
+from .angles import PERCENTILES
+from .definitions import definition_of
+from .drawn import DrawnFigures
+from .figure import UNKNOWN, Figure
+from .intervals import FEWEST_DRAWS, interval
+from .layout import SESSION, Figures, Layout, Place
+from .low_pass import grid_of
+from .measure import Measure
+from .measures import Measures
+from .motion import Motion, motion_of
+from .settings import MeasureSettings
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """A recovery as it is measured: its layout, and every figure of answer and draws.
+
+    Attributes
+    ----------
+    recovery : Recovery
+        What is measured.
+    motion : Motion
+        Its arrays.
+    layout : Layout
+        What is measured when.
+    answer : dict of Place to dict of str to Figure
+        The figures of the answer.
+    drawn : DrawnFigures
+        Those of the drawn motions.
+    """
+
+    recovery: Recovery
+    motion: Motion
+    layout: Layout
+    answer: dict[Place, Figures]
+    drawn: DrawnFigures
+
+    @classmethod
+    def of(cls, recovery: Recovery, settings: MeasureSettings) -> Measuring:
+        """Measure a recovery and its draws."""
+        grid = grid_of(recovery, settings.smoothing)
+        motion = motion_of(recovery, grid, settings.smoothing.cutoff_hz)
+        layout = Layout.of(motion, settings)
+        drawn = DrawnFigures(recovery, layout, motion)
+        return cls(recovery, motion, layout, layout.figures(motion), drawn)
+
+    def rows(self, place: Place) -> list[Measure]:
+        """The measures of the session, a movement or a repetition."""
+        figures = dict(self.answer[place])
+        if place == SESSION:
+            figures |= {key: Figure(0.0, 0.0) for key in self.drawn.zones() if key not in figures}
+            figures = dict(sorted(figures.items(), key=lambda item: "_zone_" in item[0]))  # zones last
+            for angle in self.motion.missing:
+                figures |= dict.fromkeys(_keys_of(angle), UNKNOWN)
+        return [self._row(place, key, figure) for key, figure in figures.items()]
+
+    def _row(self, place: Place, key: str, figure: Figure) -> Measure:
+        scope, number = place
+        definition = definition_of(key)
+        low, high, sigma = interval(figure.value, self.drawn.values(place, key), definition)
+        start_s, end_s = self.times(place)
+        return Measure(
+            key,
+            definition.name,
+            definition.unit,
+            figure.value,
+            low,
+            high,
+            sigma,
+            figure.share,
+            scope,
+            number,
+            start_s,
+            end_s,
+            self.drawn.count if np.isfinite(low) else 0,
+            "" if np.isfinite(figure.value) else self._why(key),
+        )
+
+    def times(self, place: Place) -> tuple[float, float]:
+        """From when to when, s; nan where there is no answer."""
+        scope, number = place
+        if number is not None:
+            kind = self.layout.movements if scope == "movement" else self.layout.repetitions
+            return kind[number].start_s, kind[number].end_s
+        t = self.motion.grid.t_s
+        return (float(t[0]), float(t[-1])) if len(t) else (float("nan"), float("nan"))
+
+    def _why(self, key: str) -> str:
+        """Why a measure has no value, in a sentence."""
+        for angle, reason in self.motion.missing.items():
+            if key in _keys_of(angle):
+                return reason
+        known = [name for name in self.layout.centres_deg if key in _keys_of(name)]
+        if known and not np.isfinite(self.layout.centres_deg[known[0]]):
+            return "The angle went all the way round: it has no smallest and largest value."
+        if known:
+            return "The angle is known for less than 0.3 s here."
+        if key.startswith(("hand_to_", "hand_behind", "elbow_trunk")):
+            return "Needs shoulder, elbow and wrist, and the direction of gravity."
+        if key == "hand_reach_sphere_percent":
+            return "Needs the arm's length: shoulder, elbow and wrist."
+        if key.startswith("hand_reach"):
+            return "The hand's places have no volume."
+        if key == "hand_path_ratio":
+            return "No movement ends more than 5 cm from where it began."
+        if key.startswith("repetition"):
+            return "No round of an exercise comes again often enough."
+        return "There is no movement of the hand to measure."
+
+
+def _keys_of(angle: str) -> list[str]:
+    """Keys of an angle's measures, but for its zones."""
+    whats = ("range", "min", "max", *(f"p{percentile}" for percentile in PERCENTILES))
+    return [*(f"{angle}_{what}_deg" for what in whats), f"{angle}_peak_speed_deg_s"]
+
+
+def measure(recovery: Recovery, settings: MeasureSettings | None = None) -> Measures:
+    """Measure a recovered motion: joints, hand, smoothness, movements, repetitions.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        With draws (`smooth(.., draws=64)`) for the intervals; without them there are none.
+    settings : MeasureSettings, optional
+        Thresholds and sizes.
+
+    Returns
+    -------
+    measures : Measures
+        Of the session, each movement and each repetition; formulas and sources in docs/measures.md.
+    """
+    return measures_of(Measuring.of(recovery, settings or MeasureSettings()))
+
+
+def measures_of(measuring: Measuring) -> Measures:
+    """What was measured, as a table of measures."""
+    recovery, layout = measuring.recovery, measuring.layout
+    rows = [row for place in measuring.answer for row in measuring.rows(place)]
+    start_s, end_s = measuring.times(SESSION)
+    return Measures(
+        recovery.side,
+        recovery.body,
+        recovery.name,
+        start_s,
+        end_s,
+        tuple(rows),
+        layout.movements,
+        layout.repetitions,
+        recovery.estimates.trusted,
+        recovery.estimates.verdict,
+        measuring.drawn.count,
+        tuple(_notes(measuring)),
+    )
+
+
+def _notes(measuring: Measuring) -> list[str]:
+    """What to know of all measures of an arm."""
+    recovery, motion, notes = measuring.recovery, measuring.motion, []
+    if not len(motion.grid.t_s):
+        notes.append("There is no answer to measure.")
+    if measuring.drawn.count == 0:
+        notes.append("There are no intervals: smooth the recording with --draws 64 to have them.")
+    elif measuring.drawn.count < FEWEST_DRAWS:
+        notes.append(
+            f"There are no intervals: {measuring.drawn.count} drawn motions are too few; smooth the recording"
+            " with --draws 64."
+        )
+    if motion.hand_joint != "hand":
+        instead = "the IMU" if motion.hand_joint == "imu" else f"the {motion.hand_joint}"
+        notes.append(f"The recording has no hand: {instead} stands for it.")
+    if recovery.trunk is None and motion.R_K_T is not None:
+        notes.append(
+            "No IMU is on the trunk: it counts as upright and facing the camera, for the shoulder's angles"
+            " and for where mouth, head and back are."
+        )
+    return notes

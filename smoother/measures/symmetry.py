@@ -1,0 +1,149 @@
+"""Left against right: the symmetry index of both arms of one person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import UnoccludeError
+from ..recording import FloatArray
+from ..result import Recovery
+from .definitions import definition_of
+from .intervals import interval
+from .layout import SESSION
+from .measure import Measure
+from .measures import Measures
+from .measuring import Measuring, measures_of
+from .settings import MeasureSettings
+
+#: Measures with a true zero, whose ratio means something.
+COMPARED = (
+    "elbow_flexion_range_deg",
+    "pronation_range_deg",
+    "shoulder_elevation_range_deg",
+    "elbow_flexion_peak_speed_deg_s",
+    "shoulder_elevation_peak_speed_deg_s",
+    "hand_path_length_m",
+    "hand_peak_speed_m_s",
+    "hand_mean_speed_m_s",
+    "hand_reach_hull_l",
+    "hand_reach_alpha_l",
+    "hand_reach_sphere_percent",
+    "movement_count",
+    "movement_time_percent",
+)
+
+
+@dataclass(frozen=True)
+class BothArms:
+    """Both arms of one person, measured and compared.
+
+    Attributes
+    ----------
+    left, right : Measures
+        Of the arms.
+    rows : tuple of Measure
+        Symmetry indices, `KEY_symmetry_percent`: 0 = alike, positive = the right one has more.
+    """
+
+    left: Measures
+    right: Measures
+    rows: tuple[Measure, ...]
+
+    @property
+    def by_key(self) -> dict[str, Measure]:
+        """The indices by their key."""
+        return {row.key: row for row in self.rows}
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values by name."""
+        return {key: row.as_dict() for key, row in self.by_key.items()}
+
+
+def symmetry_index(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Difference of right and left over their mean, percent; nan where both are zero.
+
+    100 (R - L) / (0.5 (R + L)): Robinson, Herzog, Nigg, J Manipulative Physiol Ther 10:172-176 (1987).
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (n,)
+        Of a measure with a true zero.
+
+    Returns
+    -------
+    index : ndarray, shape (n,), percent
+        From -200 (only the left) to 200 (only the right).
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(100.0 * (right - left) / (0.5 * (right + left)))
+
+
+def measure_both(recoveries: Sequence[Recovery], settings: MeasureSettings | None = None) -> BothArms:
+    """Measure both arms of one person, and compare them.
+
+    The arms' draws are independent of each other: the index is drawn from pairs of them.
+
+    Parameters
+    ----------
+    recoveries : sequence of Recovery
+        One of a left and one of a right arm, of one person.
+    settings : MeasureSettings, optional
+        As for `measure`.
+
+    Returns
+    -------
+    both : BothArms
+        Measures of both arms, and the indices.
+
+    Raises
+    ------
+    UnoccludeError
+        They are not one left and one right arm of one person.
+    """
+    by_side = {recovery.side: recovery for recovery in recoveries}
+    if len(recoveries) != 2 or by_side.keys() != {"left", "right"} or len({r.body for r in recoveries}) != 1:
+        arms = ", ".join(recovery.arm_label for recovery in recoveries) or "none"
+        raise UnoccludeError(f"symmetry needs the left and the right arm of one person; there is: {arms}")
+    used = settings or MeasureSettings()
+    left, right = (Measuring.of(by_side[side], used) for side in ("left", "right"))
+    return both_arms(left, right)
+
+
+def both_arms(left: Measuring, right: Measuring) -> BothArms:
+    """The same of two arms that are measured already."""
+    of_left, of_right = measures_of(left), measures_of(right)
+    rows = []
+    for key in COMPARED:
+        one, other = of_left.by_key.get(key), of_right.by_key.get(key)
+        if one is None or other is None or not (one.is_known and other.is_known):
+            continue
+        value = float(symmetry_index(np.array([one.value]), np.array([other.value]))[0])
+        count = min(left.drawn.count, right.drawn.count)
+        drawn = symmetry_index(
+            left.drawn.values(SESSION, key)[:count], right.drawn.values(SESSION, key)[:count]
+        )
+        name = f"{key}_symmetry_percent"
+        definition = definition_of(name)
+        low, high, sigma = interval(value, drawn, definition)
+        note = "" if np.isfinite(value) else "Both arms have none."
+        rows.append(
+            replace(
+                one,
+                key=name,
+                name=definition.name,
+                unit=definition.unit,
+                value=value,
+                low=low,
+                high=high,
+                sigma=sigma,
+                recovered_share=0.5 * (one.recovered_share + other.recovered_share),
+                start_s=min(one.start_s, other.start_s),
+                end_s=max(one.end_s, other.end_s),
+                n_draws=count if np.isfinite(low) else 0,
+                note=note,
+            )
+        )
+    return BothArms(of_left, of_right, tuple(rows))

@@ -1,0 +1,342 @@
+"""The page of a session's measures: how far, how fast, how smooth, where to, and how well that is known."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from ..evaluation.change import SessionValue, change_between
+from ..evaluation.main_measures import first_of, is_main
+from ..evaluation.quantity import interval, number, quantity, shown_unit
+from ..measures import Measure, Measures
+from .chart import Mark, Strip, badge, bars, charted, sessions, strips
+from .sheet import Html, bullets, headed, tabulated, write_sheet
+from .terms import NO_DIAGNOSIS, explained, terms_of
+
+#: Rows of the table, and sentences of the limits.
+MOST_ROWS, MOST_LIMITS = 10, 6
+#: Angles whose range is drawn, and those whose time is.
+RANGES = ("elbow_flexion", "shoulder_elevation", "pronation")
+TIMES = ("elbow_flexion", "shoulder_elevation")
+#: What the hand may reach.
+REACHED = {
+    "hand_to_mouth_reached": "hand to mouth",
+    "hand_to_head_reached": "hand to head",
+    "hand_behind_back_reached": "hand behind the back",
+}
+#: More movements are not drawn one by one.
+MOST_MOVEMENTS = 24
+#: What rests on more recovered samples is said to.
+MOSTLY_RECOVERED = 0.5
+
+
+def write_measures_page(
+    path: str | os.PathLike[str], measures_by_arm: Sequence[Measures], *, force: bool = False
+) -> None:
+    """Write the page of a recording's measures; printed, it takes two pages.
+
+    Parameters
+    ----------
+    path : path-like
+        The page to write.
+    measures_by_arm : sequence of Measures
+        Of each arm of a recording.
+    force : bool
+        Overwrite a page that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    arms = list(measures_by_arm)
+    names = ", ".join(dict.fromkeys(arm.name for arm in arms))
+    length_s = max((arm.end_s - arm.start_s for arm in arms), default=math.nan)
+    labels = " and ".join(arm.arm_label for arm in arms) or "no arm"
+    write_sheet(
+        path,
+        f"Measures of {names or 'a recording'}",
+        f"{labels[0].upper()}{labels[1:]}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
+        _verdict(arms),
+        list(_sections(arms)),
+        two_pages=True,
+        force=force,
+    )
+
+
+def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
+    for arm in arms:
+        who = f"{arm.arm_label[0].upper()}{arm.arm_label[1:]}: "
+        if arm.trusted is False:
+            yield f"{who}{arm.verdict or 'Not to be trusted.'} Do not use these numbers"
+        elif arm.verdict:
+            yield f"{who}{arm.verdict}"
+    if not any(row.is_known for arm in arms for row in arm.session):
+        yield "Nothing could be measured: see below why"
+    elif all(arm.n_draws == 0 for arm in arms):
+        yield (
+            "The values have no intervals: how well they are known cannot be said. Recover the recording with"
+            " draws (smooth --draws 64)"
+        )
+    shares = [
+        row.recovered_share
+        for arm in arms
+        for row in arm.session
+        if is_main(row.key) and math.isfinite(row.recovered_share)
+    ]
+    if shares:
+        least, most = round(100 * min(shares)), round(100 * max(shares))
+        part = f"to {most} %" if least == most else f"to between {least} % and {most} %"
+        yield f"The values rest {part} on moments that the camera did not see"
+    yield NO_DIAGNOSIS
+
+
+def _sections(arms: Sequence[Measures]) -> Iterator[str]:
+    figures = [_ranges(arms), _times(arms), _reach(arms), _speed(arms), _smoothness(arms)]
+    yield from (figure for figure in figures if figure)
+    yield _table(arms)
+    yield _limits(arms)
+    keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
+    words = ["interval", "recovered"]
+    if _both(arms) is not None:
+        words += ["clear", "unclear", "unknown"]
+    elif REACHED.keys() & set(keys):
+        words += ["unknown"]
+    yield explained("The words on this page", [*words, *terms_of(keys)])
+
+
+def _ranges(arms: Sequence[Measures]) -> str:
+    """Figure 1: the smallest and the largest angle of each joint."""
+    rows = []
+    for angle in RANGES:
+        for arm in arms:
+            low, high, whole = (arm.by_key.get(f"{angle}_{what}_deg") for what in ("min", "max", "range"))
+            if low is None or high is None or whole is None or not (low.is_known and high.is_known):
+                continue
+            text = f"{quantity(low.value, 'deg')} to {quantity(high.value, 'deg')}, range"
+            text += f" {quantity(whole.value, 'deg')}"
+            name = whole.name.removesuffix(", range") + _of_arm(arm, arms)
+            rows.append(Strip(name[0].upper() + name[1:], text, _mark(low), _mark(high)))
+    if not rows:
+        return ""
+    ends = [mark.value for row in rows for mark in (row.start, row.end)]
+    first, last = 30 * math.floor(min(ends) / 30), 30 * math.ceil(max(ends) / 30)
+    first, last = min(first, 0), max(last, first + 60)
+    step = 30 if last - first <= 240 else 60
+    return charted(
+        "How far the joints moved",
+        "The blue bar goes from the smallest to the largest angle; the dark lines at its ends are their 95 %"
+        " intervals.",
+        strips(rows, first, last, range(first, last + 1, step), "°"),
+    )
+
+
+def _times(arms: Sequence[Measures]) -> str:
+    """Figure 2: how long each angle was held."""
+    boxes = ""
+    for angle in TIMES:
+        for arm in arms:
+            zones = {
+                int(row.key.split("_zone_")[1].split("_")[0]): row
+                for row in arm.session
+                if row.key.startswith(f"{angle}_zone_") and row.is_known
+            }
+            if not zones:
+                continue
+            width = 10
+            starts = range(min(zones), max(zones) + 1, width)
+            marks = [
+                _mark(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
+                for start in starts
+            ]
+            name = zones[min(zones)].name.partition(",")[0]
+            title = f"<h3>{escape(_capital(name.partition(' ')[0]) + _of_arm(arm, arms))}</h3>"
+            boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
+    caption = "Percent of the time in each ten degrees of the angle."
+    drawing = f'<div class="charts narrow">{boxes}</div>'
+    return charted("How long each angle was held", caption, drawing) if boxes else ""
+
+
+def _reach(arms: Sequence[Measures]) -> str:
+    """Figure 3: what the hand reached, and the volume that it passed through."""
+    rows = [
+        [words, *(Html(_reached(arm, key)) for arm in arms)]
+        for key, words in REACHED.items()
+        if any((row := arm.by_key.get(key)) is not None and row.is_known for arm in arms)
+    ]
+    volumes = [arm.by_key.get("hand_reach_hull_l") for arm in arms]
+    if any(volume is not None and volume.is_known for volume in volumes):
+        known = [_with_interval(volume) if volume is not None else "–" for volume in volumes]
+        rows.append(["reach volume", *known])
+    if not rows:
+        return ""
+    caption = "Reached: at least once, in every one of the drawn motions; behind it how near the hand came."
+    columns = ["goal", *(arm.arm_label for arm in arms)]
+    return tabulated("Where the hand came to", caption, columns, rows)
+
+
+def _reached(arm: Measures, key: str) -> str:
+    """In words where the draws agree, and how near the hand came, as HTML."""
+    row = arm.by_key.get(key)
+    if row is None or not row.has_interval or row.low != row.high:
+        word = "cannot be said"
+    else:
+        word = "reached" if row.value >= 1 else "not reached"
+    return f"{badge(word)} {escape(_distance(arm, key))}"
+
+
+def _distance(arm: Measures, key: str) -> str:
+    """How near the hand came, where it was not there."""
+    row = arm.by_key.get(key.replace("_reached", "_distance_m"))
+    if row is None or not row.is_known or row.value <= 0:
+        return ""
+    return f"{_with_interval(row)} away"
+
+
+def _speed(arms: Sequence[Measures]) -> str:
+    return _by_movement(
+        arms,
+        "hand_peak_speed_m_s",
+        "How fast the hand was",
+        "The hand's highest speed in each movement, m/s, in the order of time.",
+    )
+
+
+def _smoothness(arms: Sequence[Measures]) -> str:
+    return _by_movement(
+        arms,
+        "sparc",
+        "How smoothly the hand moved",
+        "SPARC of each movement, in the order of time: nearer to zero is smoother. A long movement with many"
+        " turns is less smooth than a short one, whoever does it.",
+    )
+
+
+def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str) -> str:
+    """Figures 4 and 5: a measure over the movements of each arm."""
+    boxes, most = "", 0
+    for arm in arms:
+        rows = [arm.of("movement", number).get(key) for number in range(len(arm.movements))]
+        known = [row for row in rows if row is not None]
+        if not any(row.is_known for row in known):
+            continue
+        marks = [_mark(row, str(1 + (row.movement or 0))) for row in known[:MOST_MOVEMENTS]]
+        session = arm.by_key.get(key)
+        words = f"{session.name}, session: {_with_interval(session)}" if session else ""
+        most = max(most, len(known))
+        title = f"<h3>{escape(_capital(arm.arm_label))}</h3>" if len(arms) > 1 else ""
+        boxes += f"<div>{title}{sessions(marks, reference=False, words=words)}</div>"
+    if most > MOST_MOVEMENTS:
+        caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
+    return charted(heading, caption, f'<div class="charts">{boxes}</div>') if boxes else ""
+
+
+def _table(arms: Sequence[Measures]) -> str:
+    """The main measures; of two arms also whether one clearly has more."""
+    known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
+    keys = first_of(list(dict.fromkeys(known)), MOST_ROWS)
+    both = _both(arms)
+    rows = []
+    for key in keys:
+        cells: list[object] = [next(row.name for arm in arms if (row := arm.by_key.get(key)) is not None)]
+        for arm in arms:
+            row = arm.by_key.get(key)
+            cells.append("–" if row is None else _with_interval(row))
+        cells.append("\u00a0/\u00a0".join(_share(arm.by_key.get(key)) for arm in arms))
+        if both is not None:
+            cells.append(Html(badge(_compared(*both, key))))
+        rows.append(cells)
+    if not rows:
+        return ""
+    columns = ["measure", *(f"95 % interval{_of_arm(arm, arms)}" for arm in arms), "recovered"]
+    columns += ["right against left"] if both is not None else []
+    return tabulated(
+        "The main measures",
+        "Over the whole recording: the value, and its 95 % interval in brackets.",
+        columns,
+        rows,
+    )
+
+
+def _both(arms: Sequence[Measures]) -> tuple[Measures, Measures] | None:
+    """Left and right arm of one person, both to be trusted."""
+    by_side = {arm.side: arm for arm in arms}
+    if len(arms) != 2 or by_side.keys() != {"left", "right"} or arms[0].body != arms[1].body:
+        return None
+    if any(arm.trusted is False for arm in arms):
+        return None
+    return by_side["left"], by_side["right"]
+
+
+def _compared(left: Measures, right: Measures, key: str) -> str:
+    one, other = left.by_key.get(key), right.by_key.get(key)
+    if one is None or other is None:
+        return "cannot be said"
+    word = change_between(_value(one, "left"), _value(other, "right")).word
+    return "no clear difference" if word == "no clear change" else word
+
+
+def _value(row: Measure, side: str) -> SessionValue:
+    return SessionValue(
+        side, 0.0, row.value, row.low, row.high, row.sigma, row.recovered_share, row.n_draws, row.note
+    )
+
+
+def _limits(arms: Sequence[Measures]) -> str:
+    """What limits the numbers: what is not known and why, what rests on recovered samples."""
+    sentences: list[str] = []
+    for arm in arms:
+        mark = _of_arm(arm, arms)
+        why: dict[str, list[str]] = {}
+        for row in arm.session:
+            if not row.is_known and row.note and is_main(row.key):
+                why.setdefault(row.note, []).append(row.name)
+        for note, names in why.items():
+            sentences.append(f"{_listed(names)}{mark} cannot be said: {note}")
+        weak = [
+            row.name
+            for row in arm.session
+            if is_main(row.key) and row.is_known and row.recovered_share > MOSTLY_RECOVERED
+        ]
+        if weak:
+            sentences.append(f"More than half of {_listed(weak)}{mark} rests on recovered moments")
+        sentences += arm.notes
+    sentences = list(dict.fromkeys(sentences))
+    if len(sentences) > MOST_LIMITS:
+        more = len(sentences) - MOST_LIMITS
+        sentences = [*sentences[:MOST_LIMITS], f"{more} sentences more are in --json"]
+    return headed("What limits this") + (bullets(sentences) or "<p>Nothing that the recording shows.</p>")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 2 else f"{names[0]} and {len(names) - 1} measures more"
+
+
+def _with_interval(row: Measure) -> str:
+    if not row.has_interval:
+        return quantity(row.value, row.unit)
+    if row.unit.startswith("deg"):
+        return f"{quantity(row.value, row.unit)} ({interval(row.low, row.high, row.unit)})"
+    between = f"{number(row.low, row.unit)} to {number(row.high, row.unit)}"
+    return f"{number(row.value, row.unit)} ({between})\u00a0{shown_unit(row.unit)}".rstrip()
+
+
+def _share(row: Measure | None) -> str:
+    if row is None or not math.isfinite(row.recovered_share):
+        return "–"
+    return f"{100 * row.recovered_share:.0f}\u00a0%"
+
+
+def _mark(row: Measure, name: str = "") -> Mark:
+    return Mark(name, row.value, row.low, row.high, number(row.value, row.unit))
+
+
+def _of_arm(arm: Measures, arms: Sequence[Measures]) -> str:
+    """Which arm, where there are several."""
+    return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

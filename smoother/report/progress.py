@@ -1,0 +1,235 @@
+"""The page of a person's measures over the sessions: what changed clearly, what did not, what is open."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from ..evaluation.change import LESS, MORE, UNCLEAR, UNKNOWN, Change, SessionValue
+from ..evaluation.main_measures import first_of
+from ..evaluation.quantity import interval, number, quantity, shown_unit, worded
+from ..evaluation.series import PersonProgress, Series
+from .chart import Mark, badge, sessions
+from .sheet import Html, bullets, headed, tabulated, write_sheet
+from .terms import NO_DIAGNOSIS, explained, terms_of
+
+#: Figures of a page, rows of its table, and sentences of its limits.
+MOST_FIGURES, MOST_ROWS, MOST_LIMITS = 5, 16, 6
+
+
+def write_progress_page(
+    progress: PersonProgress, path: str | os.PathLike[str], *, force: bool = False
+) -> None:
+    """Write the page of a person's sessions; printed, it takes two pages.
+
+    Parameters
+    ----------
+    progress : PersonProgress
+        The person's measures.
+    path : path-like
+        The page to write.
+    force : bool
+        Overwrite a page that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The page exists and `force` is not given, or it cannot be written.
+    """
+    count = len(progress.sessions)
+    write_sheet(
+        path,
+        f"Progress of {progress.person}",
+        f"{_arms(progress)}{count} session{'s' if count != 1 else ''}: {_named(progress)}",
+        _verdict(progress),
+        list(_sections(progress)),
+        two_pages=True,
+        force=force,
+    )
+
+
+def _arms(progress: PersonProgress) -> str:
+    sides = list(dict.fromkeys(each.side for each in progress.series if each.side))
+    return f"{' and '.join(sides).capitalize()} arm{'s' if len(sides) > 1 else ''}, " if sides else ""
+
+
+def _named(progress: PersonProgress) -> str:
+    """The sessions, with days where they are known; the middle ones of many are left out."""
+    names = [
+        f"{_short(name)} (day {day:.0f})" if math.isfinite(day) else _short(name)
+        for name, day in zip(progress.sessions, progress.days, strict=True)
+    ]
+    return ", ".join(names if len(names) <= 8 else [*names[:3], "…", *names[-3:]])
+
+
+def _verdict(progress: PersonProgress) -> Iterator[str]:
+    changes = [each.change for each in progress.main if each.change is not None]
+    if not progress.sessions:
+        yield "No session can be used: see below why"
+    elif not changes:
+        yield "There is one session only, so there is no change to speak of"
+    else:
+        first, last = (_short(progress.sessions[place]) for place in (0, -1))
+        clear = len(progress.clear)
+        unclear = sum(change.word == UNCLEAR for change in changes)
+        unknown = sum(change.word == UNKNOWN for change in changes)
+        yield (
+            f"From session {first} to session {last}: {clear or 'none'} of {len(changes)} measures changed"
+            f" clearly, {unclear or 'none'} show{'s' if unclear == 1 else ''} no clear change"
+            + (f", and of {unknown} it cannot be said" if unknown else "")
+        )
+        for word in (MORE, LESS):
+            names = [
+                _label(each, progress) for each in progress.clear if each.change and each.change.word == word
+            ]
+            if names:
+                more = f" and {len(names) - 4} others" if len(names) > 4 else ""
+                yield f"{word.capitalize()}: {'; '.join(names[:4])}{more}"
+        if (compared := len(progress.compared)) >= 10 and clear:
+            yield (
+                f"Of {compared} measures about {0.05 * compared:.0f} would be called clear by chance alone;"
+                f" {_standing(progress)} when all are counted together"
+            )
+    yield NO_DIAGNOSIS
+    yield (
+        "A clear change is one that errors of the measurement do not explain. A person also varies from day"
+        " to day, with effort, pain and how the task was given: two sessions alone do not show a trend"
+    )
+
+
+def _standing(progress: PersonProgress) -> str:
+    """Clear changes that stay clear when all measures count together."""
+    stand = [
+        _label(each, progress)
+        for each in progress.clear
+        if each.change is not None and each.change.p_together < 0.05
+    ]
+    if not stand:
+        return "none of them stands"
+    more = " and others" if len(stand) > 3 else ""
+    return f"{'; '.join(stand[:3])}{more} {'stand' if len(stand) > 1 else 'stands'}"
+
+
+def _sections(progress: PersonProgress) -> Iterator[str]:
+    shown = _shown(progress)
+    if shown:
+        yield _figures(progress, shown)
+    rows = [*progress.clear]  # what changed stands first, whatever is cut
+    rows += [each for each in progress.main if each.change is not None and each not in progress.clear]
+    if rows:
+        yield _table(progress, rows)
+    yield _limits(progress)
+    terms = ["interval", "recovered", *(["clear", "unclear", "unknown"] if rows else [])]
+    if any(each.change is not None and math.isfinite(each.change.mdc95) for each in rows):
+        terms.append("mdc")
+    keys = [each.key for each in (*shown, *rows[:MOST_ROWS])]
+    yield explained("The words on this page", [*terms, *terms_of(keys)])
+
+
+def _shown(progress: PersonProgress) -> list[Series]:
+    """What is drawn: the first measures that have values, of each arm and task in turn."""
+    main = [each for each in progress.main if any(math.isfinite(value.value) for value in each.values)]
+    keys = first_of(list(dict.fromkeys(each.key for each in main)), MOST_FIGURES)
+    return [each for key in keys for each in main if each.key == key][:MOST_FIGURES]
+
+
+def _figures(progress: PersonProgress, shown: Sequence[Series]) -> str:
+    caption = (
+        "A dot a session, with its 95 % interval as a line. The pale band is the interval of the first"
+        " session."
+    )
+    if len(progress.sessions) == 1:
+        caption = "The session's value, with its 95 % interval as a line."
+    boxes = "".join(f"<div>{_figure(series, progress)}</div>" for series in shown)
+    return f'{headed("The main measures", caption)}<div class="charts">{boxes}</div>'
+
+
+def _figure(series: Series, progress: PersonProgress) -> str:
+    by_session = {value.session: value for value in series.values}
+    empty = SessionValue("", math.nan, math.nan)
+    marks = [_mark(name, by_session.get(name, empty), series.unit) for name in progress.sessions]
+    unit = shown_unit(series.unit)
+    heading = f"<h3>{escape(_label(series, progress))}{f' ({escape(unit)})' if unit else ''}</h3>"
+    change = series.change
+    words = (
+        "" if change is None else f"<p>{badge(change.word)} {escape(_difference(change, series.unit))}</p>"
+    )
+    return f"{heading}{words}{sessions(marks, words=_read_aloud(series, progress))}"
+
+
+def _mark(name: str, value: SessionValue, unit: str) -> Mark:
+    return Mark(name, value.value, value.low, value.high, number(value.value, unit))
+
+
+def _read_aloud(series: Series, progress: PersonProgress) -> str:
+    values = ", ".join(
+        f"session {each.session} {quantity(each.value, series.unit)}" for each in series.values
+    )
+    return f"{_label(series, progress)}: {values}"
+
+
+def _difference(change: Change, unit: str) -> str:
+    """The change with its interval, or why there is none."""
+    if not math.isfinite(change.difference):
+        return ""
+    text = quantity(change.difference, unit, signed=True)
+    between = interval(change.low, change.high, unit, signed=True)
+    return f"{text} ({between})" if between else text
+
+
+def _table(progress: PersonProgress, rows: Sequence[Series]) -> str:
+    columns = ("measure", "first", "last", "change", "95 % interval", "in words", "recovered")
+    cells = [
+        (
+            _label(each, progress),
+            worded(each.key, change.first.value, each.unit),
+            worded(each.key, change.last.value, each.unit),
+            quantity(change.difference, each.unit, signed=True),
+            interval(change.low, change.high, each.unit, signed=True) or "–",
+            Html(badge(change.word)),
+            _share(change),
+        )
+        for each in rows[:MOST_ROWS]
+        if (change := each.change) is not None
+    ]
+    more = len(rows) - MOST_ROWS
+    caption = "The last session against the first, what changed clearly in front." + (
+        f" {more} measures more are in the tables (--csv)." if more > 0 else ""
+    )
+    return tabulated("All changes", caption, columns, cells)
+
+
+def _share(change: Change) -> str | None:
+    shares = [each.recovered_share for each in (change.first, change.last)]
+    known = [share for share in shares if math.isfinite(share)]
+    return f"{100 * max(known):.0f} %" if known else None
+
+
+def _limits(progress: PersonProgress) -> str:
+    """What limits the statements, the most frequent first."""
+    about: dict[str, list[str]] = {}
+    for each in progress.main:
+        for sentence in each.change.limits if each.change is not None else ():
+            about.setdefault(sentence, []).append(_label(each, progress))
+    counted = sorted(about.items(), key=lambda item: -len(item[1]))
+    sentences = [
+        f"{sentence} ({', '.join(names) if len(names) <= 2 else f'{len(names)} measures'})"
+        for sentence, names in counted
+    ]
+    every = [*progress.left_out, *progress.notes, *sentences]
+    if len(every) > MOST_LIMITS:
+        every = [*every[:MOST_LIMITS], f"{len(every) - MOST_LIMITS} sentences more are in --json"]
+    return headed("What limits this") + (bullets(every) or "<p>Nothing that the recordings show.</p>")
+
+
+def _label(series: Series, progress: PersonProgress) -> str:
+    """The measure's name, with arm and task where there are several."""
+    several = len({each.side for each in progress.series}) > 1
+    parts = (series.name, f"{series.side} arm" if several and series.side else "", _short(series.task))
+    return ", ".join(part for part in parts if part)
+
+
+def _short(text: str, most: int = 24) -> str:
+    return text if len(text) <= most else f"{text[: most - 1]}…"

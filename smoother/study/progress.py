@@ -1,0 +1,279 @@
+"""A study's measures over each person's sessions: what changed, and what limits the statement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import UnoccludeError
+from ..evaluation.change import SessionValue, change_between, together, without_like_movements
+from ..evaluation.main_measures import BY_MOVEMENT, is_main
+from ..evaluation.series import PersonProgress, Series
+from .columns import DONE, Row, schema
+from .folder import StudyFolder
+from .privacy import hashed_name
+from .sessions import Attendance, by_folders, in_order, read_sessions
+
+_READ = (
+    *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
+    *("trusted", "recorded_day", "measures"),
+)
+_AGAIN = "run `unocclude batch` again with --measures"
+#: A measure of one session: arm, task, key.
+_Key = tuple[str, str, str]
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """The latest row of each recording of a study.
+
+    Parameters
+    ----------
+    folder : Path
+        What `batch` wrote.
+
+    Returns
+    -------
+    rows : list of dict
+        In the order of their names; the columns that progress is made of.
+
+    Raises
+    ------
+    UnoccludeError
+        It is no study, or its results cannot be read.
+    """
+    import pyarrow as pa
+    from pyarrow import dataset
+
+    study = StudyFolder(folder)
+    files = sorted(str(path) for path in study.results.glob("*.parquet"))
+    if not study.mark.exists() or not files:
+        raise UnoccludeError(
+            f"{folder} is no study with results; name the folder that `unocclude batch` wrote"
+        )
+    try:
+        table = dataset.dataset(files, schema=schema(), format="parquet").to_table(columns=list(_READ))
+    except (pa.ArrowException, OSError) as error:
+        raise UnoccludeError(
+            f"{folder}: a file of its results cannot be read; the same `unocclude batch` puts it aside"
+        ) from error
+    latest = {row["recording"]: row for row in table.sort_by("finished").to_pylist()}
+    return [latest[name] for name in sorted(latest)]
+
+
+def sessions_of(
+    folder: Path, rows: Sequence[Row], table: Path | None = None
+) -> tuple[dict[str, Attendance], list[str]]:
+    """Whose each recording is, and of which session.
+
+    Parameters
+    ----------
+    folder : Path
+        The study's.
+    rows : sequence of dict
+        Its rows.
+    table : Path, optional
+        The user's; without it, folders' names say it.
+
+    Returns
+    -------
+    sessions : dict of str to Attendance
+        By the recordings' names.
+    left_out : list of str
+        Recordings that are of nobody, one sentence each.
+
+    Raises
+    ------
+    UnoccludeError
+        The table cannot be used, or no recording lies in a folder.
+    """
+    names = [row["recording"] for row in rows]
+    if table is not None:
+        word = StudyFolder(folder).mark.read_text(encoding="utf-8", errors="replace")
+        sessions = read_sessions(table, names, lambda name: hashed_name(word, name))
+        rest = [name for name in names if name not in sessions]
+        return sessions, [f"{name}: {table.name} does not name it" for name in rest]
+    found = {row["recording"]: by_folders(row["recording"], _number(row["recorded_day"])) for row in rows}
+    sessions = {name: attendance for name, attendance in found.items() if attendance is not None}
+    if not sessions:
+        raise UnoccludeError(
+            f"{folder}: its recordings lie in no folder, so whose they are is not known; record as"
+            " PERSON/SESSION.mcap, or name them in a table (--sessions FILE.csv with file, person, session)"
+        )
+    return sessions, [f"{name}: it lies in no person's folder" for name in names if name not in sessions]
+
+
+def progress_of(
+    rows: Sequence[Row], sessions: Mapping[str, Attendance], mdc95: Mapping[str, float] | None = None
+) -> list[PersonProgress]:
+    """The measures of every person over the sessions.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Of the study (`read_rows`).
+    sessions : mapping of str to Attendance
+        Whose each recording is (`sessions_of`).
+    mdc95 : mapping of str to float, optional
+        Minimal detectable change by the measures' keys, in their units.
+
+    Returns
+    -------
+    list of PersonProgress
+        In the order of the persons' names.
+
+    Raises
+    ------
+    UnoccludeError
+        No row has measures, or two recordings are the same task of one session.
+    """
+    if not any(row["measures"] is not None for row in rows):
+        raise UnoccludeError(f"the study holds no measures; {_AGAIN}")
+    by_name = {row["recording"]: row for row in rows}
+    persons: dict[str, list[Attendance]] = {}
+    for name, attendance in sessions.items():
+        if name in by_name:
+            persons.setdefault(attendance.person, []).append(attendance)
+    return [_progress(person, persons[person], by_name, mdc95 or {}) for person in sorted(persons)]
+
+
+def _progress(
+    person: str, attendances: Sequence[Attendance], rows: Mapping[str, Row], mdc95: Mapping[str, float]
+) -> PersonProgress:
+    """One person: the sessions' values by measure, then their changes, then what limits them."""
+    _refuse_doubles(attendances)
+    left_out: list[str] = []
+    values: dict[_Key, list[SessionValue]] = {}
+    about: dict[_Key, tuple[str, str]] = {}
+    used: dict[str, float] = {}
+    for session in in_order(attendances):
+        day = min(each.day for each in session)
+        for attendance in session:
+            row = rows[attendance.recording]
+            usable, why = _usable(row)
+            left_out += [f"session {attendance.session} ({attendance.recording}): {each}" for each in why]
+            for entry in usable:
+                key = (entry["side"] or "", attendance.task, entry["key"])
+                used.setdefault(attendance.session, day)
+                about[key] = entry["name"], entry["unit"] or ""
+                values.setdefault(key, []).append(_value(attendance, day, entry))
+    first_day = next(iter(used.values()), math.nan)
+    series = [
+        _series(person, key, about[key], [_since(value, first_day) for value in each], mdc95)
+        for key, each in values.items()
+    ]
+    series = [_of_like_movements(each, values) for each in series]
+    return PersonProgress(
+        person=person,
+        sessions=tuple(used),
+        days=tuple(day - first_day for day in used.values()),
+        series=tuple(_counted_together(series)),
+        left_out=tuple(left_out),
+        notes=tuple(_notes([rows[each.recording] for each in attendances], used)),
+    )
+
+
+def _refuse_doubles(attendances: Sequence[Attendance]) -> None:
+    first: dict[tuple[str, str], str] = {}
+    for each in attendances:
+        other = first.setdefault((each.session, each.task), each.recording)
+        if other != each.recording:
+            raise UnoccludeError(
+                f"{other} and {each.recording} are both session {each.session} of {each.person}: tell them"
+                " apart by a column task in the table (--sessions), or by another session"
+            )
+
+
+def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
+    """The measures of a row that take part, and why others do not."""
+    if row["status"] != DONE:
+        return [], [f"it failed: {row['error']}"]
+    if row["measures"] is None:
+        return [], [f"it was recovered without measures; {_AGAIN}"]
+    usable, why = [], []
+    for side in dict.fromkeys(entry["side"] for entry in row["measures"]):
+        mine = [entry for entry in row["measures"] if entry["side"] == side]
+        arm = f"the {side} arm's" if side else "its"
+        if any(entry["trusted"] is False for entry in mine):
+            why.append(f"{arm} result is not to be trusted")
+        elif len({entry["body"] for entry in mine}) > 1:
+            why.append(f"it holds several persons' {side} arms; recover one with --body")
+        else:
+            usable += mine
+    return usable, why
+
+
+def _value(attendance: Attendance, day: float, entry: Mapping[str, Any]) -> SessionValue:
+    return SessionValue(
+        session=attendance.session,
+        day=day,
+        **{name: _number(entry[name]) for name in ("value", "low", "high", "sigma", "recovered_share")},
+        n_draws=entry["n_draws"] or 0,
+        note=entry["note"] or "",
+        recording=attendance.recording,
+    )
+
+
+def _since(value: SessionValue, first_day: float) -> SessionValue:
+    return replace(value, day=value.day - first_day)
+
+
+def _series(
+    person: str,
+    key: _Key,
+    about: tuple[str, str],
+    values: Sequence[SessionValue],
+    mdc95: Mapping[str, float],
+) -> Series:
+    side, task, measure = key
+    known = mdc95.get(measure, math.nan)
+    changes = tuple(change_between(values[0], later, known) for later in values[1:])
+    return Series(person, side, task, measure, *about, tuple(values), changes)
+
+
+def _of_like_movements(series: Series, values: Mapping[_Key, Sequence[SessionValue]]) -> Series:
+    """Changes of means over movements only where the sessions have as many of them."""
+    if series.key not in BY_MOVEMENT:
+        return series
+    counted = values.get((series.side, series.task, "movement_count"), ())
+    counts = {value.session: value.value for value in counted}
+    changes = [
+        without_like_movements(
+            change, counts.get(change.first.session, math.nan), counts.get(change.last.session, math.nan)
+        )
+        for change in series.changes
+    ]
+    return replace(series, changes=tuple(changes))
+
+
+def _counted_together(series: Sequence[Series]) -> list[Series]:
+    """The last changes of the main measures with the probability of all of them together."""
+    last = [each for each in series if each.changes and is_main(each.key)]
+    adjusted = dict(zip(map(id, last), together([each.changes[-1] for each in last]), strict=True))
+    return [
+        replace(each, changes=(*each.changes[:-1], replace(each.changes[-1], p_together=adjusted[id(each)])))
+        if id(each) in adjusted
+        else each
+        for each in series
+    ]
+
+
+def _notes(rows: Iterable[Row], used: Mapping[str, float]) -> list[str]:
+    notes = []
+    done = [row for row in rows if row["measures"]]
+    if len({(row["config_hash"], row["version"]) for row in done}) > 1:
+        notes.append(
+            "The sessions were recovered with different settings or versions, which alone can move a measure:"
+            " run `unocclude batch` again on all of them."
+        )
+    if len({row["calibration_hash"] for row in done}) > 1:
+        notes.append("The sessions have different calibration files.")
+    if not all(math.isfinite(day) for day in used.values()):
+        notes.append("The days of the sessions are not known: they stand in the order of their names.")
+    return notes
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

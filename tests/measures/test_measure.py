@@ -1,0 +1,234 @@
+"""All measures of a recovery: intervals, shares, tables, what is missing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_arms import recovery_of, simulated, with_draws
+from scipy.spatial.transform import Rotation
+
+from smoother.errors import UnoccludeError
+from smoother.measures import Measures, MeasureSettings, measure, measure_both
+from smoother.measures.definitions import MeasureDefinition, definition_of
+from smoother.measures.intervals import interval
+from smoother.measures.symmetry import symmetry_index
+from smoother.result import Recovery
+from smoother.runtime.plain_values import plain
+from smoother.upper_motion import UpperMotion
+
+
+@pytest.fixture(scope="module")
+def answer() -> Recovery:
+    return with_draws(simulated(0, repetitions=1), count=22)
+
+
+@pytest.fixture(scope="module")
+def measures(answer: Recovery) -> Measures:
+    return measure(answer)
+
+
+def test_every_measure_has_a_value_an_interval_and_a_share(measures: Measures):
+    assert measures.n_draws == 22
+    for row in measures.rows:
+        assert definition_of(row.key).name == row.name
+        if row.is_known:
+            assert row.has_interval and row.low <= row.value <= row.high, row
+            assert 0.0 <= row.recovered_share <= 1.0 and row.n_draws == 22 and not row.note
+        else:
+            assert row.note, row.key
+    known = {row.key for row in measures.session if row.is_known}
+    assert {"elbow_flexion_range_deg", "pronation_p95_deg", "sparc", "ldlj_v", "hand_path_length_m"} <= known
+
+
+def test_movements_carry_their_own(measures: Measures):
+    assert len(measures.movements) >= 3
+    for number, movement in enumerate(measures.movements):
+        row = measures.of("movement", number)["hand_path_length_m"]
+        assert (row.start_s, row.end_s) == (movement.start_s, movement.end_s)
+    ways = [measures.of("movement", k)["hand_path_length_m"].value for k in range(len(measures.movements))]
+    assert 0.8 < sum(ways) / measures.by_key["hand_path_length_m"].value <= 1.0
+    smooth = [measures.of("movement", k)["sparc"].value for k in range(len(measures.movements))]
+    assert measures.by_key["sparc"].value == pytest.approx(np.mean(smooth))
+
+
+def test_as_a_table_and_as_plain_values(measures: Measures):
+    table = measures.to_table()
+    assert table.num_rows == len(measures.rows) and table.column("side").to_pylist()[0] == "right"
+    assert table.column("movement").null_count == len(measures.session)
+    figures = json.loads(json.dumps(plain(measures.as_dict()), allow_nan=False))
+    row = figures["measures"]["elbow_flexion_range_deg"]
+    assert {"value", "low", "high", "unit", "recovered_share"} <= row.keys() and row["unit"] == "deg"
+    assert len(figures["movements"]) == len(measures.movements)
+
+
+def test_without_draws_there_are_values_and_a_word_on_it(answer: Recovery, measures: Measures):
+    bare = measure(replace(answer, draws=None))
+    assert not any(row.has_interval for row in bare.rows) and "--draws 64" in bare.notes[0]
+    assert bare.by_key["hand_path_length_m"].value == measures.by_key["hand_path_length_m"].value
+    few = measure(with_draws(replace(answer, draws=None), count=5))
+    assert not any(row.has_interval for row in few.rows) and "5 drawn motions are too few" in few.notes[0]
+
+
+def test_where_the_camera_stands_does_not_matter(answer: Recovery):
+    """Turned about the vertical by nothing, tilted and moved: gravity says so, the angles stay."""
+    turn = Rotation.from_euler("x", 10.0, degrees=True)
+
+    def seen(values: np.ndarray) -> np.ndarray:
+        return np.asarray(turn.apply(values) + np.array([0.1, 0.2, -0.3]))
+
+    orientation = turn * Rotation.from_quat(answer.quaternion, scalar_first=True)
+    other = replace(
+        answer,
+        position=seen(answer.position),
+        joints={name: seen(values) for name, values in answer.joints.items()},
+        quaternion=orientation.as_quat(scalar_first=True),
+        gravity_direction=turn.apply(answer.gravity_direction),
+        t_s=answer.t_s + 100.0,
+        draws=None,
+    )
+    one, two = measure(replace(answer, draws=None)).by_key, measure(other).by_key
+    for key in one:
+        # where the person faces counts from the camera's axis, which its tilt and roll turn by a degree
+        if "_zone_" not in key:
+            assert two[key].value == pytest.approx(one[key].value, rel=0.01, abs=1.5, nan_ok=True), key
+    for key in ("elbow_flexion_range_deg", "sparc", "hand_path_length_m", "hand_reach_hull_l"):
+        assert two[key].value == pytest.approx(one[key].value, rel=1e-6)
+
+
+def test_the_rate_does_not_matter(answer: Recovery):
+    bare = replace(answer, draws=None)
+    half = bare.rows(np.arange(0, len(bare), 2))
+    one, two = measure(bare).by_key, measure(half).by_key
+    for key, off in (("elbow_flexion_range_deg", 0.2), ("hand_path_length_m", 0.02), ("sparc", 0.02)):
+        assert two[key].value == pytest.approx(one[key].value, abs=off)
+    assert two["movement_count"].value == one["movement_count"].value
+
+
+def test_wide_draws_make_wide_intervals():
+    t = np.arange(0.0, 5.0, 0.02)
+    swing = recovery_of(
+        t, {"wrist": np.stack([0.2 * np.sin(2 * t), 0.1 * np.cos(3 * t), 2.0 + 0 * t], axis=1)}
+    )
+    narrow, wide, still = (
+        measure(with_draws(swing, sigma_m=sigma)).by_key["hand_path_length_m"]
+        for sigma in (0.003, 0.012, 0.0)
+    )
+    # a path's noise grows with the errors' size, and where it is slow with their square
+    assert wide.sigma > 2.5 * narrow.sigma and wide.high - wide.low > 2.5 * (narrow.high - narrow.low)
+    assert still.low == pytest.approx(still.value) and still.high == pytest.approx(still.value)
+
+
+@pytest.mark.parametrize("what", ["mean", "middle of the extremes"])
+def test_intervals_hold_the_truth_where_errors_are_as_drawn(what: str):
+    """200 answers that are the truth and an error, with draws that are the answer and such errors."""
+    rng = np.random.default_rng(1)
+    t = np.linspace(0.0, 10.0, 200)
+    truth = np.sin(t)
+
+    def error(count: int) -> np.ndarray:
+        slow = rng.normal(size=(count, 2, 6))
+        waves = np.stack([f(np.outer(np.arange(1, 7), 0.3 * t)) for f in (np.cos, np.sin)])
+        return 0.02 * np.einsum("nab,abt->nt", slow, waves)
+
+    def of(series: np.ndarray) -> np.ndarray:
+        ends = 0.5 * (series.max(axis=-1) + series.min(axis=-1))
+        return series.mean(axis=-1) if what == "mean" else ends
+
+    definition, held = MeasureDefinition(what, "m"), 0
+    for _ in range(200):
+        answer = truth + error(1)[0]
+        low, high, _ = interval(float(of(answer)), of(answer + error(64)), definition)
+        held += low <= of(truth) <= high
+    # ends of 64 draws are rough: 92 % are held on average; binomial bounds of 1 % about 0.90 and 0.98
+    assert 0.85 <= held / 200 <= 0.995
+
+
+def test_how_the_upper_arm_s_imu_sits_is_in_the_interval():
+    """A level upper arm whose IMU may be turned by 4 degrees about the bone: so may its rotation."""
+    t = np.arange(0.0, 2.5, 0.025)
+    still = np.ones((len(t), 1))
+    bend = 1.0 + 0.3 * np.sin(2 * t)
+    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
+    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
+    bare = recovery_of(t, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})
+    # the bone's axes: y from elbow to shoulder, z to the lateral epicondyle (up), x = y cross z
+    axes = np.column_stack([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    quaternion = np.tile(Rotation.from_matrix(axes).as_quat(scalar_first=True), (len(t), 1))
+    sigma = np.radians([0.0, 4.0, 0.0])
+    upper = UpperMotion(elbow, quaternion, np.zeros((len(t), 6, 6)), sigma)
+    assert bare.calibration is not None
+    calibration = replace(bare.calibration, R_U_B=np.eye(3))
+    answer = with_draws(replace(bare, upper=upper, calibration=calibration), count=40, sigma_m=0.0)
+    rows = measure(answer).by_key
+    assert rows["shoulder_rotation_p50_deg"].sigma == pytest.approx(4.0, rel=0.35)  # of 40 draws
+    assert rows["shoulder_elevation_p50_deg"].sigma < 0.01
+    assert rows["shoulder_rotation_range_deg"].sigma < 0.01  # one turn for the whole recording
+
+
+def test_the_interval_lies_about_the_value():
+    definition = MeasureDefinition("a length", "m", 0.0)
+    drawn = 3.0 + np.linspace(-1.0, 1.0, 201)  # to one side of the answer, as draws of a path length are
+    low, high, sigma = interval(2.0, drawn, definition)
+    assert (low, high) == pytest.approx((2.0 - 0.95, 2.0 + 0.95)) and sigma == pytest.approx(
+        drawn.std(ddof=1)
+    )
+    assert interval(0.5, drawn, definition)[0] == 0.0  # a length is not negative
+    count = MeasureDefinition("peaks", "", 0.0, is_count=True)
+    assert interval(2.0, np.repeat([2.0, 3.0], 50), count)[:2] == (2.0, 3.0)
+    assert np.isnan(interval(np.nan, drawn, definition)).all()
+    assert np.isnan(interval(2.0, drawn[:10], definition)).all()
+
+
+def test_no_answer_at_all(answer: Recovery):
+    nothing = replace(
+        answer,
+        position=np.full_like(answer.position, np.nan),
+        joints={name: np.full_like(values, np.nan) for name, values in answer.joints.items()},
+        draws=None,
+    )
+    rows = measure(nothing)
+    assert not any(row.is_known and row.value for row in rows.session)
+    assert rows.movements == () and "no answer" in rows.notes[0]
+
+
+def test_a_pause_is_not_bridged():
+    """A hand that is 1 m further after a pause of the IMU did not travel that metre at once."""
+    t = np.concatenate([np.arange(0.0, 5.0, 0.01), np.arange(15.0, 20.0, 0.01)])
+    wrist = np.stack([0.1 * np.sin(t) + (t > 10.0), np.zeros_like(t), np.full_like(t, 2.0)], axis=1)
+    rows = measure(recovery_of(t, {"wrist": wrist})).by_key
+    assert rows["hand_peak_speed_m_s"].value < 0.11
+    way = sum(0.1 * np.abs(np.diff(np.sin(part))).sum() for part in (t[:500], t[500:]))
+    assert rows["hand_path_length_m"].value == pytest.approx(way, rel=0.01)
+
+
+def test_symmetry_as_robinson_defines_it():
+    # a left force of 640 N and a right one of 680 N: 100 * 40 / 660
+    np.testing.assert_allclose(symmetry_index(np.array([640.0]), np.array([680.0])), [6.0606], atol=1e-4)
+    np.testing.assert_allclose(symmetry_index(np.array([0.0, 1.0]), np.array([1.0, 0.0])), [200.0, -200.0])
+
+
+def test_both_arms():
+    left, right = (
+        with_draws(simulated(4, side, protocol="random", duration_s=4.0), count=20)
+        for side in ("left", "right")
+    )
+    both = measure_both([right, left])
+    assert (both.left.side, both.right.side) == ("left", "right")
+    for row in both.rows:  # the left one is the right one's mirror image
+        # the alpha shape's cubes are not mirrored
+        assert abs(row.value) < (8.0 if "alpha" in row.key else 1.0) and row.low <= row.value <= row.high
+    assert "elbow_flexion_range_deg_symmetry_percent" in both.by_key
+    for wrong in ([left], [left, left], [left, replace(right, body=2)], []):
+        with pytest.raises(UnoccludeError, match="left and the right arm"):
+            measure_both(wrong)
+
+
+def test_settings_are_checked():
+    with pytest.raises(ValueError, match="extra"):
+        MeasureSettings.model_validate({"smoothing": {"cutoff": 6.0}})
+    fast = MeasureSettings.model_validate({"movements": {"start_m_s": 50.0, "rest_m_s": 0.03}})
+    assert measure(simulated(0, repetitions=1), fast).movements == ()

@@ -1,0 +1,191 @@
+"""The pages of measures and of progress: two sheets, words that intervals support, nothing obeyed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Browser, chromium
+from made_measures import ARM, made_measure, made_measures, study_row
+
+from smoother.errors import UnoccludeError
+from smoother.evaluation.series import PersonProgress
+from smoother.measures import Measures
+from smoother.report.measures import write_measures_page
+from smoother.report.progress import write_progress_page
+from smoother.study.progress import progress_of
+from smoother.study.sessions import Attendance
+
+EVIL = "</script><script>hacked=1</script><img src=x onerror=hacked=1><b>bold</b>&amp;"
+BADGES = re.compile(r'<span class="word [a-z]+">(?:\S )?([^<]+)</span>')
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = chromium()
+    if program is None:
+        pytest.skip("Chromium is not installed (apt install chromium)")
+    opened = Browser(program)
+    yield opened
+    opened.close()
+
+
+def fullest(side: str) -> Measures:
+    """An arm of which a page has as much to say as it can."""
+    zones = [
+        made_measure(f"{angle}_zone_{low}_to_{low + 10}_percent", 5.0, 1.0)
+        for angle in ("elbow_flexion", "shoulder_elevation")
+        for low in range(0, 140, 10)
+    ]
+    notes = tuple(
+        f"A note of the {side} arm that needs a whole line of its own, number {n}" for n in range(6)
+    )
+    arm = made_measures(side, movements=40, notes=notes, name="a name that is long " * 4)
+    return replace(arm, rows=tuple(replace(row, recovered_share=0.7) for row in (*arm.rows, *zones)))
+
+
+def person(
+    sessions: int = 4, arms: Sequence[str] = ("right",), name: str = "p12", draws: bool = True
+) -> PersonProgress:
+    """A person whose elbow bends more every time."""
+    rng = np.random.default_rng(0)
+    attended = {
+        f"{name}/s{n}.mcap": Attendance(f"{name}/s{n}.mcap", name, f"s{n}", "", 14.0 * n)
+        for n in range(sessions)
+    }
+    rows = [
+        study_row(
+            path,
+            [
+                made_measures(side, rng=rng, draws=draws, change={"elbow_flexion_range_deg": 10.0 * n})
+                for side in arms
+            ],
+        )
+        for n, path in enumerate(attended)
+    ]
+    (progress,) = progress_of(rows, attended)
+    return progress
+
+
+def pages(browser: Browser, page: Path) -> int:
+    browser.dark(False)
+    browser.size(1100, 900)
+    browser.open(page)
+    return browser.pdf().count(b"/Type /Page\n")
+
+
+def test_every_page_takes_two_sheets_and_fits_a_phone(browser: Browser, tmp_path: Path):
+    write_measures_page(tmp_path / "one.html", [made_measures()])
+    write_measures_page(tmp_path / "both.html", [fullest("left"), fullest("right")])
+    write_progress_page(person(), tmp_path / "few.html")
+    many = person(40, ("left", "right"), "a person whose name is long")
+    noted = tuple(f"A sentence that takes a whole line of the page to say, number {n}" for n in range(9))
+    write_progress_page(replace(many, notes=noted), tmp_path / "many.html")
+    for page in sorted(tmp_path.glob("*.html")):
+        assert pages(browser, page) <= 2, page.name
+        assert browser.complaints() == [] and browser.loaded() == []
+        assert browser.run("document.querySelectorAll('svg.chart').length") >= 4
+        assert page.stat().st_size < 300_000
+        for dark in (False, True):
+            browser.dark(dark)
+            browser.size(390, 800, phone=True)
+            browser.open(page)
+            assert browser.run("document.documentElement.scrollWidth <= innerWidth"), page.name
+
+
+def test_hostile_names_are_shown_and_not_obeyed(browser: Browser, tmp_path: Path):
+    arm = replace(
+        made_measures(EVIL, name=EVIL, verdict=EVIL, notes=(EVIL,)),
+        rows=tuple(replace(row, name=EVIL, note=EVIL) for row in made_measures().rows),
+    )
+    write_measures_page(tmp_path / "measures.html", [arm])
+    progress = person(2)
+    series = tuple(replace(each, name=EVIL, side=EVIL, task=EVIL) for each in progress.series)
+    write_progress_page(
+        replace(progress, person=EVIL, sessions=(EVIL, "b"), series=series, left_out=(EVIL,), notes=(EVIL,)),
+        tmp_path / "progress.html",
+    )
+    for page in tmp_path.glob("*.html"):
+        browser.open(page)
+        assert browser.run("typeof hacked") == "undefined" and browser.complaints() == []
+        assert browser.run("document.querySelectorAll('img, b:not(.terms b)').length") == 0
+        assert "hacked=1" in browser.run("document.body.textContent")
+
+
+def words_of(page: Path) -> list[str]:
+    return BADGES.findall(page.read_text(encoding="utf-8"))
+
+
+def test_words_of_progress_need_an_interval(tmp_path: Path):
+    write_progress_page(person(), tmp_path / "a.html")
+    words = words_of(tmp_path / "a.html")
+    assert words[0] == "clearly more" and words.count("no clear change") > 5
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "no diagnosis" in text and "day 14" in text
+    assert "would be called clear by chance alone; elbow flexion, range stands" in text
+    write_progress_page(person(draws=False), tmp_path / "b.html")
+    assert set(words_of(tmp_path / "b.html")) == {"cannot be said"}
+    assert "without draws" in (tmp_path / "b.html").read_text(encoding="utf-8")
+
+
+def test_one_session_and_none(tmp_path: Path):
+    write_progress_page(person(1), tmp_path / "one.html")
+    text = (tmp_path / "one.html").read_text(encoding="utf-8")
+    assert words_of(tmp_path / "one.html") == [] and "one session only" in text
+    nothing = PersonProgress("p", (), (), (), ("session 1: the result is not to be trusted",))
+    write_progress_page(nothing, tmp_path / "none.html")
+    text = (tmp_path / "none.html").read_text(encoding="utf-8")
+    assert "No session can be used" in text and "not to be trusted" in text
+
+
+def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
+    left, right = made_measures("left", change={"elbow_flexion_range_deg": -20.0}), made_measures("right")
+    write_measures_page(tmp_path / "both.html", [left, right])
+    words = words_of(tmp_path / "both.html")
+    assert words.count("clearly more") == 1 and "no clear difference" in words
+    write_measures_page(
+        tmp_path / "bad.html", [replace(left, trusted=False, verdict="A strap slipped."), right]
+    )
+    text = (tmp_path / "bad.html").read_text(encoding="utf-8")
+    assert set(words_of(tmp_path / "bad.html")) <= {"reached", "not reached"}
+    assert "A strap slipped. Do not use these numbers." in text
+
+
+def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
+    write_measures_page(tmp_path / "a.html", [made_measures()])
+    assert words_of(tmp_path / "a.html") == ["reached", "not reached", "not reached"]
+    write_measures_page(tmp_path / "b.html", [made_measures(draws=False)])
+    assert words_of(tmp_path / "b.html") == ["cannot be said"] * 3
+    assert "smooth --draws 64" in (tmp_path / "b.html").read_text(encoding="utf-8")
+    unsure = made_measures()
+    rows = [
+        replace(row, low=0.0, high=1.0, sigma=0.4) if row.key == "hand_to_mouth_reached" else row
+        for row in unsure.rows
+    ]
+    write_measures_page(tmp_path / "c.html", [replace(unsure, rows=tuple(rows))])
+    assert words_of(tmp_path / "c.html")[0] == "cannot be said"
+
+
+def test_nothing_known_is_said(tmp_path: Path):
+    nothing = made_measures(movements=0)
+    rows = [
+        replace(row, value=np.nan, low=np.nan, high=np.nan, note="The hand is not known.")
+        for row in nothing.rows
+    ]
+    write_measures_page(tmp_path / "a.html", [replace(nothing, rows=tuple(rows))])
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "Nothing could be measured" in text and "The hand is not known." in text
+    write_measures_page(tmp_path / "b.html", [])
+    with pytest.raises(UnoccludeError, match="--force"):
+        write_measures_page(tmp_path / "b.html", [])
+
+
+def test_as_many_figures_as_promised(tmp_path: Path):
+    write_progress_page(person(5, ("left", "right")), tmp_path / "p.html")
+    assert (tmp_path / "p.html").read_text(encoding="utf-8").count("<svg") == 5
+    assert len(ARM) > 16  # the table is cut, and says so
+    assert "measures more are in the tables" in (tmp_path / "p.html").read_text(encoding="utf-8")

@@ -1,0 +1,119 @@
+"""`batch --measures`: rows hold measures, and say as little of the person as can be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Iterator
+from pathlib import Path
+
+import duckdb
+import pytest
+from studies import NAMES, batch, query, state
+
+from smoother.cli.run import run
+from smoother.study.columns import MEASURE_FIELDS, Row
+from smoother.study.folder import StudyFolder
+from smoother.study.job import Job, run_job
+from smoother.study.privacy import hashed_name, relative_day
+
+
+@pytest.fixture(autouse=True, scope="module")
+def here() -> Iterator[None]:
+    """Do the work in this process: starting others takes longer than the work."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smoother.study.cluster.run_local", lambda jobs, processes: map_here(jobs))
+        yield
+
+
+def map_here(jobs: Iterator[Job]) -> Generator[Row, None, None]:
+    """The jobs' rows, one after the other."""
+    for job in jobs:
+        yield run_job(job)
+
+
+@pytest.fixture(scope="module")
+def study(here: None, made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, measured with a few draws."""
+    out = tmp_path_factory.mktemp("measured") / "out"
+    assert batch(made / NAMES[0], "-o", out, "--processes", 1, "--measures", "--draws", 20) == 0
+    return out
+
+
+def test_rows_hold_the_measures_of_each_session(study: Path):
+    rows = duckdb.sql(
+        f"SELECT recording, unnest(measures, recursive := true) FROM '{study}/results/*.parquet'"
+    )
+    assert rows.columns == ["recording", *(name for name, *_ in MEASURE_FIELDS)]
+    found = {(row[0], row[4]): dict(zip(rows.columns, row, strict=True)) for row in rows.fetchall()}
+    flexion = found["a.mcap", "elbow_flexion_range_deg"]
+    assert flexion["unit"] == "deg" and flexion["side"] == "right" and flexion["n_draws"] == 20
+    assert flexion["low"] < flexion["high"] and 0 < flexion["sigma"] < 20
+    assert 0 <= flexion["recovered_share"] <= 1
+    assert len(query(study, "trusted, recorded_day")) == 1
+
+
+def test_the_result_is_the_one_without_measures(study: Path, made: Path, tmp_path: Path):
+    one = tmp_path / "one.mcap"
+    assert run(["smooth", str(made / NAMES[0]), "-o", str(one), "--processes", "1"]) == 0
+    assert one.read_bytes() == state(study)["a.mcap"][1]
+
+
+def test_measures_that_are_there_are_not_measured_again(study: Path, made: Path, capsys):
+    again = [made / NAMES[0], "-o", study, "--processes", 1, "--measures", "--draws", 20]
+    assert batch(*again) == 0
+    assert "0 recovered now" in capsys.readouterr().out
+    assert len(query(study)) == 1
+
+
+def test_names_are_hashed_on_request(made: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "Mustermann").mkdir()
+    (tmp_path / "in" / "Mustermann" / "reach one.mcap").write_bytes((made / NAMES[0]).read_bytes())
+    (tmp_path / "in" / "Mustermann" / "broken.mcap").write_bytes(b"this is no recording")
+    command = [tmp_path / "in", "-o", out, "--processes", 1, "--hash-names"]
+    assert batch(*command, "--report", "--json", tmp_path / "s.json") == 1
+    word = StudyFolder(out).mark.read_text()
+    name = hashed_name(word, "Mustermann/reach one.mcap")
+    assert (out / name).is_file() and name.count("/") == 1
+    assert b"Mustermann" not in (out / name).read_bytes() and b"reach one" not in (out / name).read_bytes()
+    written = [path.read_bytes() for path in (out / "results").glob("*.parquet")]
+    texts = [str(query(out, "*")), (tmp_path / "s.json").read_text(), capsys.readouterr().out]
+    for text in (*texts, (out / "report.html").read_text(encoding="utf-8"), str(written)):
+        assert "Mustermann" not in text and "reach one" not in text
+    # the same command knows its recordings again
+    assert batch(*command) == 1
+    assert "0 recovered now" in capsys.readouterr().out
+
+
+def test_days_are_relative_to_a_secret_one():
+    day_ns = 86_400 * 10**9
+    origin = 20_000 * day_ns
+    first = relative_day("word", "p1", origin)
+    assert first is not None and abs(first - 20_000) > 1e-3
+    assert relative_day("word", "p1", origin + 14 * day_ns) - first == pytest.approx(14)
+    assert relative_day("word", "p2", origin) != first != relative_day("other", "p1", origin)
+    assert relative_day("word", "p1", 0) is None  # a clock that knows no date
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--draws", 64], "give --measures too"),
+        (["--hash-names", "--keep-paths"], "give one of them"),
+    ],
+)
+def test_wrong_uses(options: list[object], words: str, made: Path, tmp_path: Path, capsys):
+    assert batch(made, "-o", tmp_path / "out", *options) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_json_of_a_study_has_them(made: Path, tmp_path: Path):
+    one = tmp_path / "list.txt"
+    one.write_text(f"{made / NAMES[0]}\n")
+    command = ["-o", tmp_path / "out", "--processes", 1, "--measures", "--draws", 0]
+    assert batch(one, *command, "--json", tmp_path / "s.json") == 0
+    (row,) = json.loads((tmp_path / "s.json").read_text())["rows"]
+    flexion = next(each for each in row["measures"] if each["key"] == "elbow_flexion_range_deg")
+    assert flexion["value"] > 0 and flexion["low"] is None and flexion["n_draws"] == 0

@@ -1,0 +1,259 @@
+"""How well measures and their intervals hold on simulated arms: `python tools/measures_accuracy.py`.
+
+For each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its bias;
+occlusions are those of the simulated body. The truth is measured by the same functions over the same samples.
+Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from recovered
+samples: movements in a gap against the same movements with the camera's view whole.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smoother.calibration import ArmCalibration
+from smoother.evaluation.align import truth_at
+from smoother.measures import MeasureSettings
+from smoother.measures.definitions import definition_of
+from smoother.measures.intervals import interval
+from smoother.measures.layout import SESSION
+from smoother.measures.measuring import Measuring
+from smoother.measures.motion import motion_of
+from smoother.recording import Truth
+from smoother.result import Recovery
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.smoothing import smooth
+
+PRESETS = ("realistic", "azure")
+#: Of a joint's extreme this part is hidden, in the time that the angle is within 20 degrees of it.
+HIDDEN_PART, NEAR_DEG = 2.0 / 3.0, 20.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One measure of one recording: answer, truth, draws."""
+
+    key: str
+    scope: str
+    value: float
+    truth: float
+    share: float
+    drawn: np.ndarray
+
+
+def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
+    """The truth in a recovery's place, at its samples."""
+    at = truth_at(truth, recovery.t_s)
+    joints = {joint: at.joints[joint] for joint in recovery.joints if joint in at.joints}
+    return replace(recovery, position=at.position, quaternion=at.quaternion, joints=joints, draws=None)
+
+
+def recovered(
+    simulated: SimulatedArm, draws: int, seed: int, calibration: ArmCalibration | None = None
+) -> Recovery:
+    """The recording smoothed without its truth; the forearm's axes in the IMU are given."""
+    recording = replace(simulated.recording, truth=None)
+    recovery = smooth(recording, calibration, processes=1, draws=draws, seed=seed)
+    assert recovery.calibration is not None
+    return replace(recovery, calibration=replace(recovery.calibration, R_F_A=simulated.calibration.R_F_A))
+
+
+def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSettings) -> Iterator[Sample]:
+    """Every measure of answer and truth."""
+    measuring = Measuring.of(recovery, settings)
+    assert simulated.recording.truth is not None
+    true = motion_of(
+        true_recovery(recovery, simulated.recording.truth),
+        measuring.motion.grid,
+        settings.smoothing.cutoff_hz,
+    )
+    by_place = measuring.layout.figures(true)
+    for place, figures in measuring.answer.items():
+        if place[0] == "repetition":
+            continue
+        zones = {key for key in by_place[place] if "_zone_" in key} if place == SESSION else set()
+        for key in (*figures, *(zones - figures.keys())):
+            absent = 0.0 if "_zone_" in key else np.nan
+            value, share = figures.get(key, (0.0, 0.0))
+            truth = by_place[place][key].value if key in by_place[place] else absent
+            yield Sample(key, place[0], value, truth, share, measuring.drawn.values(place, key))
+
+
+def accuracy(preset: str, seeds: range, draws: int, cache: Path | None) -> list[Sample]:
+    """The samples of some seeds; kept in a folder, if one is named."""
+    samples: list[Sample] = []
+    for seed in seeds:
+        kept = None if cache is None else cache / f"{preset}_{seed}_{draws}.pickle"
+        if kept is not None and kept.exists():
+            recovery = pickle.loads(kept.read_bytes())
+        else:
+            recovery = recovered(simulate_arm(ArmSimulation.preset(preset), seed), draws, seed)
+            if kept is not None:
+                kept.write_bytes(pickle.dumps(recovery))
+        simulated = simulate_arm(ArmSimulation.preset(preset), seed)
+        samples += samples_of(simulated, recovery, MeasureSettings())
+        print(f"{preset} seed {seed}: done", file=sys.stderr, flush=True)
+    return samples
+
+
+def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
+    """By scope and key: coverage, rms error, bias; zones of an angle together."""
+    groups: dict[tuple[str, str], list[Sample]] = defaultdict(list)
+    for sample in samples:
+        key = f"{sample.key.partition('_zone_')[0]}_zones_percent" if "_zone_" in sample.key else sample.key
+        if np.isfinite(sample.value) and np.isfinite(sample.truth):
+            groups[sample.scope, key].append(sample)
+    rows: list[dict[str, object]] = []
+    for (scope, key), group in groups.items():
+        held, widths = [], []
+        for sample in group:
+            low, high, _ = interval(sample.value, sample.drawn, definition_of(sample.key))
+            if np.isfinite(low):
+                held.append(low - 1e-9 <= sample.truth <= high + 1e-9)
+                widths.append(high - low)
+        off = np.array([sample.value - sample.truth for sample in group])
+        rows.append(
+            {
+                "scope": scope,
+                "key": key,
+                "cases": len(group),
+                "coverage": float(np.mean(held)) if held else float("nan"),
+                "rms": float(np.sqrt(np.mean(off**2))),
+                "bias": float(off.mean()),
+                "width": float(np.mean(widths)) if widths else float("nan"),
+                "truth": float(np.mean([sample.truth for sample in group])),
+            }
+        )
+    return rows
+
+
+def print_rows(title: str, rows: list[dict[str, object]]) -> None:
+    """As a table."""
+    print(f"\n{title}\n{'measure':44} cases  covered   rms error      bias  interval's width    mean")
+    for row in rows:
+        print(
+            f"{row['key']:44} {row['cases']:5} {100 * row['coverage']:6.0f} % {row['rms']:11.4g}"
+            f" {row['bias']:+9.3g} {row['width']:14.4g} {row['truth']:11.4g}"
+        )
+
+
+def hidden_extremes(simulated: SimulatedArm) -> SimulatedArm:
+    """The same, and two thirds of the time about the elbow's largest and smallest flexion hidden as well."""
+    from smoother.joint_angles import arm_angles
+    from smoother.linalg import runs
+
+    recording = simulated.recording
+    assert recording.truth is not None
+    joints, t = recording.truth.joints, recording.truth.t_s
+    flexion = arm_angles(joints, len(t))["elbow_flexion"]
+    frames = recording.arm.t_s + simulated.parameters["clock_offset_s"]
+    hidden = np.zeros(len(frames), dtype=bool)
+    for near in (flexion >= flexion.max() - NEAR_DEG, flexion <= flexion.min() + NEAR_DEG):
+        extreme = int(np.argmax(flexion)) if near[np.argmax(flexion)] else int(np.argmin(flexion))
+        for run in runs(near):
+            if not run.start <= extreme < run.stop:
+                continue
+            length = HIDDEN_PART * (t[run.stop - 1] - t[run.start])
+            start = np.clip(t[extreme] - 0.5 * length, t[run.start], t[run.stop - 1] - length)
+            hidden |= (frames >= start) & (frames <= start + length)
+    return replace(simulated, recording=replace(recording, arm=recording.arm.hide(hidden)))
+
+
+def hidden_range(preset: str, seeds: range) -> None:
+    """The elbow's range with nothing hidden, and with two thirds of both extremes hidden."""
+    config = ArmSimulation.preset(preset, protocol="random", occlusion_lengths_s=())
+    for words, is_hidden, is_calibrated in (
+        ("nothing hidden", False, False),
+        ("two thirds of both extremes hidden", True, False),
+        ("the same, the arm calibrated", True, True),
+    ):
+        errors: dict[str, list[float]] = defaultdict(list)
+        for seed in seeds:
+            simulated = simulate_arm(config, seed)
+            simulated = hidden_extremes(simulated) if is_hidden else simulated
+            calibration = simulated.calibration if is_calibrated else None
+            recovery = recovered(simulated, 0, seed, calibration)
+            for sample in samples_of(simulated, recovery, MeasureSettings()):
+                if sample.scope == "session":
+                    errors[sample.key].append(sample.value - sample.truth)
+        figures = "  ".join(
+            f"{what} {np.sqrt(np.mean(np.square(off))):.2f} ({np.mean(off):+.2f})"
+            for what in ("range", "max", "min")
+            for off in [errors[f"elbow_flexion_{what}_deg"]]
+        )
+        print(f"{preset}: elbow, {words}: rms (bias), degrees: {figures}; {len(seeds)} seeds", flush=True)
+
+
+def sparc_bias(preset: str, samples: list[Sample]) -> None:
+    """SPARC of movements that are recovered by half or more, and of those that the camera saw."""
+    rows = [
+        s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.value - s.truth)
+    ]
+    for words, some in (
+        ("recovered by half or more", [s for s in rows if s.share >= 0.5]),
+        ("with recovered samples", [s for s in rows if s.share > 0.0]),
+        ("seen", [s for s in rows if s.share == 0.0]),
+    ):
+        off = np.array([s.value - s.truth for s in some])
+        if len(off):
+            print(
+                f"{preset}: SPARC, movements {words}: bias {off.mean():+.4f}, rms {off.std():.4f}, {len(off)}"
+            )
+
+
+def markdown(tables: dict[str, list[dict[str, object]]]) -> str:
+    """The table of docs/measures.md: by measure how often its interval holds, and its rms error."""
+    by_key = {(preset, row["scope"], row["key"]): row for preset, rows in tables.items() for row in rows}
+    presets = list(tables)
+    heads = [
+        f"{preset}: {what}" for preset in presets for what in ("sessions", "movements", "rms of sessions")
+    ]
+    lines = [f"| measure | {' | '.join(heads)} |", "|---" * (1 + len(heads)) + "|"]
+    for key in dict.fromkeys(row["key"] for rows in tables.values() for row in rows):
+        cells = []
+        for preset in presets:
+            session, movement = (by_key.get((preset, scope, key)) for scope in ("session", "movement"))
+            for row in (session, movement):
+                cells.append(f"{100 * row['coverage']:.0f} % of {row['cases']}" if row else "")
+            cells.append(f"{session['rms']:.2g}" if session else "")
+        lines.append(f"| `{key}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--presets", nargs="+", default=list(PRESETS), choices=PRESETS)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--draws", type=int, default=64)
+    parser.add_argument("--keep-in", type=Path, help="folder for what was recovered, to measure it again")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path, help="the table of docs/measures.md")
+    options = parser.parse_args()
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    tables = {}
+    for preset in options.presets:
+        samples = accuracy(preset, seeds, options.draws, options.keep_in)
+        rows = coverage_table(samples)
+        tables[preset] = rows
+        for scope in ("session", "movement"):
+            print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
+        sparc_bias(preset, samples)
+        hidden_range(preset, seeds)
+    if options.markdown is not None:
+        options.markdown.write_text(markdown(tables) + "\n", encoding="utf-8")
+    if options.json is not None:
+        options.json.write_text(json.dumps(tables, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
