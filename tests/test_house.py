@@ -35,6 +35,7 @@ STACK = (
     ("recovery",),
     ("smoothing",),
     ("several_arms",),
+    ("live",),
 )
 MIDDLE = ("io", "measures", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
