@@ -24,6 +24,7 @@ STACK = (
     ("recovery",),
     ("smoothing",),
     ("several_arms",),
+    ("live",),
 )
 MIDDLE = ("io", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
