@@ -26,19 +26,23 @@ class ImuRows:
         Angular velocity in {A}.
     arrival_s : ndarray, shape (n,), s
         When they came, on the session's clock.
+    mag : ndarray, shape (n, 3), optional
+        Magnetic field in the sensor's unit: recorded, not used while live.
     """
 
     t_s: FloatArray
     acc: FloatArray
     gyro: FloatArray
     arrival_s: FloatArray
+    mag: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
 
     def select(self, rows: IntArray | slice) -> ImuRows:
         """Some of the samples."""
-        return ImuRows(self.t_s[rows], self.acc[rows], self.gyro[rows], self.arrival_s[rows])
+        mag = None if self.mag is None else self.mag[rows]
+        return ImuRows(self.t_s[rows], self.acc[rows], self.gyro[rows], self.arrival_s[rows], mag)
 
     def stamped(self, t_s: FloatArray) -> ImuRows:
         """The same samples with other stamps (n,), s."""
@@ -47,8 +51,15 @@ class ImuRows:
     @classmethod
     def joined(cls, rows: Sequence[ImuRows]) -> ImuRows:
         """One after the other."""
-        columns = ("t_s", "acc", "gyro", "arrival_s")
-        return cls(*(np.concatenate([getattr(one, name) for one in rows]) for name in columns))
+        mags = [one.mag for one in rows if one.mag is not None]
+        mag = np.concatenate(mags) if len(mags) == len(rows) else None
+        return cls(
+            np.concatenate([one.t_s for one in rows]),
+            np.concatenate([one.acc for one in rows]),
+            np.concatenate([one.gyro for one in rows]),
+            np.concatenate([one.arrival_s for one in rows]),
+            mag,
+        )
 
     @classmethod
     def none(cls) -> ImuRows:
@@ -91,8 +102,12 @@ class FrameRows:
     @classmethod
     def joined(cls, rows: Sequence[FrameRows]) -> FrameRows:
         """One after the other."""
-        columns = ("t_s", "position", "state", "arrival_s")
-        return cls(*(np.concatenate([getattr(one, name) for one in rows]) for name in columns))
+        return cls(
+            np.concatenate([one.t_s for one in rows]),
+            np.concatenate([one.position for one in rows]),
+            np.concatenate([one.state for one in rows]),
+            np.concatenate([one.arrival_s for one in rows]),
+        )
 
     @classmethod
     def none(cls) -> FrameRows:
@@ -110,7 +125,7 @@ class Arrivals:
     imu : ImuRows
     frames : FrameRows
     events : tuple of str
-        What happened to the streams, a sentence each.
+        What was done to their stamps, a sentence each.
     """
 
     imu: ImuRows = field(default_factory=ImuRows.none)
@@ -159,6 +174,10 @@ class Source(Protocol):
     @property
     def info(self) -> SourceInfo:
         """What the session is made of."""
+
+    @property
+    def speed(self) -> float:
+        """How fast its time goes, 1 being as usual; 0 waits for nobody."""
 
     @property
     def ended(self) -> bool:

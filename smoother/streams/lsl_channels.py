@@ -77,12 +77,15 @@ class ImuChannels:
         Columns of x, y, z.
     acc_unit, gyro_unit : float
         m/s^2 and rad/s in one of theirs.
+    mag : tuple of int, optional
+        Columns of the magnetometer.
     """
 
     acc: Axes
     gyro: Axes
     acc_unit: float
     gyro_unit: float
+    mag: Axes | None = None
 
     @classmethod
     def of(cls, stream: StreamLabels) -> ImuChannels:
@@ -98,8 +101,7 @@ class ImuChannels:
         whole = [sensor for sensor in sensors if {"acc", "gyro"} <= sensor.axes.keys()]
         if not whole:
             kinds = {kind for sensor in sensors for kind in sensor.axes}
-            lacks = [word for kind, word in (("acc", "acc_x, acc_y, acc_z"), ("gyro", "gyro_x, gyro_y, gyro_z"))
-                     if kind not in kinds]  # fmt: skip
+            lacks = [f"{kind}_x, {kind}_y, {kind}_z" for kind in ("acc", "gyro") if kind not in kinds]
             raise RecordingError(
                 f"The stream {name} cannot be used as IMU: {stream.shown}; {' and '.join(lacks)} are missing:"
                 " send accelerometer and gyroscope in one stream, with these labels and their units."
@@ -107,17 +109,19 @@ class ImuChannels:
         if len(whole) > 1:
             names = printable(", ".join(sensor.name for sensor in whole))
             raise RecordingError(
-                f"The stream {name} holds several IMUs ({names}); send that of the forearm in a stream of its own."
+                f"The stream {name} holds several IMUs ({names}); send that of the forearm in a stream of its"
+                " own."
             )
         acc, gyro = whole[0].axes["acc"], whole[0].axes["gyro"]
         acc_unit = _unit(stream, acc, ACCELERATION, "accelerometer", "m/s^2 or g")
         gyro_unit = _unit(stream, gyro, ANGULAR_VELOCITY, "gyroscope", "rad/s or deg/s")
-        return cls(acc, gyro, acc_unit, gyro_unit)
+        return cls(acc, gyro, acc_unit, gyro_unit, whole[0].axes.get("mag"))
 
-    def values(self, samples: NDArray) -> tuple[FloatArray, FloatArray]:
-        """Specific force and angular velocity (n, 3) in SI of samples (n, channels)."""
+    def values(self, samples: NDArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Specific force, angular velocity in SI, magnetic field as sent (n, 3) of samples (n, channels)."""
         samples = samples.astype(float)
-        return samples[:, self.acc] * self.acc_unit, samples[:, self.gyro] * self.gyro_unit
+        mag = None if self.mag is None else samples[:, self.mag]
+        return samples[:, self.acc] * self.acc_unit, samples[:, self.gyro] * self.gyro_unit, mag
 
 
 @dataclass(frozen=True)
@@ -174,8 +178,8 @@ class SkeletonChannels:
         by_side = {of: axes for of, axes in by_side.items() if _usable(axes)}
         if not by_side:
             raise RecordingError(
-                f"The stream {name} cannot be used as skeleton: {stream.shown}; shoulder, elbow and wrist of an"
-                " arm are missing: send their x, y, z with labels such as wrist_right_x, and the unit."
+                f"The stream {name} cannot be used as skeleton: {stream.shown}; shoulder, elbow and wrist of"
+                " an arm are missing: send their x, y, z with labels such as wrist_right_x, and the unit."
             )
         chosen = side or (prefer_side if prefer_side in by_side else None)
         chosen = chosen or (next(iter(by_side)) if len(by_side) == 1 else None)

@@ -33,6 +33,8 @@ class LslSource:
         A calibration's side: taken where the skeleton has both arms and nothing else says.
     """
 
+    speed = 1.0
+
     def __init__(
         self, imu: str | None, skeleton: str | None, side: str | None = None, prefer_side: str | None = None
     ):
@@ -142,8 +144,8 @@ class LslSource:
         return self._opened
 
     def _imu(self, channels: ImuChannels, batch: LslSamples) -> ImuRows:
-        acc, gyro = channels.values(batch.values)
-        return ImuRows(batch.t_s - self._start_s, acc, gyro, batch.arrival_s - self._start_s)
+        acc, gyro, mag = channels.values(batch.values)
+        return ImuRows(batch.t_s - self._start_s, acc, gyro, batch.arrival_s - self._start_s, mag)
 
     def _frames(self, channels: SkeletonChannels, batch: LslSamples) -> FrameRows:
         position, state = channels.values(batch.values)

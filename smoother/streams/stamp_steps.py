@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -16,13 +16,15 @@ Rows = TypeVar("Rows", ImuRows, FrameRows)
 LATE_S = 0.6
 #: A sample that comes so much sooner after its stamp than any before it is from another clock, s.
 EARLY_S = 0.25
+#: Where the first samples came later than this after their stamps, s, the stamps are of another clock.
+OTHER_CLOCK_S = 5.0
 #: So long must samples be odd, with no usual one between them, to count as a step of the clock, s.
 PERSISTS_S = 0.3
 #: The least delay is that of the last so many seconds: clocks drift apart.
 _RECENT_S = 20
 
 
-class StampSteps:
+class StampSteps(Generic[Rows]):
     """Keeps the stamps of one stream on one clock.
 
     A stamp is odd where it lies `LATE_S` behind the newest one, or where the sample came `EARLY_S` sooner
@@ -45,7 +47,7 @@ class StampSteps:
         self._name = name
         self._newest = -np.inf
         self._least: deque[tuple[int, float]] = deque()
-        self._odd: list[Rows] = []  # type: ignore[valid-type]
+        self._odd: list[Rows] = []
 
     def mended(self, rows: Rows) -> tuple[Rows, tuple[str, ...]]:
         """Rows that can be used, stamped by the clock that the stream began with.
@@ -62,11 +64,12 @@ class StampSteps:
         events : tuple of str
             A sentence for each step.
         """
+        rows, events = self._first(rows) if not self._least else (rows, [])
         if not self._odd and not self._is_odd(rows.t_s + self.moved_s, rows.arrival_s).any():
             rows = rows.stamped(rows.t_s + self.moved_s)
             self._learn(rows)
-            return rows, ()
-        usable, events = [rows.select(slice(0, 0))], []
+            return rows, tuple(events)
+        usable = [rows.select(slice(0, 0))]
         for at in range(len(rows)):
             row = rows.select(slice(at, at + 1))
             moved = row.stamped(row.t_s + self.moved_s)
@@ -82,6 +85,19 @@ class StampSteps:
                 usable.append(stepped)
                 events.append(sentence)
         return type(rows).joined(usable), tuple(events)
+
+    def _first(self, rows: Rows) -> tuple[Rows, list[str]]:
+        """The first rows: a clock that is not this computer's is moved to it."""
+        if not len(rows):
+            return rows, []
+        delay = float((rows.arrival_s - rows.t_s).min())
+        if -EARLY_S <= delay <= OTHER_CLOCK_S:
+            return rows, []
+        self.moved_s = delay
+        return rows, [
+            f"the stamps of {self._name} are of a clock of its own: {delay:+.1f} s were added, so that the"
+            " first one is when it came"
+        ]
 
     def _is_odd(self, t_s: FloatArray, arrival_s: FloatArray) -> np.ndarray:
         if not len(t_s):
@@ -109,7 +125,7 @@ class StampSteps:
 
     def _step(self) -> tuple[Rows, str]:
         """Take the clock of the samples that wait as the stream's; those samples, and a sentence."""
-        rows = type(self._odd[0]).joined(self._odd)  # type: ignore[arg-type]
+        rows = type(self._odd[0]).joined(self._odd)
         self._odd.clear()
         usual = self._least_delay() if self._least else 0.0
         before = self.moved_s

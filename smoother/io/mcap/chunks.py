@@ -110,6 +110,11 @@ class ChunkedFile:
             self._later(self._chunk, packed, channel[part], log_ns[part], offsets)
             start = stop
 
+    def flush(self) -> None:
+        """Write what still waits."""
+        self._settle(0)
+        self._file.flush()
+
     def close(self) -> None:
         """Leave off; what still waits is not written."""
         self._packers.shutdown(cancel_futures=True)
