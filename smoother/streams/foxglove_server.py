@@ -12,7 +12,7 @@ from ..io.wire.schemas import schema_data
 from ..live.output import LiveOutput
 from ..measurements.visibility import Gap
 from .arrivals import FrameRows, SourceInfo
-from .live_messages import LiveMessage, LiveMessages
+from .live_messages import TOPICS, LiveMessage, LiveMessages
 
 #: The port that Foxglove proposes, and the address that nobody but this computer reaches.
 FOXGLOVE_PORT = 8765
@@ -62,7 +62,9 @@ class FoxgloveServer:
         self._foxglove = foxglove_module()
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = self._foxglove.Context()
-        self._channels: dict[str, Any] = {}
+        self._channels: dict[str, Any] = {
+            topic: self._channel(topic, schema) for topic, schema in TOPICS.items()
+        }
         try:
             self._server = self._foxglove.start_server(
                 name="unocclude live", host=LOOPBACK, port=port, context=self._context
@@ -80,33 +82,31 @@ class FoxgloveServer:
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
         """Send what a step answered, the arm at most some 30 times a second."""
+        wanted = {topic for topic, channel in self._channels.items() if channel.has_sinks()}
+        if not wanted:
+            return
         if len(frames):
-            self.log(self._messages.frames(frames, output.clock_offset_s))
+            self.log(self._messages.frames(frames, output.clock_offset_s, wanted))
         if not abs(output.now_s - self._drawn_s) < _DRAWN_EACH_S:
             self._drawn_s = output.now_s
             for estimate in (output.now, output.settled):
                 if estimate is not None:
-                    self.log(self._messages.estimate(estimate))
+                    self.log(self._messages.estimate(estimate, wanted))
         if gap is not None:
             self.log(self._messages.gap(gap))
         self.log(self._messages.line(text, output.now_s) for text in events)
 
     def log(self, messages: Iterable[LiveMessage]) -> None:
-        """Send messages; channels are announced with their first one."""
+        """Send messages to whoever subscribed to their topics."""
         for message in messages:
-            self._channel(message).log(message.data, log_time=max(message.stamp_ns, 0))
+            self._channels[message.topic].log(message.data, log_time=max(message.stamp_ns, 0))
 
     def close(self) -> None:
         """Let all connections go."""
         self._server.stop()
 
-    def _channel(self, message: LiveMessage) -> Any:
-        if message.topic not in self._channels:
-            foxglove = self._foxglove
-            schema = foxglove.Schema(
-                name=message.schema, encoding="protobuf", data=schema_data(message.schema)
-            )
-            self._channels[message.topic] = foxglove.Channel(
-                message.topic, schema=schema, message_encoding="protobuf", context=self._context
-            )
-        return self._channels[message.topic]
+    def _channel(self, topic: str, schema: str) -> Any:
+        described = self._foxglove.Schema(name=schema, encoding="protobuf", data=schema_data(schema))
+        return self._foxglove.Channel(
+            topic, schema=described, message_encoding="protobuf", context=self._context
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +21,20 @@ from ..recording import JOINTS, FloatArray, JointTracks
 from ..result import Recovery
 from .arrivals import FrameRows, SourceInfo
 
-#: Topics of the present; of `settled` only those with numbers; of the camera's frames.
-_NOW = ("skeleton", "forearm", "arm", "beads", "tf", "joints")
-_SETTLED = ("skeleton", "forearm")
-_FRAMES = ("camera", "arm_camera")
+#: Topics of the present, of the settled answer (only those with numbers), of the camera's frames, of gaps.
+_NOW = {
+    "skeleton": "unocclude.Skeleton",
+    "forearm": "foxglove.Odometry",
+    "arm": "foxglove.SceneUpdate",
+    "beads": "foxglove.PointCloud",
+    "tf": "foxglove.FrameTransforms",
+    "joints": "foxglove.JointStates",
+}
+_SETTLED = {f"{name}/settled": _NOW[name] for name in ("skeleton", "forearm")}
+_FRAMES = {"camera": "unocclude.Skeleton", "arm_camera": "foxglove.SceneUpdate"}
+_GAPS = {"gaps": "foxglove.Event", "log": "foxglove.Log"}
+#: Every topic, and the full name of its schema.
+TOPICS = {f"{RESULT_PREFIX}{name}": schema for name, schema in (_NOW | _SETTLED | _FRAMES | _GAPS).items()}
 
 
 class LiveMessage(NamedTuple):
@@ -73,14 +83,17 @@ class LiveMessages:
         if self._down is None and info.camera_frame is not None:
             self._down = info.camera_frame.down
 
-    def estimate(self, estimate: LiveEstimate) -> Iterator[LiveMessage]:
-        """The arm at a moment."""
-        here = _no_frame(self._info.skeleton, estimate.t_s)
-        is_now = estimate.kind == "now"
-        recovery = self._recovery(estimate, here)
-        yield from self._encoded(recovery, "" if is_now else "/settled", _NOW if is_now else _SETTLED)
+    def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
+        """The arm at a moment, on those of its topics that are wanted."""
+        topics, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
+        topics = _among(topics, wanted)
+        if topics:
+            here = _no_frame(self._info.skeleton, estimate.t_s)
+            yield from self._encoded(self._recovery(estimate, here), suffix, topics)
 
-    def frames(self, frames: FrameRows, offset_s: float) -> Iterator[LiveMessage]:
+    def frames(
+        self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
+    ) -> Iterator[LiveMessage]:
         """The camera's joints as they came, on the IMU's clock.
 
         Parameters
@@ -89,10 +102,15 @@ class LiveMessages:
             On the camera's clock.
         offset_s : float, s
             t_imu = t_camera + offset; nan where it is not known yet, which counts as zero.
+        wanted : collection of str
+            Topics.
         """
+        topics = _among(_FRAMES, wanted)
+        if not topics:
+            return
         t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
         tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
-        yield from self._encoded(self._recovery(None, tracks), "", _FRAMES)
+        yield from self._encoded(self._recovery(None, tracks), "", topics)
 
     def gap(self, gap: Gap) -> Iterator[LiveMessage]:
         """A gap that is over, as an event and a line of the log."""
@@ -110,11 +128,10 @@ class LiveMessages:
         data = line.SerializeToString(deterministic=True)
         return LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", stamp, data)
 
-    def _encoded(self, recovery: Recovery, suffix: str, topics: tuple[str, ...]) -> Iterator[LiveMessage]:
+    def _encoded(self, recovery: Recovery, suffix: str, wanted: set[str]) -> Iterator[LiveMessage]:
         channels = _Channels()
         streams = RecoveryStreams(channels, recovery, suffix, CAMERA, 0, self._down)
         streams.camera_joints = [JOINTS.index(joint) for joint in self._info.joints]
-        wanted = {f"{RESULT_PREFIX}{topic}{suffix}" for topic in topics}
         samples, frames = slice(0, len(recovery)), slice(0, len(recovery.arm))
         for stream in streams.batch(samples, frames, slice(0, 0), slice(0, 0)):
             topic, schema = channels.names[stream.channel]
@@ -157,6 +174,11 @@ class LiveMessages:
             origin_ns=self._info.origin_ns,
             side=self._info.side,
         )
+
+
+def _among(names: Collection[str], wanted: Collection[str]) -> set[str]:
+    """Topics of these names that are wanted."""
+    return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}") in wanted}
 
 
 def _no_frame(name: str, t_s: float) -> JointTracks:

@@ -18,8 +18,8 @@ HOW_TO_GET = "this needs pylsl, which is not installed; get it with `pip install
 _SETTINGS = (
     *("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"),
 )  # fmt: skip
-#: The library writes lines of its log to the terminal, into the dashboard; -9 is off.
-_NO_LOG = "[log]\nlevel = -9\n"
+#: The library writes lines of its log to the terminal, into the dashboard; -3 is the least.
+_NO_LOG = "[log]\nlevel = -3\n"
 
 
 @cache

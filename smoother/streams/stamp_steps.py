@@ -64,7 +64,7 @@ class StampSteps(Generic[Rows]):
         events : tuple of str
             A sentence for each step.
         """
-        rows, events = self._first(rows) if not self._least else (rows, [])
+        events = [] if self._least or not len(rows) else self._begin(rows.select(slice(0, 1)))
         if not self._odd and not self._is_odd(rows.t_s + self.moved_s, rows.arrival_s).any():
             rows = rows.stamped(rows.t_s + self.moved_s)
             self._learn(rows)
@@ -86,18 +86,17 @@ class StampSteps(Generic[Rows]):
                 events.append(sentence)
         return type(rows).joined(usable), tuple(events)
 
-    def _first(self, rows: Rows) -> tuple[Rows, list[str]]:
-        """The first rows: a clock that is not this computer's is moved to it."""
-        if not len(rows):
-            return rows, []
-        delay = float((rows.arrival_s - rows.t_s).min())
-        if -EARLY_S <= delay <= OTHER_CLOCK_S:
-            return rows, []
-        self.moved_s = delay
-        return rows, [
-            f"the stamps of {self._name} are of a clock of its own: {delay:+.1f} s were added, so that the"
-            " first one is when it came"
-        ]
+    def _begin(self, row: Rows) -> list[str]:
+        """The first row: a clock that is not this computer's is moved to it."""
+        delay, events = float(row.arrival_s[0] - row.t_s[0]), []
+        if not -EARLY_S <= delay <= OTHER_CLOCK_S:
+            self.moved_s = delay
+            events.append(
+                f"the stamps of {self._name} are of a clock of its own: {delay:+.1f} s were added, so that the"
+                " first one is when it came"
+            )
+        self._learn(row.stamped(row.t_s + self.moved_s))
+        return events
 
     def _is_odd(self, t_s: FloatArray, arrival_s: FloatArray) -> np.ndarray:
         if not len(t_s):
