@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, V, X
 
-from ..recording import IntArray
-from ..window.problem import Window
+from ..recording import FloatArray, IntArray
+from ..window.problem import ImuIncrements, NoiseModel, Window
 
 #: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do
 #: not become so much stiffer than the rest that the solver calls the rest free.
@@ -45,8 +45,11 @@ def add_increments(
     acc = increments.acc + increments.bias[:3]
     gyro = increments.gyro + increments.bias[3:]
     first = increments.first
-    levels = _noise_levels(window)
-    params = {level: _parameters(window, *level) for level in set(levels)}
+    levels = noise_levels(increments, np.diff(window.t), window.noise, window.gravity_magnitude)
+    params = {
+        level: preintegration_parameters(window.noise, window.gravity_magnitude, *level)
+        for level in set(levels)
+    }
     for i in range(len(window.t) - 1):
         pim = gtsam.PreintegratedImuMeasurements(params[levels[i]], bias)
         for step in range(first[i], first[i + 1]):
@@ -61,15 +64,31 @@ def add_increments(
         )
 
 
-def _noise_levels(window: Window) -> list[tuple[int, int]]:
-    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s."""
-    increments, noise = window.increments, window.noise
+def noise_levels(
+    increments: ImuIncrements, dt: FloatArray, noise: NoiseModel, gravity_magnitude: float
+) -> list[tuple[int, int]]:
+    """Noise of each interval above the still sensor's, (accelerometer, gyroscope) in `DENSITY_STEP`s.
+
+    Parameters
+    ----------
+    increments : ImuIncrements
+        Of n - 1 intervals.
+    dt : ndarray, shape (n - 1,), s
+        Their lengths.
+    noise : NoiseModel
+    gravity_magnitude : float, m/s^2
+
+    Returns
+    -------
+    levels : list of tuple of int
+        One an interval, for `preintegration_parameters`.
+    """
     count = np.diff(increments.first)
-    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - window.gravity_magnitude
+    force = np.linalg.norm(increments.acc.mean(axis=1), axis=1) - gravity_magnitude
     rate = np.linalg.norm(increments.gyro, axis=1)
     moving = np.add.reduceat(np.abs(force), increments.first[:-1]) / count
     turning = np.add.reduceat(rate, increments.first[:-1]) / count
-    impacts = increments.velocity_error / np.sqrt(np.diff(window.t))
+    impacts = increments.velocity_error / np.sqrt(dt)
     acc = np.hypot(
         np.hypot(1.0, noise.accelerometer_share / noise.accelerometer_density * moving),
         impacts / noise.accelerometer_density,
@@ -79,10 +98,11 @@ def _noise_levels(window: Window) -> list[tuple[int, int]]:
     return [(int(a), int(g)) for a, g in level]
 
 
-def _parameters(window: Window, acc: int, gyro: int) -> gtsam.PreintegrationParams:
-    """Noise of the preintegration at a level."""
-    noise = window.noise
-    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -window.gravity_magnitude]))
+def preintegration_parameters(
+    noise: NoiseModel, gravity_magnitude: float, acc: int, gyro: int
+) -> gtsam.PreintegrationParams:
+    """Noise of the preintegration at a level of `noise_levels`."""
+    params = gtsam.PreintegrationParams(np.array([0.0, 0.0, -gravity_magnitude]))
     params.setAccelerometerCovariance(np.eye(3) * (DENSITY_STEP**acc * noise.accelerometer_density) ** 2)
     params.setGyroscopeCovariance(np.eye(3) * (DENSITY_STEP**gyro * noise.gyroscope_density) ** 2)
     params.setIntegrationCovariance(np.eye(3) * INTEGRATION_VARIANCE)

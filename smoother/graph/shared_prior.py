@@ -8,7 +8,7 @@ from gtsam import Unit3, noiseModel
 from gtsam.symbol_shorthand import B, C, G, L, M, U
 
 from ..recording import JOINTS, FloatArray, IntArray
-from ..window.problem import Window
+from ..window.problem import Priors, Window
 from ..window.shared import SharedLayout
 
 
@@ -34,30 +34,46 @@ def add_shared(
     walk = noiseModel.Diagonal.Sigmas(priors.bias_walk * np.sqrt((window.t[-1] - window.t[0]) / count))
     for k in range(count - 1):
         graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), gtsam.imuBias.ConstantBias(), walk))
-    down = Unit3(layout.down(mean))
-    _insert_constant(values, layout, mean, down)
+    insert_constants(values, layout, mean)
     if layout.has_upper_imu:
         upper_bias = gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2))
         for k in range(count):
             values.insert(C(k), upper_bias)
         for k in range(count - 1):
             graph.add(gtsam.BetweenFactorConstantBias(C(k), C(k + 1), gtsam.imuBias.ConstantBias(), walk))
+    graph.add(prior_factor(priors, shared_keys(window, biases)))
+
+
+def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor:
+    """The joint Gaussian prior on what windows share.
+
+    Parameters
+    ----------
+    priors : Priors
+    keys : list of int
+        Its variables, in the order of `shared_keys`.
+
+    Returns
+    -------
+    factor : gtsam.LinearContainerFactor
+        Linearised at the prior's mean.
+    """
+    layout, mean = priors.layout, priors.shared.mean
     # the prior's mean is the initial value, so only its information matrix is needed
-    jacobian = shared_jacobian(layout, down)
+    jacobian = shared_jacobian(layout, Unit3(layout.down(mean)))
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
-    keys = shared_keys(window, biases)
     factor = _gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
     at = gtsam.Values()
-    at.insert(keys[0], bias)
-    _insert_constant(at, layout, mean, down)
+    at.insert(keys[0], gtsam.imuBias.ConstantBias(mean[:3], mean[3:6]))
+    insert_constants(at, layout, mean)
     if layout.has_upper_imu:
-        at.insert(keys[-1], upper_bias)
-    graph.add(gtsam.LinearContainerFactor(factor, at))
+        at.insert(keys[-1], gtsam.imuBias.ConstantBias(*np.split(mean[layout.upper_bias], 2)))
+    return gtsam.LinearContainerFactor(factor, at)
 
 
-def _insert_constant(values: gtsam.Values, layout: SharedLayout, mean: FloatArray, down: Unit3) -> None:
-    """Initial values of what is one variable a window: all but the biases."""
-    values.insert(G(0), down)
+def insert_constants(values: gtsam.Values, layout: SharedLayout, mean: FloatArray) -> None:
+    """Insert the initial values of what is one variable a window: all but the biases."""
+    values.insert(G(0), Unit3(layout.down(mean)))
     if layout.has_upper_arm:
         values.insert(U(0), 0.0)
     for joint in layout.joints:

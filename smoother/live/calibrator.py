@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 from abc import ABC, abstractmethod
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 
@@ -57,7 +58,8 @@ class InlineCalibrator(Calibrator):
 
     def submit(self, job: CalibrationJob) -> None:
         """As `Calibrator.submit`."""
-        self._answer, self._asked = calibrate_excerpts(job), 0
+        with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
+            self._answer, self._asked = aside.submit(calibrate_excerpts, job).result(), 0
 
     def answer(self) -> LiveCalibration | None:
         """As `Calibrator.answer`."""
@@ -99,7 +101,7 @@ class BackgroundCalibrator(Calibrator):
         except BrokenProcessPool:
             self.close()
             return LiveCalibration(
-                float("nan"), reason="the background process was ended; it is started again"
+                math.nan, math.nan, reason="the background process was ended; it is started again"
             )
 
     def close(self) -> None:

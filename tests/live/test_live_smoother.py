@@ -1,0 +1,78 @@
+"""The live smoother on simulated arms, on a simulated clock."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from live_play import errors, events, play, rms, simulated
+
+from smoother.errors import UnoccludeError
+from smoother.live.live_state import LiveState
+from smoother.live.smoother import LiveSmoother
+
+SIMULATION = simulated(2, 24.0)
+
+
+@pytest.fixture(scope="module")
+def outputs():
+    return list(play(events(SIMULATION)))
+
+
+def test_it_says_calibrating_before_it_knows_and_never_guesses(outputs):
+    early = [output for output in outputs if output.now_s < 8.0]
+    assert early and all(output.state is LiveState.CALIBRATING for output in early)
+    assert all(output.now is None and output.settled is None for output in early)
+    assert all(output.calibration for output in early)
+    assert outputs[-1].state is not LiveState.CALIBRATING
+
+
+def test_now_is_the_present_and_as_good_as_it_says(outputs):
+    visible = errors(SIMULATION, outputs, "now", lambda o: o.state is LiveState.VISIBLE)
+    # seen 1.6 cm; the camera alone has 1.5 cm of noise and bias, 0.1 s ago
+    assert rms(visible[:, 0]) < 0.03
+    assert 0.2 < visible[:, 1].mean() < 3.0
+    late = [
+        o.now_s - o.now.t_s for o in outputs[:-1] if o.now is not None
+    ]  # the last is after the last sample
+    assert max(late) < 0.01
+
+
+def test_settled_is_a_lag_ago_and_better_than_now(outputs):
+    assert all(abs(o.now_s - 0.2 - o.settled.t_s) < 0.02 for o in outputs if o.settled is not None)
+    visible = [o for o in outputs if o.state is LiveState.VISIBLE]
+    assert rms(errors(SIMULATION, visible, "settled")[:, 0]) < rms(errors(SIMULATION, visible)[:, 0])
+
+
+def test_sigma_grows_in_a_gap_and_covers_the_error(outputs):
+    gaps = [o for o in outputs if o.state is LiveState.GAP and o.now is not None]
+    assert len(gaps) > 30
+    since = np.array([o.now.t_s - o.now.since_s for o in gaps])
+    sigma = np.array([o.now.sigma_m for o in gaps])
+    assert np.median(sigma[since > 0.8]) > 1.5 * np.median(sigma[since < 0.4])
+    # errors in one gap are one draw: a wide band
+    assert 0.1 < errors(SIMULATION, gaps)[:, 1].mean() < 4.0
+
+
+def test_the_clock_and_the_latency_are_told(outputs):
+    # 1.5 ms of the offset's own sigma, and half a frame of jitter
+    assert outputs[-1].clock_offset_s == pytest.approx(-0.02, abs=0.006)
+    assert outputs[-1].camera_latency_s == pytest.approx(0.1, abs=0.006)
+    assert outputs[-1].imu_rate_hz == pytest.approx(100.0, rel=0.05)
+
+
+def test_what_is_shown_does_not_jump_when_the_camera_comes_back(outputs):
+    steps = [
+        (a, b)
+        for a, b in pairwise(outputs)
+        if a.now is not None and b.now is not None and a.state is LiveState.GAP
+    ]
+    # the fastest hand here moves 1.5 m/s, 5 cm in a step
+    moved = [np.linalg.norm(b.now.position - a.now.position) for a, b in steps]
+    assert max(moved) < 0.08
+
+
+def test_a_lag_that_is_no_lag_is_refused():
+    with pytest.raises(UnoccludeError, match="from 0 to 2 s"):
+        LiveSmoother(lag_s=2.5)
