@@ -59,7 +59,7 @@ def test_a_stream_lost_and_back():
 
 
 def test_memory_does_not_grow():
-    health, _ = fed(np.arange(0, 3000, 0.1), np.arange(0, 3000, 0.1))
+    health, _ = fed(np.arange(0, 500, 0.1), np.arange(0, 500, 0.1))
     assert len(health._arrivals) < 100
 
 
