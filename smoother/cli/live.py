@@ -157,9 +157,8 @@ def live(
     arguments = ["smooth", str(record), "-o", str(recovered_name(record))]
     for option, value in (("--calibration", calibration_file), ("--config", config_file)):
         arguments += [] if value is None else [option, str(value)]
-    arguments += ["--force"] if force else []
     if (then_smooth or ending.smooth) and not ending.killed:
-        smooth_recording(arguments)
+        smooth_recording([*arguments, *(["--force"] if force else [])])
     else:
         say_command(*arguments)
 

@@ -37,7 +37,7 @@ class Lines:
 
     def __init__(self) -> None:
         self._last = -math.inf
-        self._event: tuple[float, str] | None = None
+        self._events = 0
 
     def __enter__(self) -> Lines:
         return self
@@ -49,12 +49,10 @@ class Lines:
 
     def show(self, view: SessionView) -> None:
         """Print what happened since, and the line if it is time."""
-        new = list(view.events)
-        if self._event in new:
-            new = new[len(new) - new[::-1].index(self._event) :]
-        for when, sentence in new:
+        new = view.event_count - self._events
+        for when, sentence in view.events[-new:] if new else ():
             say(f"{when:8.1f} s  {sentence}")
-        self._event = view.events[-1] if view.events else None
+        self._events = view.event_count
         if time.monotonic() - self._last > _LINE_S:
             self._last = time.monotonic()
             print(f"{view.seconds:8.1f} s  {'; '.join(words(view))}", flush=True)
@@ -150,7 +148,8 @@ def _state_words(view: SessionView) -> str:
     if state == "calibrating":
         return f"calibrating ({printable(output.calibration)})" if output.calibration else "calibrating"
     if state == "lost":
-        return "a stream is lost: no answer"
+        is_lost = view.imu.is_lost or view.skeleton.is_lost
+        return "a stream is lost: no answer" if is_lost else "no answer: catching up with the streams"
     if state == "gap" and output.now is not None and output.now.since_s is not None:
         return f"gap since {output.now_s - output.now.since_s:.1f} s"
     return state

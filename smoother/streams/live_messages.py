@@ -85,8 +85,8 @@ class LiveMessages:
 
     def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
         """The arm at a moment, on those of its topics that are wanted."""
-        topics, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
-        topics = _among(topics, wanted)
+        names, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
+        topics = _among(names, wanted)
         if topics:
             here = _no_frame(self._info.skeleton, estimate.t_s)
             yield from self._encoded(self._recovery(estimate, here), suffix, topics)

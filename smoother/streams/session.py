@@ -135,9 +135,11 @@ class LiveSession:
         if len(imu):
             self.engine.add_imu(ImuBatch(imu.t_s, imu.acc, imu.gyro))
         frames = arrivals.frames
-        rows = zip(frames.t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
-        for t_s, arrival_s, position, state in rows:
-            self.engine.add_frame(SkeletonFrame(t_s, arrival_s, position, state))
+        # the smoother follows the camera's clock by itself, and knows how uncertain that is
+        t_s = frames.t_s - self._frame_steps.stepped_s
+        rows = zip(t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
+        for stamp_s, arrival_s, position, state in rows:
+            self.engine.add_frame(SkeletonFrame(stamp_s, arrival_s, position, state))
 
     def _look(self, now_s: float) -> list[str]:
         """What became of the streams."""
@@ -147,7 +149,7 @@ class LiveSession:
         self.figures.event(output.now_s, events)
         gap = self.figures.step(output)
         for receiver in self.receivers:
-            receiver.send(output, frames, gap, events)
+            receiver.send(output, frames.stamped(frames.t_s - self._frame_steps.stepped_s), gap, events)
         if self.source.speed:
             done_s = self.source.now_s()
             for arrival_s in frames.arrival_s.tolist():

@@ -63,6 +63,8 @@ class SessionView:
         What the last step answered.
     events : tuple of (float, str)
         The last of what happened: when, and a sentence.
+    event_count : int
+        How many there were in all.
     load : float
         Processor time of the whole program as a share of one core.
     """
@@ -72,6 +74,7 @@ class SessionView:
     skeleton: StreamView
     output: LiveOutput | None
     events: tuple[tuple[float, str], ...]
+    event_count: int
     load: float
 
 
@@ -124,6 +127,7 @@ class SessionFigures:
             StreamView.of(self.skeleton, now_s),
             self._output,
             tuple(self.events)[-6:],
+            self.event_count,
             self.load,
         )
 

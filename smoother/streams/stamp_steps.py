@@ -21,31 +21,33 @@ OTHER_CLOCK_S = 5.0
 #: So long must samples be odd, with no usual one between them, to count as a step of the clock, s.
 PERSISTS_S = 0.3
 #: The least delay is that of the last so many seconds: clocks drift apart.
-_RECENT_S = 20
+_RECENT_S = 120
 
 
 class StampSteps(Generic[Rows]):
     """Keeps the stamps of one stream on one clock.
 
-    A stamp is odd where it lies `LATE_S` behind the newest one, or where the sample came `EARLY_S` sooner
-    after its stamp than any other did. Odd samples wait. If a usual one comes, they were wrong by themselves
-    and are dropped; if none comes for `PERSISTS_S`, the clock has stepped, and from them on the step is taken
-    out, so that the least delay is what it was. Bursts after a pause of the network are not odd: their stamps
-    go on where they left off.
+    A stamp is odd where it lies `LATE_S` behind the newest one, or where it is ahead by more than the time
+    that has passed while the sample came `EARLY_S` sooner after its stamp than any other did. Odd samples
+    wait. If a usual one comes, they were wrong by themselves and are dropped; if none comes for `PERSISTS_S`,
+    the clock has stepped, and from them on the step is taken out, so that the least delay is what it was.
+    Bursts after a pause of the network are not odd: their stamps go on where they left off.
 
     Attributes
     ----------
     moved_s : float, s
         What is added to the stamps now.
+    stepped_s : float, s
+        What of that is for steps.
     dropped : int
         Samples whose stamps were wrong by themselves.
     """
 
     def __init__(self, name: str):
-        self.moved_s = 0.0
+        self.moved_s = self.stepped_s = 0.0
         self.dropped = 0
         self._name = name
-        self._newest = -np.inf
+        self._newest = self._arrival = -np.inf
         self._least: deque[tuple[int, float]] = deque()
         self._odd: list[Rows] = []
 
@@ -102,10 +104,10 @@ class StampSteps(Generic[Rows]):
         if not len(t_s):
             return np.zeros(0, bool)
         newest = np.maximum.accumulate(np.append(self._newest, t_s))[:-1]
-        odd = t_s < newest - LATE_S
-        if self._least:
-            odd |= arrival_s - t_s < self._least_delay() - EARLY_S
-        return np.asarray(odd)
+        passed_s = arrival_s - np.append(self._arrival, arrival_s)[:-1]
+        # a queue that empties after a pause has ever shorter delays, and stamps that go on one by one
+        early = arrival_s - t_s < self._least_delay() - EARLY_S
+        return np.asarray((t_s < newest - LATE_S) | (early & (t_s - newest > passed_s + EARLY_S)))
 
     def _least_delay(self) -> float:
         return min(delay for _, delay in self._least)
@@ -115,6 +117,7 @@ class StampSteps(Generic[Rows]):
         if not len(rows):
             return
         self._newest = max(self._newest, float(rows.t_s.max()))
+        self._arrival = float(rows.arrival_s[-1])
         second, delay = int(rows.arrival_s[-1]), float((rows.arrival_s - rows.t_s).min())
         if self._least and self._least[-1][0] == second:
             delay = min(delay, self._least.pop()[1])
@@ -126,10 +129,11 @@ class StampSteps(Generic[Rows]):
         """Take the clock of the samples that wait as the stream's; those samples, and a sentence."""
         rows = type(self._odd[0]).joined(self._odd)
         self._odd.clear()
-        usual = self._least_delay() if self._least else 0.0
+        usual = self._least_delay()
         before = self.moved_s
         self.moved_s = float((rows.arrival_s - rows.t_s).min()) - usual
         step = before - self.moved_s
+        self.stepped_s -= step
         rows = rows.stamped(rows.t_s + self.moved_s)
         self._newest = float(rows.t_s[0])
         self._learn(rows)

@@ -58,6 +58,17 @@ def test_a_burst_after_a_pause_is_no_step():
     assert not steps.dropped
 
 
+@pytest.mark.parametrize("batch", [1, 7, 100])
+def test_a_queue_that_empties_slowly_is_no_step(batch):
+    """Nothing for 150 s, then all that waited, ten times as fast as it was sent."""
+    t = np.arange(0, 300, 0.05)
+    arrival = np.where(t < 10, t + 0.02, np.maximum(160 + (t - 10) / 10, t + 0.02))
+    out, events, steps = passed(t, arrival, batch)
+    np.testing.assert_array_equal(out, t)
+    assert not events
+    assert not steps.dropped
+
+
 def test_late_and_disordered_samples_pass():
     rng = np.random.default_rng(1)
     arrival = ARRIVAL + np.where(rng.random(len(TRUE)) < 0.1, 0.5 * rng.random(len(TRUE)), 0)
