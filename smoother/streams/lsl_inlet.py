@@ -135,7 +135,6 @@ class LslInlet:
             if found is None:
                 continue
             inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=bool(found.source_id()))
-            inlet.open_stream(_CLOCK_S)
             stream = inlet.info(_CLOCK_S)
             if self.stream is not None and stream.channel_count() != self.stream.channel_count():
                 raise UnoccludeError(
@@ -143,6 +142,7 @@ class LslInlet:
                     f" instead of {self.stream.channel_count()}; begin a new session"
                 )
             self.correction_s = inlet.time_correction(_CLOCK_S)
+            inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
             self.stream = stream
             self._wake()
             return inlet
