@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,6 +38,8 @@ LENGTH_S = 1.2
 AROUND_S = 3.0
 #: The signal begins so long before what is integrated, s: the spline's end has no effect there.
 BEFORE_S = 0.1
+#: ... and is read so far back at least, so that one serves a whole step, s.
+CACHED_S = 0.4
 #: A frame nearer than this to the newest node joins it, s.
 SAME_S = 0.004
 #: A gap that ends after this tells where the arm is by the camera alone, s.
@@ -94,6 +97,7 @@ class Follower:
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, GRAVITY, length_s)
         self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
         self._forces: deque[tuple[float, FloatArray]] = deque()
+        self._signal: tuple[int, float, InertialSignal] | None = None
         self.solution: LagSolution | None = None
         self.cursor_s = self.visible_s = -np.inf
         self.seen: deque[tuple[float, bool]] = deque(maxlen=400)
@@ -113,10 +117,16 @@ class Follower:
         """Time of the newest node, s."""
         return float(self.window.t[-1])
 
-    def signal(self, start_s: float, end_s: float = np.inf) -> InertialSignal:
+    def signal(self, start_s: float) -> InertialSignal:
         """The corrected IMU from some time on."""
-        imu = self._imu.stream(start_s - BEFORE_S, end_s)
-        return InertialSignal(without_spikes(imu)).scaled(*self._scale)
+        cached = self._signal
+        if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
+            first_s = min(start_s, self._imu.end_s - CACHED_S)
+            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
+            acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
+            cached = self._imu.version, first_s, InertialSignal(replace(imu, acc=acc, gyro=gyro))
+            self._signal = cached
+        return cached[2]
 
     def feed(self, frames: Sequence[SkeletonFrame]) -> float | None:
         """Add frames in order of time, each as a node or at one.
@@ -166,7 +176,7 @@ class Follower:
         node = self.window.state(int(np.argmin(np.abs(t - t_s))))
         position = frame.position - self.model.joint_bias.error_m
         if abs(node.t - t_s) > 1e-6:
-            signal = self.signal(min(node.t, t_s), max(node.t, t_s) + BEFORE_S)
+            signal = self.signal(min(node.t, t_s))
             position = position - self._shift(node, t_s, signal)
         self._measure(int(np.argmin(np.abs(t - t_s))), position, accepted)
         self.seen.append((t_s, self.is_visible(accepted)))
@@ -194,6 +204,11 @@ class Follower:
         t = self._imu.t
         t = t[np.searchsorted(t, self.t_s) - 1 :] if len(t) else t
         return float(np.diff(t).max(initial=0.0))
+
+    def sees_all(self) -> bool:
+        """The forearm was visible all the time that the window covers."""
+        t = self.window.t
+        return len(t) > 5 and all(is_visible for t_s, is_visible in self.seen if t_s >= t[0])
 
     def accepted(self, frame: SkeletonFrame) -> BoolArray:
         """Which joints of a frame may take part, (5,)."""

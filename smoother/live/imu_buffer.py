@@ -25,12 +25,14 @@ class ImuBuffer:
     ----------
     late, duplicate, invalid : int
         Samples that were not taken, and why.
+    version : int
+        Goes up whenever samples come.
     """
 
     def __init__(self, capacity_s: float) -> None:
         self._capacity_s = capacity_s
         self._rows = np.zeros((1024, 7))
-        self._count = 0
+        self._count = self.version = 0
         self.late = self.duplicate = self.invalid = 0
 
     def __len__(self) -> int:
@@ -79,6 +81,7 @@ class ImuBuffer:
         rows, inside = rows[fresh], inside[fresh]
         if not len(rows):
             return None
+        self.version += 1
         self._reserve(len(rows))
         if not inside.any():
             self._rows[self._count : self._count + len(rows)] = rows
@@ -100,7 +103,7 @@ class ImuBuffer:
         self._count = 0
 
     def _reserve(self, more: int) -> None:
-        """Room for more samples: the oldest go, or the array grows."""
+        """Make place for more samples: the oldest go, or the array grows."""
         if self._count + more <= len(self._rows):
             return
         keep = int(np.searchsorted(self.t, self.end_s - self._capacity_s))

@@ -14,6 +14,7 @@ from ..config import Config
 from ..errors import UnoccludeError
 from ..measurements.visibility import MISSING_S, joints_needed
 from ..recording import CameraFrame, FloatArray, Recording
+from ..window.lag_solution import LagSolution
 from .answer import Circumstances, estimate_of, shown_state
 from .calibration_job import CalibrationJob, LiveCalibration
 from .calibrator import BackgroundCalibrator, Calibrator
@@ -103,6 +104,7 @@ class LiveSmoother:
         self._offset_s = self._clock_sigma_s = float("nan")
         self._asked_s: float | None = None
         self._calibrations = 0
+        self._is_waiting = False
         self._needed = 1
         self._jump: Jump | None = None
         self._changed_s: float | None = None
@@ -240,12 +242,10 @@ class LiveSmoother:
         self._reason = f"calibrated from {answer.until_s - answer.from_s:.0f} s of motion"
         at = np.array([answer.until_s - answer.clock.mean_s])
         self._offset_s, self._clock_sigma_s = float(answer.clock.at(at)[0]), answer.clock.sigma_s
-        length_s = max(LENGTH_S, self._lag_s + 0.3)
-        self._successor = Follower(
-            answer.model, self._offset_s, self._needed, self._config, self._imu, length_s, self._follower
-        )
-        if self._follower is not None:
-            self._successor.start(self._follower.window.state(0))
+        if self._follower is None:
+            self._successor = self._fresh()
+        else:
+            self._is_waiting, self._successor = True, None
 
     # 2. The window
 
@@ -273,7 +273,7 @@ class LiveSmoother:
             self._backlog += len(ready) - MOST_FRAMES
             self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
             ready = ready[-MOST_FRAMES:]
-        before = self._predicted(follower, now_s)
+        solved = follower.solution
         ended_s = follower.feed(ready) if ready else None
         empty_s = self._imu.end_s - self._usual_delay_s - EMPTY_S
         if not ready and empty_s - follower.t_s > EMPTY_S:
@@ -286,11 +286,17 @@ class LiveSmoother:
         except (np.linalg.LinAlgError, RuntimeError):
             self._lose("the last moments did not determine the motion: the smoother begins anew", now_s)
             return
-        if ended_s is not None and before is not None:
-            self._spread(before, now_s)
+        if ended_s is not None and solved is not None:
+            self._spread(_predicted(follower, solved, now_s), now_s)
 
     def _replace_follower(self, now_s: float) -> None:
         """Let a successor catch up, and take its place."""
+        active = self._follower
+        if self._is_waiting and active is not None and active.sees_all():
+            # in a gap there is nothing that a successor could begin with
+            self._is_waiting, self._successor = False, self._fresh()
+            if self._successor is not None:
+                self._successor.start(active.window.state(0))
         successor = self._successor
         if successor is None:
             return
@@ -320,24 +326,28 @@ class LiveSmoother:
             return
         if len(ready) > limit or successor.solution is None:
             return
-        before = None if self._follower is None else self._predicted(self._follower, now_s)
-        self._follower, self._successor = successor, None
-        if before is not None:
-            self._spread(before, now_s)
+        before, self._follower, self._successor = self._follower, successor, None
+        if before is not None and before.solution is not None:
+            self._spread(_predicted(before, before.solution, now_s), now_s)
 
     def _fresh(self) -> Follower | None:
-        """A follower with the last calibration, not yet begun."""
+        """A follower with the last calibration, not yet begun; what the active one has learnt counts."""
         if self._calibration is None or self._calibration.model is None:
             return None
-        length_s = max(LENGTH_S, self._lag_s + 0.3)
         return Follower(
-            self._calibration.model, self._offset_s, self._needed, self._config, self._imu, length_s
+            self._calibration.model,
+            self._offset_s,
+            self._needed,
+            self._config,
+            self._imu,
+            max(LENGTH_S, self._lag_s + 0.3),
+            self._follower,
         )
 
     def _lose(self, why: str, now_s: float) -> None:
         """Begin anew with the calibration that is there."""
         self._notes.append(why)
-        self._follower, self._jump, self._late = None, None, []
+        self._follower, self._jump, self._late, self._is_waiting = None, None, [], False
         self._successor = self._fresh()
 
     def _ready(self, follower: Follower) -> list[SkeletonFrame]:
@@ -357,18 +367,11 @@ class LiveSmoother:
 
     # 3. The answers
 
-    def _predicted(self, follower: Follower, now_s: float) -> Prediction | None:
-        solution = follower.solution
-        if solution is None:
-            return None
-        signal = follower.signal(solution.newest.t)
-        return predict(solution.newest, solution, signal, now_s, follower.noise)
-
     def _spread(self, before: Prediction, now_s: float) -> None:
         """Spread the change from what was shown to what is known now."""
-        assert self._follower is not None
-        after = self._predicted(self._follower, now_s)
-        if after is not None:
+        follower = self._follower
+        if follower is not None and follower.solution is not None:
+            after = _predicted(follower, follower.solution, now_s)
             self._jump = Jump.between(shown_state(before.state, self._jump), after.state)
 
     def _answers(self, now_s: float) -> tuple[LiveEstimate | None, LiveEstimate | None]:
@@ -381,9 +384,8 @@ class LiveSmoother:
             return None, None
         if self._jump is not None and now_s - self._jump.at_s > SPREAD_S:
             self._jump = None
-        prediction = self._predicted(follower, now_s)
-        assert prediction is not None
         solution, model = follower.solution, follower.model
+        prediction = _predicted(follower, solution, now_s)
         walk = follower.noise.shoulder_walk**2
         self._state, since_s = self._state_now(follower, now_s)
         about = Circumstances(
@@ -399,7 +401,7 @@ class LiveSmoother:
         if settled_s < float(follower.window.t[0]):
             return now, None
         start = solution.settled
-        signal = follower.signal(start.t, settled_s + MISSING_S)
+        signal = follower.signal(start.t)
         state, since_s = self._state_at(follower, settled_s)
         about = replace(about, kind="settled", state=state, since_s=since_s, jump=None, shoulder_variance=0.0)
         settled = predict(start, solution, signal, max(settled_s, start.t), follower.noise)
@@ -435,3 +437,8 @@ class LiveSmoother:
             invalid_samples=self._imu.invalid,
             backlog_frames=self._backlog,
         )
+
+
+def _predicted(follower: Follower, solution: LagSolution, now_s: float) -> Prediction:
+    """A solution's newest node propagated to the present."""
+    return predict(solution.newest, solution, follower.signal(solution.newest.t), now_s, follower.noise)
