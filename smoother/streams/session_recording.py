@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import UnoccludeError
 from ..io.mcap.merge import Output
 from ..io.mcap.stamps import nanoseconds
+from ..io.recording.arrival_order import ARRIVAL, ORDER
 from ..io.recording.read import METADATA
 from ..io.recording.streams import ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
@@ -121,7 +122,7 @@ class SessionRecording:
         os.replace(self.growing, self.path)
 
     def _write_metadata(self) -> None:
-        values = {"notes": json.dumps(self._notes), "name": self._info.name}
+        values = {"notes": json.dumps(self._notes), "name": self._info.name, ORDER: ARRIVAL}
         if self._info.camera_frame is not None:
             values["camera_frame"] = str(self._info.camera_frame)
         if self._info.gravity_hint is not None:

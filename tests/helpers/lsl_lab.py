@@ -78,7 +78,10 @@ def events_of(path: Path, late_s: float):
 
 
 def play(options: argparse.Namespace) -> None:
-    """The recording again and again until stdin ends; a line KIND SECONDS takes an outlet away for a time."""
+    """The recording again and again from the line `go` on, until stdin ends.
+
+    A line KIND SECONDS takes an outlet away for a time.
+    """
     import pylsl
 
     events = events_of(options.recording, options.late)
@@ -90,7 +93,9 @@ def play(options: argparse.Namespace) -> None:
     back_at: dict[str, float] = {}
     commands: SimpleQueue[str] = SimpleQueue()
     Thread(target=lambda: [*map(commands.put, sys.stdin), commands.put("")], daemon=True).start()
-    print("playing", flush=True)
+    print("ready", flush=True)
+    if commands.get() != "go\n":
+        return
     begin, lasts = pylsl.local_clock() - events[0][0] + 0.2, events[-1][0] - events[0][0] + 0.01
     for turn in count():
         for arrival, kind, t, row in events:
