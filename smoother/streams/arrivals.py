@@ -153,6 +153,8 @@ class SourceInfo:
         Direction of down in {K} where it is known.
     name : str
         Of the session.
+    lsl_start_s : float, s, optional
+        The same on this computer's LSL clock, where that is the session's.
     notes : tuple of str
         How it was decided, and what is assumed, one sentence each.
     """
@@ -165,6 +167,7 @@ class SourceInfo:
     camera_frame: CameraFrame | None = None
     gravity_hint: FloatArray | None = None
     name: str = "session"
+    lsl_start_s: float | None = None
     notes: tuple[str, ...] = ()
 
 

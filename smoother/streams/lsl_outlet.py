@@ -36,6 +36,7 @@ class LslOutlet:
     """
 
     def __init__(self, name: str, info: SourceInfo):
+        self._start_s = info.lsl_start_s
         self._side = f"_{info.side}" if info.side else ""
         self._outlets = {
             "now": self._outlet(name, info),
@@ -44,11 +45,13 @@ class LslOutlet:
 
     def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
         """Send what a step answered; frames, gaps and events have no place in a stream of numbers."""
-        clock = lsl_module().local_clock()
+        start_s = self._start_s
+        if start_s is None:  # a recording is played: the step's present is now
+            start_s = lsl_module().local_clock() - output.now_s
         for kind, estimate in (("now", output.now), ("settled", output.settled)):
             t_s = output.now_s if estimate is None else estimate.t_s
             values = self._values(estimate, output)
-            self._outlets[kind].push_sample(values, clock + (t_s - output.now_s))
+            self._outlets[kind].push_sample(values, start_s + t_s)
 
     def close(self) -> None:
         """Let all receivers go."""

@@ -164,6 +164,7 @@ class LslSource:
             skeleton.joints,
             self._origin_ns,
             skeleton.camera_frame,
+            lsl_start_s=self._start_s,
             notes=tuple(notes),
         )
 

@@ -84,7 +84,7 @@ class Replay:
             file.camera_frame or arm.camera_frame,
             file.gravity_hint,
             path.name,
-            (*file.notes, *choice.notes, note),
+            notes=(*file.notes, *choice.notes, note),
         )
         self.speed = speed
         self._next_imu = self._next_frame = 0

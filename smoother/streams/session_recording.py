@@ -57,7 +57,7 @@ class SessionRecording:
         self.path, self.growing = path, growing_name(path)
         self._info = info
         self._notes: list[str] = []
-        self.has_samples = False
+        self.has_samples = self._is_broken = False
         try:
             os.close(os.open(self.growing, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._output = Output(self.growing)
@@ -102,16 +102,21 @@ class SessionRecording:
                 self._output.flush()
                 self._flushed_s = newest
         except OSError as error:
+            self._is_broken = True
             raise UnoccludeError(
                 f"{self.growing} cannot be written any more ({error.strerror or error}); what is in it can be"
                 f" read: `unocclude repair {self.growing} -o {self.path}`"
             ) from error
 
     def close(self) -> None:
-        """Write the file's end, and give it its name; one without any sample goes."""
-        if not self.has_samples:
+        """Write the file's end, and give it its name; one without any sample goes.
+
+        One that could not be written any more stays as it is, under the name that it has.
+        """
+        if self._is_broken or not self.has_samples:
             self._output.__exit__(UnoccludeError, None, None)
-            self.growing.unlink()
+            if not self.has_samples:
+                self.growing.unlink()
             return
         if self._notes:
             self._write_metadata()

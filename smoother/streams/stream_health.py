@@ -83,6 +83,8 @@ class StreamHealth:
         """Notice a stream that has gone; a sentence where it has."""
         while self._arrivals and self._arrivals[0][0] < now_s - _RECENT_S:
             self._arrivals.popleft()
+        if np.isnan(self._last_arrival):
+            self._last_arrival = now_s  # since it is looked at
         if self.is_lost or not now_s - self._last_arrival > LOST_S:
             return ()
         self.is_lost = True

@@ -147,11 +147,12 @@ def test_two_outlets_in_and_one_out(lab, tmp_path):
 
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
 def test_the_recording_survives_its_program(lab, tmp_path, ending):
-    lines_until(lab.start("lsl_lab.py", "play", DEMO, "wrist", "kinect"), "playing")
-    live = lab.start(
-        "live_program.py", "--echo", "live", "--record", "session.mcap"
-    )  # the only of their types
-    lines_until(live, "visible")
+    outlets = players(lab)
+    # without names: the only streams of their types
+    live = lab.start("live_program.py", "--echo", "live", "--record", "session.mcap")
+    lines_until(live, "calibrating")
+    tell(outlets, "go")
+    lines_until(live, "  visible")
     time.sleep(2.5)
     live.send_signal(ending)
     live.communicate(timeout=20)

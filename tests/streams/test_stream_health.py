@@ -58,6 +58,13 @@ def test_a_stream_lost_and_back():
     assert said == "wrist: back at 35.0 s, after 5.0 s"
 
 
+def test_a_stream_that_never_sends_counts_as_lost():
+    health = StreamHealth("wrist")
+    assert health.look(3.0) == health.look(3.9) == ()
+    assert health.look(4.1) == ("wrist: nothing since 3.0 s",)
+    assert health.rate_hz(4.1) == 0
+
+
 def test_memory_does_not_grow():
     health, _ = fed(np.arange(0, 500, 0.1), np.arange(0, 500, 0.1))
     assert len(health._arrivals) < 100
