@@ -33,16 +33,19 @@ class BaselineEntry:
         The answer depends on the orientation filter.
     options : frozenset of str
         Keyword arguments of the function that a user may set.
+    module : str
+        Where the function is; the module of its own name where "".
     """
 
     name: str
     needs_orientation: bool = True
     options: frozenset[str] = frozenset()
+    module: str = ""
 
     def function(self, options: Mapping[str, Any]) -> Baseline:
         """The method, from a scene to a path, its options set."""
         name = self.name.replace("-", "_")
-        function: Baseline = getattr(import_module(f".{name}", __package__), name)
+        function: Baseline = getattr(import_module(f".{self.module or name}", __package__), name)
         return partial(function, **options) if options else function
 
 
@@ -59,6 +62,20 @@ BASELINES: dict[str, BaselineEntry] = {
         BaselineEntry("camera-only", needs_orientation=False),
         BaselineEntry("pchip"),
         BaselineEntry("hold"),
+    )
+}
+
+#: Baselines that see only what has arrived: they answer for the present.
+LIVE_BASELINES: dict[str, BaselineEntry] = {
+    entry.name: entry
+    for entry in (
+        BaselineEntry("autoregressive", options=frozenset({"latency_s"}), module="live_display"),
+        BaselineEntry(
+            "constant-velocity",
+            needs_orientation=False,
+            options=frozenset({"latency_s"}),
+            module="live_display",
+        ),
     )
 }
 
@@ -80,7 +97,7 @@ def recover(
         The graph's recovery of this very recording, of which a baseline gets calibration, clock, accepted
         samples, gravity and gaps.
     method : str
-        One of `BASELINES`.
+        One of `BASELINES` or `LIVE_BASELINES`.
     orientation : str
         One of `ORIENTATIONS`.
     options : mapping, optional
@@ -99,11 +116,12 @@ def recover(
     from .inputs import scenes_of
 
     options = dict(options or {})
-    if method not in BASELINES:
-        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(BASELINES)}")
+    entries = BASELINES | LIVE_BASELINES
+    if method not in entries:
+        raise UnoccludeError(f"there is no method '{method}'; baselines: {', '.join(entries)}")
     if orientation not in ORIENTATIONS:
         raise UnoccludeError(f"there is no orientation '{orientation}'; there are: {', '.join(ORIENTATIONS)}")
-    entry = BASELINES[method]
+    entry = entries[method]
     if unknown := options.keys() - entry.options:
         raise UnoccludeError(f"{method} has no option {', '.join(sorted(unknown))}")
     scenes = scenes_of(recording, graph, orientation if entry.needs_orientation else DEFAULT_ORIENTATION)

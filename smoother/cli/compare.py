@@ -13,7 +13,7 @@ from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
 from .comparison_tables import print_comparison
 from .load import load_arms
-from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
+from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods
 from .option_groups import with_groups
 from .options import (
     Align,
@@ -24,6 +24,8 @@ from .options import (
     Force,
     Imu,
     Json,
+    LatencyS,
+    Live,
     Orientation,
     Processes,
     RecordingPath,
@@ -73,6 +75,8 @@ def compare(
     ] = None,
     align: Align = False,
     config_file: ConfigFile = None,
+    live: Live = False,
+    latency_s: LatencyS = 0.1,
     imu: Imu = None,
     skeleton: Skeleton = None,
     side: Side = None,
@@ -87,13 +91,16 @@ def compare(
     """Recover a recording by every method and hold each against the truth: one table, the best first.
 
     The graph runs once; the other methods get its calibration, its clock and the camera's samples that
-    it did not reject. No method sees the truth.
+    it did not reject. No method sees the truth. With `--live` also what would have been shown at the moment
+    itself: the live smoother's answers, and two that see only what has arrived.
     """
     from ..evaluation.compare import compare
     from .config_file import read_config, with_processes
 
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
+    if live:
+        names = [*names, *LIVE_METHODS]
     remedy, swap_sides = set_up.remedy()
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)
@@ -128,6 +135,7 @@ def compare(
             settings,
             lambda part, _: report_part(part / 2, GRAPH),
             clock=clock,
+            latency_s=latency_s,
         )
         graph = running[GRAPH](blind)
         truth, alignment = truth_for(

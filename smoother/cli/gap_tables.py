@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from .output import percent, print_table
+from .output import centimetres, percent, print_table
 
 if TYPE_CHECKING:
     from ..evaluation import GapTable
     from ..evaluation.real_gaps import RealGaps
     from ..evaluation.sigma_factor import LengthFactor
+    from ..evaluation.since_last_frame import SinceFigures
     from ..recording import Recording
 
 
@@ -67,6 +68,25 @@ def print_gaps(table: GapTable, whose: str = "") -> None:
             )
     columns = ("gap, s", "method", "rms, cm", "median", "95 %", "max", "NEES", "inside 95 %", "gaps")
     print_table(f"Error in hidden gaps against the {against}{whose}", columns, rows)
+
+
+def print_since(rows: Sequence[SinceFigures]) -> None:
+    """Print what each method has at a time since the last frame."""
+    if not rows:
+        return
+    columns = ("since the last frame, s", "method", "rms, cm", "median", "95 %", "NEES")
+    cells = [
+        (
+            f"{row.from_s:g} to {row.to_s:g}",
+            row.method,
+            centimetres(row.figures.position_rms_m),
+            centimetres(row.figures.position_median_m),
+            centimetres(row.figures.position_p95_m),
+            row.figures.nees,
+        )
+        for row in rows
+    ]
+    print_table("Error by the time since the last frame that showed the forearm", columns, cells)
 
 
 def print_factors(factors: Sequence[LengthFactor]) -> None:

@@ -11,9 +11,9 @@ import typer
 
 from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import CalibrationError
-from .gap_tables import gap_figures, print_factors, print_gaps, tables_by_arm
+from .gap_tables import gap_figures, print_factors, print_gaps, print_since, tables_by_arm
 from .load import load_arms
-from .methods import GRAPH, METHODS, baseline_settings, choose, make_methods
+from .methods import GRAPH, LIVE_METHODS, METHODS, baseline_settings, choose, make_methods
 from .option_groups import with_groups
 from .options import (
     Body,
@@ -23,6 +23,8 @@ from .options import (
     Force,
     Imu,
     Json,
+    LatencyS,
+    Live,
     Orientation,
     Processes,
     Report,
@@ -62,6 +64,8 @@ def gaps(
     boundary_s: BoundaryS = None,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
+    live: Live = False,
+    latency_s: LatencyS = 0.1,
     seed: Seed = 0,
     repetitions: Annotated[
         int, typer.Option("--repetitions", min=1, help="How often, with gaps elsewhere each time.")
@@ -92,18 +96,22 @@ def gaps(
 
     The answer is compared with the recording's truth where it has one, else with the camera samples
     that were hidden; these carry the camera's own noise. Also says by what factor the stated sigma would
-    have to grow to hold, with which `--keep-in` fills a calibration file. Every arm that has an IMU takes
+    have to grow to hold, with which `--keep-in` fills a calibration file. With `--live` also what would have
+    been shown at that moment, by the time since the last frame. Every arm that has an IMU takes
     part, by itself and together with the others.
     """
     from ..evaluation.gaps import evaluate_gaps, pooled
     from ..evaluation.real_gaps import compare_real_gaps
     from ..evaluation.sigma_factor import factor_sentences
+    from ..evaluation.since_last_frame import since_last_frame
     from ..recording import arm_words
     from .config_file import read_config, with_processes
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
     settings = baseline_settings(names, orientation, boundary_s)
+    if live:
+        names = [*names, *LIVE_METHODS]
     remedy, swap_sides = set_up.remedy()
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")
@@ -154,7 +162,7 @@ def gaps(
                 return evaluate_gaps(
                     recording,
                     lengths_s,
-                    make_methods(names, given, config, settings, clock=clock),
+                    make_methods(names, given, config, settings, clock=clock, latency_s=latency_s),
                     seed=seed,
                     repetitions=repetitions,
                     gaps_per_run=gaps_per_run,
@@ -177,6 +185,9 @@ def gaps(
         name = ", ".join(recording.name for recording in recordings)
         write_gap_curves(table, name, report, notes=(*sentences, *notes), force=force)
     figures = gap_figures(table, real) | {"notes": list(dict.fromkeys(notes))}
+    since = since_last_frame(table, names) if live else []
+    if live:
+        figures["since_last_frame"] = [row.to_dict() for row in since]
     by_arm = tables_by_arm(recordings, tables) if several else {}
     if by_arm:
         figures["arms"] = [
@@ -186,6 +197,7 @@ def gaps(
     for (arm_side, arm_body), mine in by_arm.items():
         print_gaps(mine, f" ({arm_words(arm_side, arm_body)})")
     print_gaps(table, " (all arms together)" if by_arm else "")
+    print_since(since)
     print_factors(factors)
     for sentence in sentences:
         say(f"{sentence[0].upper()}{sentence[1:]}.")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, ORIENTATIONS
+from ..baselines.registry import BASELINES, DEFAULT_ORIENTATION, LIVE_BASELINES, ORIENTATIONS
 from ..errors import UnoccludeError
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
+    from ..evaluation.live_methods import LivePlay
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recoveries, Recovery
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 GRAPH = "graph"
 #: Every method, ours first, then the baselines, the strongest first.
 METHODS = (GRAPH, *BASELINES)
+#: What `--live` adds: the live smoother's two answers, then what could be shown without it.
+LIVE_SMOOTHER = {"live-now": "now", "live-settled": "settled"}
+LIVE_METHODS = (*LIVE_SMOOTHER, *LIVE_BASELINES)
 
 
 def choose(names: str) -> list[str]:
@@ -63,7 +68,8 @@ class BaselineSettings:
 
     def for_method(self, name: str) -> dict[str, Any]:
         """The options that a method knows."""
-        return {key: value for key, value in self.options.items() if key in BASELINES[name].options}
+        known = (BASELINES | LIVE_BASELINES)[name].options
+        return {key: value for key, value in self.options.items() if key in known}
 
 
 def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> BaselineSettings:
@@ -134,25 +140,44 @@ def make_methods(
     progress: Progress | None = None,
     store: Store | None = None,
     clock: Clock | None = None,
+    latency_s: float = 0.1,
 ) -> dict[str, Method]:
     """The chosen methods by name; the baselines start from what the graph estimates, which they share.
 
     Called in turn on the same recording object, the graph is solved once. Without a calibration the baselines
     get the one that the graph estimated; with one they get it, and the graph's clock. The graph's answer lies
-    in `store`, the baselines' in memory. A clock that was measured is a prior of the graph's.
+    in `store`, the baselines' in memory. A clock that was measured is a prior of the graph's. The live
+    methods see a frame `latency_s` after its moment.
     """
     graph, settings = SharedGraph(calibration, config, progress, store, clock), settings or BaselineSettings()
+
+    @cache
+    def played() -> LivePlay:
+        from ..evaluation.live_methods import LivePlay
+
+        return LivePlay(graph, calibration, config, latency_s)
+
+    def live(name: str) -> Method:
+        def run(recording: Recording) -> Recovery:
+            return played().method(LIVE_SMOOTHER[name])(recording)
+
+        return run
 
     def baseline(name: str) -> Method:
         def run(recording: Recording) -> Recovery:
             from ..baselines.registry import recover
 
             options = settings.for_method(name)
+            if name in LIVE_BASELINES:
+                options["latency_s"] = latency_s
             return recover(recording, graph(recording), name, settings.orientation, options)
 
         return run
 
-    return {name: graph if name == GRAPH else baseline(name) for name in names}
+    return {
+        name: graph if name == GRAPH else live(name) if name in LIVE_SMOOTHER else baseline(name)
+        for name in names
+    }
 
 
 def recover_arms(

@@ -134,3 +134,16 @@ def one_side(side: str | None) -> str | None:
     if side not in (None, "left", "right"):
         raise typer.BadParameter(f"--side is left or right, not '{side}'")
     return side
+
+
+Live = Annotated[
+    bool,
+    typer.Option(
+        "--live",
+        help="Also play the recording into the live smoother, and into what could be shown without it.",
+    ),
+]
+LatencyS = Annotated[
+    float,
+    typer.Option("--latency", metavar="S", min=0.0, max=1.0, help="Of the camera, for --live, s."),
+]

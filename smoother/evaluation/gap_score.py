@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,6 +38,8 @@ class GapErrors:
         Length of the hidden path.
     needed_factors : ndarray, shape (n, 2)
         By what sigma would have to be multiplied to hold, see `sigma_factor.needed_factors`.
+    since_s : ndarray, shape (n,), s
+        Time since the gap began.
     """
 
     reference: str
@@ -48,6 +50,7 @@ class GapErrors:
     sigma_max_m: float | None = None
     path_m: float | None = None
     needed_factors: FloatArray = field(default_factory=lambda: np.zeros((0, len(LEVELS))))
+    since_s: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def figures(self) -> Figures:
         """The figures of these samples."""
@@ -68,6 +71,7 @@ class GapErrors:
             squared_sigmas=np.concatenate([part.squared_sigmas for part in parts]),
             unanswered=sum(part.unanswered for part in parts),
             needed_factors=np.concatenate([part.needed_factors for part in parts]),
+            since_s=np.concatenate([part.since_s for part in parts]),
         )
 
 
@@ -75,11 +79,16 @@ def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> GapEr
     """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
     offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
     if recording.truth is not None and len(recording.truth):
-        return _against_truth(recording, recovery, gap, offset)
-    return _against_camera(recording, recovery, gap, offset)
+        errors, t_s = _against_truth(recording, recovery, gap, offset)
+    else:
+        errors, t_s = _against_camera(recording, recovery, gap, offset)
+    return replace(errors, since_s=t_s - offset - gap.start_s)
 
 
-def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> GapErrors:
+def _against_truth(
+    recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float
+) -> tuple[GapErrors, FloatArray]:
+    """Errors at the IMU's times, and these."""
     assert recording.truth is not None
     inside = gap.contains(recovery.t_s - offset)
     truth = truth_at(recording.truth, recovery.t_s[inside])
@@ -88,15 +97,18 @@ def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap, off
     covariance = recovery.pose_covariance[inside, :3, :3]
     angle = orientation_error_deg(recovery.quaternion[inside], truth.quaternion)
     exact = np.zeros((3, 3))
-    return _errors(
-        "truth", position, truth.position, covariance, exact, np.where(truth.score, angle, np.nan), scored
-    )
+    angle = np.where(truth.score, angle, np.nan)
+    errors = _errors("truth", position, truth.position, covariance, exact, angle, scored)
+    return errors, recovery.t_s[inside]
 
 
-def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float) -> GapErrors:
+def _against_camera(
+    recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float
+) -> tuple[GapErrors, FloatArray]:
+    """Errors at the hidden frames, and their times on the IMU's clock."""
     joint = _reference_joint(recording, recovery, gap)
     if joint is None:
-        return GapErrors.empty()
+        return GapErrors.empty(), np.zeros(0)
     frames = gap.contains(recording.arm.t_s) & recording.arm.tracked(joint)
     reference = recording.arm.joint(joint)[frames]
     t_s = recording.arm.t_s[frames] + offset
@@ -110,7 +122,7 @@ def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap, of
     # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
     noise = camera_noise(recovery, joint)
     scored = np.ones(len(t_s), dtype=bool)
-    return _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)
+    return _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored), t_s
 
 
 def strap_position(recovery: Recovery) -> FloatArray:

@@ -1,0 +1,149 @@
+"""The figures of the live smoother: `python tools/live_accuracy.py [--seeds 10] [--gap-s 1]`.
+
+Simulated arms (preset `realistic`, 100 Hz IMU, 30 Hz camera that is 0.1 s late) are played into the live
+smoother on a simulated clock, as fast as it goes: it takes its times from the data, so the answers are those
+of a recording played at 1x. Processor time is the live thread's; the calibration in the background is apart.
+`--hours H` plays the arm over and over instead, and looks at the memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from shared import rms
+
+from smoother.evaluation.lag import lag_s
+from smoother.evaluation.live_methods import arrivals
+from smoother.live.calibrator import InlineCalibrator
+from smoother.live.imu_batch import ImuBatch
+from smoother.live.live_state import LiveState
+from smoother.live.output import LiveOutput
+from smoother.live.smoother import LiveSmoother
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+
+LATENCY_S, OFFSET_S = 0.1, -0.02
+#: Borders of the time since the last frame, s.
+BORDERS_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.2)
+
+
+@dataclass
+class Errors:
+    """Errors in m, squared error over variance / 3, time since the last frame (0 where visible), step ms."""
+
+    now: list[tuple[float, float, float]] = field(default_factory=list)
+    settled: list[tuple[float, float, float]] = field(default_factory=list)
+    step_ms: list[float] = field(default_factory=list)
+    lags_s: list[float] = field(default_factory=list)
+
+    def add(self, simulation: SimulatedArm, outputs: list[LiveOutput]) -> None:
+        """Score one recording's answers."""
+        for rows, kind in ((self.now, "now"), (self.settled, "settled")):
+            estimates = [e for e in (getattr(output, kind) for output in outputs) if e is not None]
+            true = simulation.motion.imu_pose(np.array([e.t_s for e in estimates]))[1]
+            for estimate, place in zip(estimates, true, strict=True):
+                off = estimate.position - place
+                nees = float(off @ np.linalg.solve(estimate.pose_covariance[:3, :3], off)) / 3.0
+                since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
+                rows.append((since, float(np.linalg.norm(off)), nees))
+            if kind == "now":
+                t = np.array([e.t_s for e in estimates])
+                shown = np.array([e.position for e in estimates])
+                shown[[e.state is not LiveState.VISIBLE for e in estimates]] = np.nan
+                lag = lag_s(t, shown, true)
+                if lag is not None:
+                    self.lags_s.append(lag)
+        self.step_ms += [output.step_ms for output in outputs if output.now is not None]
+
+    def show(self) -> None:
+        """Print the table."""
+        for kind, rows in (("now", np.array(self.now)), ("settled", np.array(self.settled))):
+            visible = rows[:, 0] == 0.0
+            print(
+                f"{kind}, visible: {100 * rms(rows[visible, 1]):.2f} cm, NEES {rows[visible, 2].mean():.2f}"
+            )
+            for first, last in pairwise(BORDERS_S):
+                part = ~visible & (rows[:, 0] >= first) & (rows[:, 0] < last)
+                if part.any():
+                    print(
+                        f"  gap since {first:g} to {last:g} s: {100 * rms(rows[part, 1]):.2f} cm,"
+                        f" NEES {rows[part, 2].mean():.2f}, {part.sum()} answers"
+                    )
+            hidden = ~visible
+            if hidden.any():
+                print(f"  all gaps: {100 * rms(rows[hidden, 1]):.2f} cm, NEES {rows[hidden, 2].mean():.2f}")
+        ms = np.array(self.step_ms)
+        print(f"lag left while visible, by arm: {np.round(1e3 * np.array(self.lags_s), 1)} ms")
+        print(
+            f"processor time a step: mean {ms.mean():.1f}, 99 % {np.percentile(ms, 99):.1f}, longest"
+            f" {ms.max():.1f} ms; load {3 * ms.mean():.0f} % of a core at 30 Hz"
+        )
+
+
+def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
+    """All answers of one recording."""
+    recording, outputs = simulation.recording, []
+    with LiveSmoother(
+        recording.side, lag_s=lag_s_, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
+    ) as live:
+        for now_s, batches, frames in arrivals(recording, OFFSET_S, LATENCY_S):
+            for batch in batches:
+                live.add_imu(batch)
+            for frame in frames:
+                live.add_frame(frame)
+            outputs.append(live.step(now_s))
+    return outputs
+
+
+def memory(simulation: SimulatedArm, hours: float) -> None:
+    """Play the arm over and over and print the memory that is in use."""
+    recording, at_s = simulation.recording, 0.0
+    length_s = float(recording.imu.t_s[-1]) + 0.01
+    with LiveSmoother(
+        recording.side, camera_frame=recording.camera_frame, calibrator=InlineCalibrator(15)
+    ) as live:
+        while at_s < 3600.0 * hours:
+            for now_s, batches, frames in arrivals(recording, OFFSET_S, LATENCY_S):
+                for batch in batches:
+                    live.add_imu(ImuBatch(batch.t_s + at_s, batch.acc, batch.gyro))
+                for frame in frames:
+                    live.add_frame(replace(frame, t_s=frame.t_s + at_s, arrival_s=frame.arrival_s + at_s))
+                live.step(now_s + at_s)
+            at_s += length_s
+            with open("/proc/self/statm") as file:
+                used = int(file.read().split()[1]) * resource.getpagesize() / 1e6
+            print(f"{at_s / 60:.0f} min: {used:.1f} MB", flush=True)
+
+
+def main() -> None:
+    """Parse the options and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--gap-s", type=float, nargs="+", default=[1.0])
+    parser.add_argument("--duration-s", type=float, default=60.0)
+    parser.add_argument("--hours", type=float, default=0.0)
+    options = parser.parse_args()
+    config = ArmSimulation.preset(
+        "realistic",
+        protocol="random",
+        duration_s=options.duration_s,
+        imu_rate_hz=100,
+        occlusion_lengths_s=tuple(options.gap_s),
+    )
+    if options.hours:
+        memory(simulate_arm(config, options.first), options.hours)
+        return
+    errors = Errors()
+    for seed in range(options.first, options.first + options.seeds):
+        simulation = simulate_arm(config, seed)
+        errors.add(simulation, play(simulation))
+        print(f"seed {seed} done", flush=True)
+    errors.show()
+
+
+if __name__ == "__main__":
+    main()
