@@ -20,7 +20,7 @@ from ..measurements.inertial import (
     split_steps,
 )
 from ..measurements.segment import SegmentTraits, make_segment, without_spikes
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState, JointTracks
+from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, JointTracks
 from ..selfcal.rounds import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
@@ -290,13 +290,14 @@ class Follower:
 
 
 def first_state(
-    imu: ImuBuffer, frames: JointTracks, model: SelfCalibration, offset_s: float, needed: int, t_s: float
+    imu: ImuStream, frames: JointTracks, model: SelfCalibration, offset_s: float, needed: int, t_s: float
 ) -> NodeState | None:
     """A state to begin with, from what camera and IMU say around it.
 
     Parameters
     ----------
-    imu : ImuBuffer
+    imu : ImuStream
+        Without a pause.
     frames : JointTracks
         On the camera's clock.
     model : SelfCalibration
@@ -312,7 +313,7 @@ def first_state(
     state : NodeState or None
         At the visible frame nearest to it; None where the camera sees too little around it.
     """
-    samples = imu.stream(t_s - AROUND_S, t_s + AROUND_S)
+    samples = imu.select(np.abs(imu.t_s - t_s) < AROUND_S)
     clock = constant_clock(offset_s)
     rows = np.abs(frames.t_s + offset_s - t_s) < AROUND_S
     if len(samples) < 40 or rows.sum() < 10:

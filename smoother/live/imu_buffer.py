@@ -93,6 +93,12 @@ class ImuBuffer:
         self._rows[first : self._count] = tail[np.argsort(tail[:, 0], kind="stable")]
         return float(rows[0, 0])
 
+    def since_pause_s(self, longest_s: float, looked_s: float) -> float:
+        """Where the samples begin that have no longer pause, within the last `looked_s`; s."""
+        t = self.t[int(np.searchsorted(self.t, self.end_s - looked_s)) :]
+        pauses = np.flatnonzero(np.diff(t) > longest_s)
+        return float(t[pauses[-1] + 1]) if len(pauses) else float(t[0])
+
     def stream(self, start_s: float, end_s: float = np.inf) -> ImuStream:
         """A copy of the samples from one time to another."""
         rows = self._rows[slice(*np.searchsorted(self.t, [start_s, end_s]).tolist())].copy()

@@ -20,7 +20,7 @@ from .calibration_job import CalibrationJob, LiveCalibration
 from .calibrator import BackgroundCalibrator, Calibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock
 from .estimate import LiveEstimate
-from .follower import LENGTH_S, LONGEST_PAUSE_S, Follower, first_state
+from .follower import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Follower, first_state
 from .frame_buffer import FrameBuffer
 from .imu_batch import ImuBatch
 from .imu_buffer import ImuBuffer
@@ -38,6 +38,8 @@ FIRST_S, RETRY_S = 8.0, 2.0
 AGAIN_S = (15.0, 30.0, 60.0, 120.0)
 #: The smoother begins so long before the present, and catches up by so many frames a step, s.
 CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 6
+#: After a pause of the IMU it takes so much to begin anew, s.
+FRESH_S = 1.0
 #: A calibration's successor catches up beside the one at work by so many frames a step.
 SUCCESSOR_FRAMES = 4
 #: More frames than this at once are a backlog; those in between are dropped.
@@ -301,13 +303,16 @@ class LiveSmoother:
         if successor is None:
             return
         if not successor.started:
+            since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
+            if self._imu.end_s - since_s < FRESH_S:
+                return
             state = first_state(
-                self._imu,
-                self._frames.tracks(now_s - CATCH_UP_S - 5.0 - self._offset_s),
+                self._imu.stream(since_s),
+                self._frames.tracks(since_s - self._offset_s),
                 successor.model,
                 self._offset_s,
                 self._needed,
-                now_s - CATCH_UP_S,
+                max(now_s - CATCH_UP_S, since_s + 0.5 * FRESH_S),
             )
             if state is None:
                 return
