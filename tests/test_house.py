@@ -37,7 +37,17 @@ STACK = (
     ("several_arms",),
     ("live",),
 )
-MIDDLE = ("io", "measures", "simulation", "evaluation", "baselines", "study", "strap_search", "report")
+MIDDLE = (
+    "io",
+    "measures",
+    "simulation",
+    "evaluation",
+    "baselines",
+    "study",
+    "strap_search",
+    "report",
+    "streams",
+)
 #: Subpackages of `smoother` (and `calib`) that each part may import, besides the core and itself.
 MAY: dict[str, set[str]] = {
     "core": set(),
@@ -50,11 +60,12 @@ MAY: dict[str, set[str]] = {
     "evaluation": {"calib", "io", "baselines", "measures"},
     "study": {"calib", "io", "evaluation", "measures"},
     "report": {"calib", "io", "evaluation", "measures", "strap_search"},
+    "streams": {"calib", "io"},
     "cli": {"calib", *MIDDLE},
     "unocclude": {"io", "measures"},
 }
 #: Packages that make a command slow to start, or that need system libraries: imported where they are used.
-HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam"}
+HEAVY = {"open3d", "cv2", "plotly", "vqf", "libusb_package", "rich", "gtsam", "pylsl", "foxglove"}
 #: What may stand at the top of a module all the same: the graph's own files, and the report's plots.
 AT_THE_TOP = {"smoother/graph": "gtsam", "smoother/report": "plotly"}
 #: Words that the glossary replaced: no public name is made of them.

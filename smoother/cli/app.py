@@ -28,6 +28,7 @@ from . import (
     import_strap,
     imports,
     info,
+    live,
     match,
     measures,
     repair,
@@ -108,6 +109,12 @@ _add(app, export.export, "export recovered.mcap --format trc -o recovered.trc")
 _add(app, view.view, "view recovered.mcap")
 _add(app, batch.batch, "batch sessions -o recovered --calibration arm.toml --report", batch.BatchCommand)
 _add(app, sessions.progress, "progress recovered --person p12 --report p12.html")
+_add(
+    app,
+    live.live,
+    "live --imu wrist --skeleton kinect --side right --record session.mcap --foxglove",
+    live.LiveCommand,
+)
 _add(app, config.config, "config > settings.toml")
 _add(app, doctor.doctor, "doctor")
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from .output import print_table
 
 if TYPE_CHECKING:
-    from ..evaluation import Validation
     from ..evaluation.measure_pairs import MeasurePair
+    from ..evaluation.validate import Validation
 
 
 def pooled_measures(paths: Sequence[Path]) -> list[MeasurePair]:

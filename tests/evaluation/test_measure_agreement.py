@@ -13,11 +13,11 @@ from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.evaluation import validate
 from smoother.evaluation.detectable import detectable_change
 from smoother.evaluation.measure_agreement import MeasureComparison
 from smoother.evaluation.measure_files import read_detectable, read_pairs
 from smoother.evaluation.measure_pairs import MeasurePair, same_movements, unique_pairs
+from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.recording import Truth
 from smoother.result import Draws

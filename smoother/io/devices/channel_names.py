@@ -126,6 +126,27 @@ def find_sensors(labels: Sequence[str], types: Sequence[str], stream: str) -> li
     return sensors
 
 
+def joint_label(marker: str, kind: str) -> str:
+    """A channel's label of a marker (or object) and the channel's type in the MoCap meta-data of XDF.
+
+    Parameters
+    ----------
+    marker : str
+        Name of a joint.
+    kind : str
+        `PositionX` and the like, or `Confidence`.
+
+    Returns
+    -------
+    str
+        "wrist_right_x", or "" where the two say no such thing.
+    """
+    kind = kind.lower()
+    if marker and kind.startswith("position") and kind[-1:] in "xyz":
+        return f"{marker}_{kind[-1]}"
+    return f"{marker}_{kind}" if marker and kind in ("confidence", "trackingstate") else ""
+
+
 def stem_of(name: str) -> str:
     """A stream's name without what says accelerometer or gyroscope, to find what belongs together."""
     return " ".join(word for word in words_of(name) if not _says_what(word))

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..markers.trajectories import METRES
-from .channel_names import find_sensors, imu_of, stem_of
+from .channel_names import find_sensors, imu_of, joint_label, stem_of
 from .head import shown
 from .joint_columns import find_joint_columns
 from .joint_names import words_of
@@ -152,11 +152,9 @@ def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
         channels = []
     channels = (channels + [{}] * count)[:count]
     for channel in channels:
-        marker, kind = _text(channel, "marker") or _text(channel, "object"), _text(channel, "type").lower()
-        if marker and kind.startswith("position") and kind[-1:] in "xyz":
-            channel["label"] = [f"{marker}_{kind[-1]}"]
-        elif marker and kind in ("confidence", "trackingstate"):
-            channel["label"] = [f"{marker}_{kind}"]
+        marker = _text(channel, "marker") or _text(channel, "object")
+        if label := joint_label(marker, _text(channel, "type")):
+            channel["label"] = [label]
     return channels
 
 

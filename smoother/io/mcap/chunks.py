@@ -58,7 +58,7 @@ class ChunkedFile:
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._counts: dict[int, int] = {}
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = _ChunkIndexes()
         self._metadata: list[MetadataIndex] = []
         self._packers = ThreadPoolExecutor(_THREADS)
         self._waiting: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
@@ -110,6 +110,11 @@ class ChunkedFile:
             self._later(self._chunk, packed, channel[part], log_ns[part], offsets)
             start = stop
 
+    def flush(self) -> None:
+        """Write what still waits."""
+        self._settle(0)
+        self._file.flush()
+
     def close(self) -> None:
         """Leave off; what still waits is not written."""
         self._packers.shutdown(cancel_futures=True)
@@ -121,15 +126,14 @@ class ChunkedFile:
         start = self._file.tell()
         builder = RecordBuilder()
         offsets = []
-        log = [(index.message_start_time, index.message_end_time) for index in self._chunks]
         statistics = Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunks.count,
             message_count=sum(self._counts.values()),
-            message_start_time=min((first for first, _ in log), default=0),
-            message_end_time=max((last for _, last in log), default=0),
+            message_start_time=self._chunks.first_ns or 0,
+            message_end_time=self._chunks.last_ns,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
@@ -137,7 +141,7 @@ class ChunkedFile:
             (Opcode.SCHEMA, self._schemas),
             (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.CHUNK_INDEX, [self._chunks] if self._chunks.count else []),
             (Opcode.METADATA_INDEX, self._metadata),
         ]
         for opcode, records in groups:
@@ -169,7 +173,7 @@ class ChunkedFile:
         self._file.write(HEAD.pack(Opcode.CHUNK, len(head) + length) + head)
         self._file.write(packed.data)
         index_at = self._file.tell()
-        self._chunks.append(
+        self._chunks.add(
             ChunkIndex(
                 message_start_time=first,
                 message_end_time=last,
@@ -218,6 +222,35 @@ class ChunkedFile:
         builder = RecordBuilder()
         record.write(builder)
         return self._file.write(builder.end())
+
+
+class _ChunkIndexes:
+    """Where all chunks lie, as records for the file's end: 0.1 kB a chunk, so that a session may last a day.
+
+    Attributes
+    ----------
+    count : int
+        Chunks so far.
+    first_ns, last_ns : int, ns
+        Log times that they cover; `first_ns` is None without any.
+    """
+
+    def __init__(self) -> None:
+        self.count, self.last_ns = 0, 0
+        self.first_ns: int | None = None
+        self._records = RecordBuilder()
+
+    def add(self, index: ChunkIndex) -> None:
+        """One chunk more."""
+        index.write(self._records)
+        self.count += 1
+        first_ns = index.message_start_time
+        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+        self.last_ns = max(self.last_ns, index.message_end_time)
+
+    def write(self, builder: RecordBuilder) -> None:
+        """All records, once."""
+        builder.write(self._records.end())
 
 
 class _Packed(NamedTuple):

@@ -123,6 +123,10 @@ class Output:
         for edge, batch in _slices(outgoing, until):
             self._write(self._with_foreign(batch, edge))
 
+    def flush(self) -> None:
+        """Write all that was given so far, so that a reader of the unfinished file has it."""
+        self._file.flush()
+
     def _with_foreign(self, batch: Batch, edge: int) -> Batch:
         """A batch with the messages of another file that come before an edge; some are written at once."""
         held = 0

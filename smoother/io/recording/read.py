@@ -18,6 +18,7 @@ from ..mcap.container import Container
 from ..mcap.losses import plain_name
 from ..mcap.messages import Topic
 from ..mcap.repair_container import repair_notes
+from .arrival_order import sort_arrivals
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
@@ -100,6 +101,7 @@ def open_recording(
         for t in container.topics
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
+    sort_arrivals(file, file.metadata.get(METADATA, {}), store)
     drop_outlying(file, store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:

@@ -1,0 +1,163 @@
+"""What a session shows while it lasts: a table on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from ..runtime.printable import printable
+from .output import say
+
+if TYPE_CHECKING:
+    from ..streams.session_figures import SessionView, StreamView
+
+#: How often the table is drawn, and a line printed, s.
+_DRAWN_S, _LINE_S = 0.25, 2.0
+
+
+class Dashboard(Protocol):
+    """Shows a session."""
+
+    def __enter__(self) -> Dashboard:
+        """Begin."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End; what was shown last stays."""
+
+    def show(self, view: SessionView) -> None:
+        """Show the session as it is now."""
+
+
+class Lines:
+    """A line every two seconds, and one for whatever happens."""
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+        self._events = 0
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def show(self, view: SessionView) -> None:
+        """Print what happened since, and the line if it is time."""
+        new = view.event_count - self._events
+        for when, sentence in view.events[-new:] if new else ():
+            say(f"{when:8.1f} s  {sentence}")
+        self._events = view.event_count
+        if time.monotonic() - self._last > _LINE_S:
+            self._last = time.monotonic()
+            print(f"{view.seconds:8.1f} s  {'; '.join(words(view))}", flush=True)
+
+
+class Table:
+    """A table that is drawn anew four times a second."""
+
+    def __init__(self, title: str) -> None:
+        from rich.live import Live
+
+        from .output import console
+
+        self._title = printable(title)
+        self._live = Live(console=console(), auto_refresh=False)
+        self._last = -math.inf
+
+    def __enter__(self) -> Table:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.__exit__(kind, error, trace)
+
+    def show(self, view: SessionView) -> None:
+        """Draw it if it is time."""
+        if time.monotonic() - self._last > _DRAWN_S:
+            self._last = time.monotonic()
+            self._live.update(drawn(self._title, view), refresh=True)
+
+
+def drawn(title: str, view: SessionView) -> Any:
+    """The table: a row a stream, then the answer, then what happened."""
+    from rich.console import Group
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    streams = RichTable("stream", "rate", "missing", "late", "delay", "", title=title, title_justify="left")
+    for stream in (view.imu, view.skeleton):
+        rate = f"{stream.rate_hz:.1f} /s"
+        delay = milliseconds(delay_s(view, stream))
+        lost = Text("nothing comes", style="bold red") if stream.is_lost else Text("")
+        streams.add_row(
+            Text(printable(stream.name)), rate, str(stream.missing), str(stream.late), delay, lost
+        )
+    lines: list[Any] = [streams]
+    style = {"visible": "green", "gap": "bold yellow"}.get(str(view.output and view.output.state), "bold")
+    state, *rest = words(view)
+    lines.append(Text(f" {state}", style=style))
+    lines.append(Text(f" {';  '.join(rest[2:])}"))
+    lines += [Text(f" {when:7.1f} s  {printable(sentence)}", style="dim") for when, sentence in view.events]
+    return Group(*lines)
+
+
+def words(view: SessionView) -> list[str]:
+    """The session in words: the answer, the streams, the clock, the load."""
+    streams = [_stream_words(view, stream) for stream in (view.imu, view.skeleton)]
+    output = view.output
+    if output is None:
+        return ["waiting for samples", *streams, f"load {100 * view.load:.0f} %"]
+    rest = []
+    if output.now is not None:
+        rest.append(f"sigma {100 * output.now.sigma_m:.1f} cm, {output.now.sigma_deg:.1f} degrees")
+    if math.isfinite(output.clock_offset_s):
+        offset = f"clock offset {1e3 * output.clock_offset_s:+.1f}"
+        rest.append(f"{offset} +- {1e3 * output.clock_sigma_s:.1f} ms")
+    if output.dropped.total:
+        rest.append(f"{output.dropped.total} dropped")
+    if math.isfinite(output.step_ms):
+        rest.append(f"step {output.step_ms:.1f} ms")
+    return [_state_words(view), *streams, *rest, f"load {100 * view.load:.0f} %"]
+
+
+def delay_s(view: SessionView, stream: StreamView) -> float:
+    """A stream's delay: the camera's from a frame's moment, as soon as its clock is known."""
+    output = view.output
+    if stream is view.skeleton and output is not None and math.isfinite(output.camera_latency_s):
+        return output.camera_latency_s
+    return stream.delay_s
+
+
+def milliseconds(seconds: float) -> str:
+    """A delay for a table."""
+    return f"{1e3 * seconds:.0f} ms" if math.isfinite(seconds) else "-"
+
+
+def _state_words(view: SessionView) -> str:
+    output = view.output
+    assert output is not None
+    state = str(output.state)
+    if state == "calibrating":
+        return f"calibrating ({printable(output.calibration)})" if output.calibration else "calibrating"
+    if state == "lost":
+        is_lost = view.imu.is_lost or view.skeleton.is_lost
+        return "a stream is lost: no answer" if is_lost else "no answer: catching up with the streams"
+    if state == "gap" and output.now is not None and output.now.since_s is not None:
+        return f"gap since {output.now_s - output.now.since_s:.1f} s"
+    return state
+
+
+def _stream_words(view: SessionView, stream: StreamView) -> str:
+    name = "IMU" if stream is view.imu else "camera"
+    if stream.is_lost:
+        return f"{name}: nothing comes"
+    missing = f", {stream.missing} missing" if stream.missing else ""
+    return f"{name} {stream.rate_hz:.1f} /s, delay {milliseconds(delay_s(view, stream))}{missing}"

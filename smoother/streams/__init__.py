@@ -1,0 +1,1 @@
+"""A session while it lasts: streams in, the arm's motion out, everything recorded."""

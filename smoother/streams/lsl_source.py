@@ -1,0 +1,182 @@
+"""A session's source: an IMU's and a skeleton's streams of the Lab Streaming Layer."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import UnoccludeError
+from ..io.recording.stream_names import named_side
+from ..runtime.printable import printable
+from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
+from .lsl_channels import ImuChannels, SkeletonChannels, StreamLabels
+from .lsl_inlet import LslInlet, LslSamples
+from .lsl_library import listed, lsl_module
+
+#: Content types by which streams are found that were not named.
+_IMU_TYPES, _SKELETON_TYPES = ("imu", "accelerometer"), ("mocap", "skeleton")
+
+
+class LslSource:
+    """Two streams of the lab's network as one source; times count from the session's beginning.
+
+    Parameters
+    ----------
+    imu, skeleton : str, optional
+        Name (or a part of it) or source_id of the streams; None takes the only one of type IMU or MoCap.
+    side : str, optional
+        "left" or "right": the arm that wears the IMU.
+    prefer_side : str, optional
+        A calibration's side: taken where the skeleton has both arms and nothing else says.
+    """
+
+    speed = 1.0
+
+    def __init__(
+        self, imu: str | None, skeleton: str | None, side: str | None = None, prefer_side: str | None = None
+    ):
+        lsl = lsl_module()
+        self._something = threading.Event()
+        self._inlets = (
+            LslInlet(imu, _IMU_TYPES, self._something.set),
+            LslInlet(skeleton, _SKELETON_TYPES, self._something.set),
+        )
+        self._side, self._prefer_side = side, prefer_side
+        self._start_s = float(np.floor(lsl.local_clock()))
+        self._origin_ns = time.time_ns() - int((lsl.local_clock() - self._start_s) * 1e9)
+        self._opened: tuple[ImuChannels, SkeletonChannels, SourceInfo] | None = None
+
+    def open(
+        self,
+        seconds: float,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> bool:
+        """Wait until both streams are there; what the first one sends meanwhile is not lost.
+
+        Parameters
+        ----------
+        seconds : float, s
+            How long at most.
+        stopped : callable
+            True where nobody wants to wait any more.
+        say : callable
+            Told once a stream is there.
+
+        Returns
+        -------
+        opened : bool
+            False where it was stopped before.
+
+        Raises
+        ------
+        UnoccludeError
+            A stream did not come; the sentence lists those that are there.
+        RecordingError
+            A stream's labels do not say what its channels are.
+        """
+        imu_inlet, skeleton_inlet = self._inlets
+        for inlet in self._inlets:
+            inlet.start()
+        until = time.monotonic() + seconds
+        imu = skeleton = None
+        while imu is None or skeleton is None:
+            for inlet in self._inlets:
+                inlet.check()
+            if imu is None and imu_inlet.stream is not None:
+                imu = ImuChannels.of(StreamLabels.of(imu_inlet.stream))
+                say(f"IMU stream {imu_inlet.stream.name()} is there")
+            if skeleton is None and skeleton_inlet.stream is not None:
+                side = self._side or named_side("" if imu_inlet.stream is None else imu_inlet.stream.name())
+                labels = StreamLabels.of(skeleton_inlet.stream)
+                skeleton = SkeletonChannels.of(labels, side or None, self._prefer_side)
+                say(f"skeleton stream {skeleton_inlet.stream.name()} is there")
+            if stopped():
+                return False
+            if time.monotonic() > until:
+                raise UnoccludeError(self._missing(seconds))
+            self._something.wait(0.1)
+            self._something.clear()
+        self._opened = imu, skeleton, self._described(skeleton)
+        return True
+
+    @property
+    def info(self) -> SourceInfo:
+        """What the session is made of."""
+        return self._open[2]
+
+    @property
+    def ended(self) -> bool:
+        """Streams that are lost may come back: never."""
+        return False
+
+    def now_s(self) -> float:
+        """The LSL clock of this computer, after the session's beginning."""
+        return float(lsl_module().local_clock()) - self._start_s
+
+    def wait(self, seconds: float) -> None:
+        """Until something comes, at most so long."""
+        self._something.wait(seconds)
+        self._something.clear()
+
+    def arrivals(self) -> Arrivals:
+        """What came since the last call."""
+        imu_channels, skeleton_channels, _ = self._open
+        imu_batches, frame_batches = (inlet.samples() for inlet in self._inlets)
+        imu = [self._imu(imu_channels, batch) for batch in imu_batches]
+        frames = [self._frames(skeleton_channels, batch) for batch in frame_batches]
+        return Arrivals(
+            ImuRows.joined(imu) if imu else ImuRows.none(),
+            FrameRows.joined(frames) if frames else FrameRows.none(),
+        )
+
+    def close(self) -> None:
+        """Let the streams go."""
+        for inlet in self._inlets:
+            inlet.close()
+
+    @property
+    def _open(self) -> tuple[ImuChannels, SkeletonChannels, SourceInfo]:
+        assert self._opened is not None
+        return self._opened
+
+    def _imu(self, channels: ImuChannels, batch: LslSamples) -> ImuRows:
+        acc, gyro, mag = channels.values(batch.values)
+        return ImuRows(batch.t_s - self._start_s, acc, gyro, batch.arrival_s - self._start_s, mag)
+
+    def _frames(self, channels: SkeletonChannels, batch: LslSamples) -> FrameRows:
+        position, state = channels.values(batch.values)
+        return FrameRows(batch.t_s - self._start_s, position, state, batch.arrival_s - self._start_s)
+
+    def _described(self, skeleton: SkeletonChannels) -> SourceInfo:
+        imu_name, skeleton_name = (printable(inlet.stream.name()) for inlet in self._inlets)
+        notes = [
+            f"LSL's time correction: {imu_name} {1e3 * self._inlets[0].correction_s:+.1f} ms,"
+            f" {skeleton_name} {1e3 * self._inlets[1].correction_s:+.1f} ms."
+        ]
+        return SourceInfo(
+            imu_name,
+            skeleton_name,
+            skeleton.side,
+            skeleton.joints,
+            self._origin_ns,
+            skeleton.camera_frame,
+            lsl_start_s=self._start_s,
+            notes=tuple(notes),
+        )
+
+    def _missing(self, seconds: float) -> str:
+        names = [
+            f"--{option} {inlet.asked}" if inlet.asked is not None else f"an {option} of type {types[0]}"
+            for option, inlet, types in zip(
+                ("imu", "skeleton"), self._inlets, (_IMU_TYPES, _SKELETON_TYPES), strict=True
+            )
+            if inlet.stream is None
+        ]
+        there = listed([stream for inlet in self._inlets for stream in inlet.others])
+        return (
+            f"no stream for {' and '.join(names)} came within {seconds:g} s; streams on the network: {there}"
+        )

@@ -1,0 +1,156 @@
+"""A session: what arrives is recorded, recovered, and sent on, until somebody ends it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from ..live.imu_batch import ImuBatch
+from ..live.output import LiveOutput
+from ..live.skeleton_frame import SkeletonFrame
+from ..measurements.visibility import Gap
+from .arrivals import Arrivals, FrameRows, ImuRows, Source
+from .session_calibration import SessionCalibration
+from .session_figures import SessionFigures, SessionView
+from .session_recording import SessionRecording
+from .stamp_steps import StampSteps
+from .stream_health import StreamHealth
+
+#: Longest wait for samples, and shortest time between two steps, s.
+_WAIT_S, _STEP_S = 0.02, 0.005
+
+
+class Engine(Protocol):
+    """What recovers the arm: `live.smoother.LiveSmoother`."""
+
+    def add_imu(self, batch: ImuBatch) -> None:
+        """Take samples in."""
+
+    def add_frame(self, frame: SkeletonFrame) -> None:
+        """Take a frame in."""
+
+    def step(self, now_s: float) -> LiveOutput:
+        """Answer for the present."""
+
+
+class Receiver(Protocol):
+    """Who is sent what a session answers."""
+
+    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
+        """Send what a step answered, the frames before it, the gap that it ended, and what happened."""
+
+    def close(self) -> None:
+        """Nothing more will come."""
+
+
+class LiveSession:
+    """Runs from the first sample to the end; use `run`.
+
+    Parameters
+    ----------
+    source : Source
+        Where samples and frames come from.
+    engine : Engine
+        What recovers the arm.
+    calibration : SessionCalibration, optional
+        Takes the sensor's errors off.
+    recording : SessionRecording, optional
+        Where everything is recorded, as it came but for steps of the clocks.
+    receivers : sequence of Receiver
+        Who is sent the answers.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        engine: Engine,
+        calibration: SessionCalibration | None = None,
+        recording: SessionRecording | None = None,
+        receivers: Sequence[Receiver] = (),
+    ):
+        self.source, self.engine = source, engine
+        self.recording, self.receivers = recording, receivers
+        self._calibration = calibration or SessionCalibration()
+        info = source.info
+        self._imu_steps: StampSteps[ImuRows] = StampSteps(info.imu)
+        self._frame_steps: StampSteps[FrameRows] = StampSteps(info.skeleton)
+        self._healths = StreamHealth(info.imu), StreamHealth(info.skeleton)
+        self.figures = SessionFigures(*self._healths)
+        self._last_step = 0.0
+
+    def run(self, stopped: Callable[[], bool], show: Callable[[SessionView], None]) -> SessionFigures:
+        """Until it is stopped, or the source has ended.
+
+        Parameters
+        ----------
+        stopped : callable
+            True where it is to end.
+        show : callable
+            Given what a dashboard shows, after every step.
+
+        Returns
+        -------
+        figures : SessionFigures
+            What it was like.
+
+        Raises
+        ------
+        UnoccludeError
+            The recording cannot be written any more, or a stream came back as another one.
+        """
+        while not stopped() and not self.source.ended:
+            self._wait()
+            arrivals = self._mended(self.source.arrivals())
+            if self.recording is not None:
+                self.recording.take(arrivals)
+            self._add(arrivals)
+            now_s = self.source.now_s()
+            events = [*arrivals.events, *self._counted(arrivals), *self._look(now_s)]
+            output = self.engine.step(now_s)
+            self._answered(output, arrivals.frames, [*events, *output.notes])
+            show(self.figures.view(now_s))
+        return self.figures
+
+    def _wait(self) -> None:
+        self.source.wait(_WAIT_S)
+        if self.source.speed:
+            time.sleep(max(self._last_step + _STEP_S - time.monotonic(), 0.0))
+        self._last_step = time.monotonic()
+
+    def _mended(self, arrivals: Arrivals) -> Arrivals:
+        """What arrived, with steps of the clocks taken out; its events say so."""
+        imu, imu_events = self._imu_steps.mended(arrivals.imu)
+        frames, frame_events = self._frame_steps.mended(arrivals.frames)
+        return Arrivals(imu, frames, (*imu_events, *frame_events))
+
+    def _counted(self, arrivals: Arrivals) -> list[str]:
+        """Count what arrived; sentences on streams that are back."""
+        imu, frames = arrivals.imu, arrivals.frames
+        of_imu, of_camera = self._healths
+        return [*of_imu.take(imu.t_s, imu.arrival_s), *of_camera.take(frames.t_s, frames.arrival_s)]
+
+    def _add(self, arrivals: Arrivals) -> None:
+        imu: ImuRows = self._calibration.corrected(arrivals.imu)
+        if len(imu):
+            self.engine.add_imu(ImuBatch(imu.t_s, imu.acc, imu.gyro))
+        frames = arrivals.frames
+        # the smoother follows the camera's clock by itself, and knows how uncertain that is
+        t_s = frames.t_s - self._frame_steps.stepped_s
+        rows = zip(t_s.tolist(), frames.arrival_s.tolist(), frames.position, frames.state, strict=True)
+        for stamp_s, arrival_s, position, state in rows:
+            self.engine.add_frame(SkeletonFrame(stamp_s, arrival_s, position, state))
+
+    def _look(self, now_s: float) -> list[str]:
+        """What became of the streams."""
+        return [sentence for health in self._healths for sentence in health.look(now_s)]
+
+    def _answered(self, output: LiveOutput, frames: FrameRows, events: list[str]) -> None:
+        self.figures.event(output.now_s, events)
+        gap = self.figures.step(output)
+        for receiver in self.receivers:
+            receiver.send(output, frames.stamped(frames.t_s - self._frame_steps.stepped_s), gap, events)
+        if self.source.speed:
+            done_s = self.source.now_s()
+            for arrival_s in frames.arrival_s.tolist():
+                self.figures.frame_delays.add((done_s - arrival_s) / self.source.speed)

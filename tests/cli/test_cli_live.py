@@ -1,0 +1,223 @@
+"""`unocclude live` on a recording that is played: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_engine import CameraEcho
+from made_recordings import make
+
+import smoother.live.smoother
+from smoother.cli import live as command
+from smoother.cli.live_dashboard import Lines, drawn, words
+from smoother.cli.live_ending import Ending
+from smoother.cli.output import console
+from smoother.cli.run import run
+from smoother.io import read_recording, write_recording
+from smoother.live.live_state import LiveState
+from smoother.live.output import Dropped, LiveOutput
+from smoother.streams.lsl_library import lsl_module
+from smoother.streams.session_figures import SessionView, StreamView
+
+DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
+
+
+@pytest.fixture(autouse=True)
+def echo(monkeypatch):
+    monkeypatch.setattr(smoother.live.smoother, "LiveSmoother", CameraEcho)
+
+
+@pytest.fixture
+def recording(tmp_path) -> Path:
+    write_recording(make(6.0), tmp_path / "original.mcap")
+    return tmp_path / "original.mcap"
+
+
+def test_a_recording_is_played_recorded_and_summed_up(recording, tmp_path, capsys):
+    session, figures = tmp_path / "session.mcap", tmp_path / "session.json"
+    arguments = ["--replay", str(recording), "--speed", "0", "--record", str(session), "--json", str(figures)]
+    assert run(["live", *arguments]) == 0
+    said, errors = capsys.readouterr()
+    assert not errors
+    assert "right arm of /skeleton (shoulder, elbow, wrist)" in said
+    assert "Frames arrive 0.1 s after their stamps." in said
+    assert re.search(r"visible; IMU \d+\.\d /s|calibrating \(move the arm\)", said)
+    assert f"try: unocclude smooth {session} -o {tmp_path / 'session_recovered.mcap'}" in said
+    assert len(read_recording(session).imu) == len(read_recording(recording).imu)
+    values = json.loads(figures.read_text())
+    assert values["gaps"] == 1
+    assert values["longest_gap_s"] == pytest.approx(0.6, abs=0.1)
+    assert values["imu"]["count"] == 600
+    assert values["skeleton"]["delay_s"] == pytest.approx(0.1)
+    assert values["state_s"]["calibrating"] == pytest.approx(1.1, abs=0.2)
+
+
+def test_ctrl_c_leaves_a_whole_recording(recording, tmp_path, capsys):
+    def interrupt() -> None:
+        time.sleep(1.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    threading.Thread(target=interrupt).start()
+    session = tmp_path / "session.mcap"
+    assert run(["live", "--replay", str(recording), "--record", str(session)]) == 0
+    assert signal.getsignal(signal.SIGINT) is before
+    recorded = read_recording(session)
+    assert 0.3 < recorded.imu.t_s[-1] - recorded.imu.t_s[0] < 4.0
+    assert not [note for note in recorded.notes if "ends in the middle" in note]
+    assert "written: " in capsys.readouterr().out
+
+
+def test_one_option_smooths_afterwards(recording, tmp_path, monkeypatch):
+    begun: list[list[str]] = []
+    monkeypatch.setattr(command, "smooth_recording", begun.append)
+    session = tmp_path / "session.mcap"
+    arguments = ["live", "--replay", str(recording), "--speed", "0", "--record", str(session)]
+    assert run([*arguments, "--then-smooth"]) == 0
+    assert begun == [["smooth", str(session), "-o", str(tmp_path / "session_recovered.mcap")]]
+
+
+def test_what_a_person_gets_wrong(recording, tmp_path, capsys):
+    def sentence(*arguments: str, code: int) -> str:
+        capsys.readouterr()
+        assert run(["live", *arguments]) == code
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    played = ("--replay", str(recording))
+    assert "give --record as well" in sentence(*played, "--then-smooth", code=2)
+    assert "--speed is of a replay" in sentence("--imu", "a", "--speed", "2", code=2)
+    assert "--latency is of a replay" in sentence("--latency", "0.1", code=2)
+    assert "--lag" in sentence(*played, "--lag", "2.5", code=2)
+    assert "--side is left or right" in sentence(*played, "--side", "both", code=2)
+    assert "--foxglove" in sentence(*played, "--foxglove", "kitchen", code=2)
+    assert "no tracked arm fits --side left" in sentence(*played, "--side", "left", code=1)
+    assert "what is written is MCAP" in sentence(*played, "--record", str(tmp_path / "a.csv"), code=1)
+    assert "is read by this command" in sentence(*played, "--record", str(recording), "--force", code=1)
+    (tmp_path / "there.mcap").write_bytes(b"precious")
+    assert "exists already" in sentence(*played, "--record", str(tmp_path / "there.mcap"), code=1)
+    growing = tmp_path / "killed.recording.mcap"
+    growing.write_bytes(b"precious")
+    said = sentence(*played, "--record", str(tmp_path / "killed.mcap"), "--force", code=1)
+    assert f"unocclude repair {growing}" in said
+    assert growing.read_bytes() == b"precious"
+    missing = str(tmp_path / "nothing.mcap")
+    assert "does not exist" in sentence("--replay", missing, code=1)
+
+
+def test_streams_that_never_overlap(tmp_path, capsys):
+    made = make(4.0)
+    import dataclasses
+
+    late = dataclasses.replace(made.arm, t_s=made.arm.t_s + 100.0)
+    write_recording(dataclasses.replace(made, arm=late, truth=None), tmp_path / "apart.mcap")
+    assert run(["live", "--replay", str(tmp_path / "apart.mcap")]) == 1
+    assert "do not overlap in time" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option, package", [("--imu=a", "pylsl"), ("--foxglove", "foxglove-sdk")])
+def test_an_extra_that_is_missing_is_asked_for(option, package, recording, monkeypatch, capsys):
+    real = builtins.__import__
+
+    def without(name, *arguments, **options):
+        if name.partition(".")[0] in ("pylsl", "foxglove"):
+            raise ImportError(name)
+        return real(name, *arguments, **options)
+
+    lsl_module.cache_clear()
+    monkeypatch.setattr(builtins, "__import__", without)
+    replay = [] if package == "pylsl" else ["--replay", str(recording)]
+    assert run(["live", option, *replay]) == 1
+    said = capsys.readouterr().err
+    assert f"{package}, which is not installed; get it with `pip install unocclude[live]`" in said
+    lsl_module.cache_clear()
+
+
+def view(output: LiveOutput | None, **changes) -> SessionView:
+    stream = StreamView("wrist", 99.8, 3, 1, 0.004, False)
+    values = {"seconds": 12.0, "imu": stream, "skeleton": StreamView("kinect", 29.9, 0, 0, 0.13, False)}
+    values |= {"output": output, "events": ((3.0, "wrist: back at 3.0 s, after 1.2 s"),)}
+    values |= {"event_count": 1, "load": 0.31}
+    return SessionView(**(values | changes))
+
+
+def answered(state: LiveState, since_s: float | None = None, **changes) -> LiveOutput:
+    engine = CameraEcho()
+    from smoother.live.skeleton_frame import SkeletonFrame
+
+    for t in (0.0, 5.0):
+        engine.add_frame(SkeletonFrame(t, t, np.zeros((5, 3)), np.full(5, 2, np.int8)))
+    import dataclasses
+
+    output = engine.step(5.0)
+    now = dataclasses.replace(output.now, state=state, since_s=since_s)
+    return dataclasses.replace(output, state=state, now=now, **changes)
+
+
+def test_the_dashboard_says_what_matters():
+    gap = view(answered(LiveState.GAP, 4.2, dropped=Dropped(backlog_frames=2), step_ms=7.0))
+    assert words(gap)[0] == "gap since 0.8 s"
+    rest = "; ".join(words(gap))
+    for phrase in (
+        "IMU 99.8 /s, delay 4 ms, 3 missing",
+        "camera 29.9 /s, delay 100 ms",  # of the frame's moment, not of its stamp
+        "sigma 1.7 cm, 1.0 degrees",
+        "clock offset +12.0 +- 1.0 ms",
+        "2 dropped",
+        "load 31 %",
+    ):
+        assert phrase in rest
+    calibrating = LiveOutput(1.0, LiveState.CALIBRATING, calibration="move \x1b the arm")
+    assert words(view(calibrating))[0] == "calibrating (move \\x1b the arm)"
+    lost = view(answered(LiveState.LOST), skeleton=StreamView("kinect", 0, 0, 0, float("nan"), True))
+    assert words(lost)[0] == "a stream is lost: no answer"
+    assert "camera: nothing comes" in words(lost)
+    assert words(view(answered(LiveState.LOST)))[0] == "no answer: catching up with the streams"
+    assert words(view(None))[0] == "waiting for samples"
+
+
+def test_the_table_fits_and_holds_the_same(capsys):
+    for output in (answered(LiveState.GAP, 4.2), None, LiveOutput(1.0, LiveState.CALIBRATING)):
+        console().print(drawn("unocclude live", view(output)))
+    said = capsys.readouterr().out
+    for phrase in ("gap since 0.8 s", "wrist", "kinect", "99.8 /s", "back at 3.0 s"):
+        assert phrase in said
+
+
+def test_lines_tell_each_event_once(capsys):
+    lines = Lines()
+    first, second = (1.0, "one happened"), (2.0, "two happened")
+    for count, events in ((1, (first,)), (1, (first,)), (2, (first, second)), (3, (second, second))):
+        lines.show(view(None, events=events, event_count=count))
+    said = capsys.readouterr().out
+    assert said.count("one happened") == 1
+    assert said.count("two happened") == 2
+
+
+def test_keys_end_a_session(monkeypatch):
+    pty = pytest.importorskip("pty")
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())
+        with Ending() as ending:
+            assert ending.has_keys
+            os.write(master, b"x")
+            assert not ending()
+            os.write(master, b"s")
+            deadline = time.monotonic() + 5
+            while not ending() and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert (ending.wanted, ending.smooth) == (True, True)
+    os.close(master)

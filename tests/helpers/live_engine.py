@@ -1,0 +1,61 @@
+"""A stand-in for the live smoother where a test is about streams: it answers what the camera saw last."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smoother.live.estimate import LiveEstimate
+from smoother.live.live_state import LiveState
+from smoother.live.output import LiveOutput
+from smoother.recording import JOINTS, JointState
+
+
+class CameraEcho:
+    """Calibrates for a second, then repeats the last frame; without a tracked wrist it is a gap."""
+
+    def __init__(self, *_, **__):
+        self.imu, self.frames, self.steps, self.finished = [], [], 0, False
+        self._since = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.finish()
+
+    def add_imu(self, batch):
+        self.imu.append(batch)
+
+    def add_frame(self, frame):
+        self.frames.append(frame)
+
+    def finish(self):
+        self.finished = True
+
+    @property
+    def imu_t(self):
+        return np.concatenate([batch.t_s for batch in self.imu])
+
+    def step(self, now_s):
+        self.steps += 1
+        if not self.frames or now_s - self.frames[0].arrival_s < 1.0:
+            return LiveOutput(now_s, LiveState.CALIBRATING, calibration="move the arm")
+        tracked = [f for f in self.frames[-60:] if f.state[2] == JointState.TRACKED]
+        is_gap = self.frames[-1].state[2] != JointState.TRACKED
+        self._since = (self._since or now_s) if is_gap else None
+        if not tracked:
+            return LiveOutput(now_s, LiveState.LOST)
+        frame = tracked[-1]
+        joints = {j: frame.position[i] for i, j in enumerate(JOINTS) if np.isfinite(frame.position[i]).all()}
+        state = LiveState.GAP if is_gap else LiveState.VISIBLE
+
+        def estimate(t_s, kind):
+            covariance = 1e-4 * np.eye(3)
+            return LiveEstimate(
+                t_s, kind, state, self._since, frame.position[2], np.array([1.0, 0.0, 0.0, 0.0]),
+                np.zeros(3), 1e-4 * np.eye(6), joints, dict.fromkeys(joints, covariance), np.zeros(3),
+            )  # fmt: skip
+
+        return LiveOutput(
+            now_s, state, estimate(now_s, "now"), estimate(now_s - 0.2, "settled"), 0.012, 0.001, 0.1
+        )

@@ -1,0 +1,161 @@
+"""A lab's network on this computer, for tests: outlets that play a recording, and a reader, as programs.
+
+python lsl_lab.py play REC.mcap IMU SKELETON [--late S] [--bare]
+python lsl_lab.py read NAME SECONDS
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from itertools import count
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+
+import numpy as np
+
+JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
+
+
+def config(folder: Path, session: str) -> Path:
+    """Settings by which only programs of one test, on this computer, see each other."""
+    file = folder / "lsl_api.cfg"
+    file.write_text(f"[lab]\nSessionID = {session}\n[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n")
+    return file
+
+
+def imu_outlet(name: str, bare: bool = False, unit: str = "m/s^2"):
+    import pylsl
+
+    info = pylsl.StreamInfo(name, "IMU", 6, 100, "double64", f"id-{name}")
+    if not bare:
+        channels = info.desc().append_child("channels")
+        for label, axis_unit in (("acc", unit), ("gyro", "rad/s")):
+            for axis in "xyz":
+                channel = channels.append_child("channel")
+                channel.append_child_value("label", f"{label}_{axis}")
+                channel.append_child_value("unit", axis_unit)
+    return pylsl.StreamOutlet(info)
+
+
+def skeleton_outlet(name: str, side: str = "right", unit: str = "meters"):
+    import pylsl
+
+    info = pylsl.StreamInfo(name, "MoCap", 12, pylsl.IRREGULAR_RATE, "double64", f"id-{name}")
+    channels = info.desc().append_child("channels")
+    for joint in JOINTS[:3]:
+        for kind, kind_unit in (
+            *((f"Position{axis}", unit) for axis in "XYZ"),
+            ("Confidence", "normalized"),
+        ):
+            channel = channels.append_child("channel")
+            channel.append_child_value("label", f"{joint}_{side}_{kind}")
+            channel.append_child_value("marker", f"{joint}_{side}")
+            channel.append_child_value("type", kind)
+            channel.append_child_value("unit", kind_unit)
+    return pylsl.StreamOutlet(info)
+
+
+def events_of(path: Path, late_s: float):
+    """When each sample and frame arrives, which it is, its stamp and its values."""
+    from smoother.io import read_recording
+
+    recording = read_recording(path)
+    values = np.hstack([recording.imu.acc, recording.imu.gyro])
+    imu = [(t, "imu", t, row) for t, row in zip(recording.imu.t_s.tolist(), values.tolist(), strict=True)]
+    frames = []
+    for t, position, state in zip(
+        recording.arm.t_s.tolist(), recording.arm.position, recording.arm.state, strict=True
+    ):
+        row = []
+        for joint in range(3):
+            row += [*position[joint].tolist(), {0: 0.0, 1: 0.3, 2: 1.0}[int(state[joint])]]
+        frames.append((t + late_s, "skeleton", t, row))
+    return sorted([*imu, *frames], key=lambda event: event[0])
+
+
+def play(options: argparse.Namespace) -> None:
+    """The recording again and again from the line `go` on, until stdin ends.
+
+    A line KIND SECONDS takes an outlet away for a time.
+    """
+    import pylsl
+
+    events = events_of(options.recording, options.late)
+    make = {
+        "imu": lambda: imu_outlet(options.imu, options.bare),
+        "skeleton": lambda: skeleton_outlet(options.skeleton),
+    }
+    outlets = {kind: outlet() for kind, outlet in make.items()}
+    back_at: dict[str, float] = {}
+    commands: SimpleQueue[str] = SimpleQueue()
+    Thread(target=lambda: [*map(commands.put, sys.stdin), commands.put("")], daemon=True).start()
+    print("ready", flush=True)
+    if commands.get() != "go\n":
+        return
+    begin, lasts = pylsl.local_clock() - events[0][0] + 0.2, events[-1][0] - events[0][0] + 0.01
+    for turn in count():
+        for arrival, kind, t, row in events:
+            time.sleep(max(begin + turn * lasts + arrival - pylsl.local_clock(), 0.0))
+            while not commands.empty():
+                line = commands.get()
+                if not line:
+                    return
+                gone, seconds = line.split()
+                outlets.pop(gone)
+                back_at[gone] = pylsl.local_clock() + float(seconds)
+            if kind in back_at and pylsl.local_clock() > back_at[kind]:
+                del back_at[kind]
+                outlets[kind] = make[kind]()
+            if kind in outlets:
+                outlets[kind].push_sample(row, begin + turn * lasts + t)
+
+
+def read(options: argparse.Namespace) -> None:
+    import pylsl
+
+    until = time.monotonic() + options.seconds
+    found = pylsl.resolve_byprop("name", options.name, 1, options.seconds)
+    if not found:
+        sys.exit(f"no stream {options.name}")
+    inlet = pylsl.StreamInlet(found[0])
+    info = inlet.info(5)
+    labels, channel = [], info.desc().child("channels").child("channel")
+    for _ in range(info.channel_count()):
+        labels.append([channel.child_value(key) for key in ("label", "type", "unit")])
+        channel = channel.next_sibling("channel")
+    samples, stamps, ages = [], [], []
+    while time.monotonic() < until:
+        values, t_s = inlet.pull_chunk(timeout=0.2, min_samples=1, as_numpy=True)
+        now = pylsl.local_clock()
+        samples += np.asarray(values).tolist()
+        stamps += t_s.tolist()
+        ages += (now - t_s).tolist()
+    print(
+        json.dumps({"type": info.type(), "labels": labels, "t_s": stamps, "ages": ages, "samples": samples})
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    commands = parser.add_subparsers(required=True)
+    player = commands.add_parser("play")
+    player.add_argument("recording", type=Path)
+    player.add_argument("imu")
+    player.add_argument("skeleton")
+    player.add_argument("--late", type=float, default=0.1)
+    player.add_argument("--bare", action="store_true")
+    player.set_defaults(run=play)
+    reader = commands.add_parser("read")
+    reader.add_argument("name")
+    reader.add_argument("seconds", type=float)
+    reader.set_defaults(run=read)
+    options = parser.parse_args()
+    options.run(options)
+
+
+if __name__ == "__main__":
+    main()

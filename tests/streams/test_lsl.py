@@ -1,0 +1,184 @@
+"""Real outlets of the Lab Streaming Layer on this computer, `unocclude live` behind them, and its outlet."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lsl_lab import JOINTS, config
+
+from smoother.io import read_recording
+
+HELPERS = Path(__file__).parents[1] / "helpers"
+DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
+pytestmark = pytest.mark.skipif(
+    find_spec("pylsl") is None, reason="pylsl, of the extra `live`, is not installed"
+)
+
+
+class Lab:
+    """Programs that see each other and nobody else."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.environment = dict(os.environ)
+        self.environment["LSLAPICFG"] = str(config(folder, uuid.uuid4().hex))
+        paths = [str(HELPERS), str(HELPERS.parents[1]), os.environ.get("PYTHONPATH", "")]
+        self.environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
+        self.programs: list[subprocess.Popen] = []
+
+    def start(self, script: str, *arguments: object) -> subprocess.Popen:
+        command = [sys.executable, str(HELPERS / script), *map(str, arguments)]
+        pipe = subprocess.PIPE
+        program = subprocess.Popen(
+            command, env=self.environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=self.folder
+        )
+        self.programs.append(program)
+        return program
+
+    def end(self) -> None:
+        for program in self.programs:
+            if program.poll() is None:
+                program.kill()
+            program.communicate()
+
+
+@pytest.fixture
+def lab(tmp_path):
+    lab = Lab(tmp_path)
+    yield lab
+    lab.end()
+
+
+def lines_until(program: subprocess.Popen, words: str) -> None:
+    """Read what a program prints until these words; a machine with other work to do may need a while."""
+    lines: list[str] = []
+    assert program.stdout is not None
+    ender = threading.Timer(60.0, program.kill)
+    ender.start()
+    try:
+        while not lines or words not in lines[-1]:
+            lines.append(program.stdout.readline())
+            assert lines[-1], f"ended before {words!r}: {lines} {program.stderr and program.stderr.read()}"
+    finally:
+        ender.cancel()
+
+
+def players(lab: Lab, *options: str) -> subprocess.Popen:
+    """Outlets of IMU and skeleton that wait for the word to begin."""
+    program = lab.start("lsl_lab.py", "play", DEMO, "wrist", "kinect", *options)
+    lines_until(program, "ready")
+    return program
+
+
+def tell(program: subprocess.Popen, words: str) -> None:
+    assert program.stdin is not None
+    program.stdin.write(f"{words}\n")
+    program.stdin.flush()
+
+
+def test_two_outlets_in_and_one_out(lab, tmp_path):
+    outlets = players(lab)
+    arguments = ["--imu", "wrist", "--skeleton", "kinect", "--lsl-out", "arm", "--record", "session.mcap"]
+    # with the arm's calibration half a minute of motion suffices
+    arguments += ["--calibration", str(DEMO.with_name("demo_calibration.toml"))]
+    live = lab.start("live_program.py", "live", *arguments, "--json", "session.json")
+    lines_until(live, "LSL: streams arm and arm_settled")
+    tell(outlets, "go")
+    lines_until(live, "  visible")
+    reader = lab.start("lsl_lab.py", "read", "arm", 6)
+    read, errors = reader.communicate(timeout=60)
+    assert reader.returncode == 0, errors
+    tell(outlets, "imu 2")
+    lines_until(live, "back at")
+    time.sleep(0.3)
+    live.send_signal(signal.SIGINT)
+    said, errors = live.communicate(timeout=20)
+    assert (live.returncode, errors) == (0, ""), said
+
+    sent = json.loads(read)
+    assert sent["type"] == "MoCap"
+    labels = [label for label, *_ in sent["labels"]]
+    assert labels[:4] == ["imu_right_x", "imu_right_y", "imu_right_z", "imu_right_sigma"]
+    assert {f"{joint}_right_{axis}" for joint in JOINTS for axis in "xyz"} < set(labels)
+    assert dict((label, (kind, unit)) for label, kind, unit in sent["labels"])["wrist_right_y"] == (
+        "PositionY",
+        "meters",
+    )
+    samples = np.array(sent["samples"])
+    state = samples[:, labels.index("state")]
+    assert set(state) <= {0, 1, 2, 3}
+    shown = samples[state == 1]
+    assert len(shown) > 50
+    camera = read_recording(DEMO).arm.joint("wrist")
+    camera = camera[np.isfinite(camera).all(axis=1)]
+    wrist = shown[:, [labels.index(f"wrist_right_{axis}") for axis in "xyz"]]
+    nearest = np.linalg.norm(wrist[:, None] - camera[None], axis=2).min(axis=1)
+    assert np.median(nearest) < 0.05  # metres, and of this arm: its path is half a metre wide
+    sigma = shown[:, labels.index("wrist_right_sigma")]
+    assert 0.002 < np.median(sigma) < 0.1
+    assert np.all(np.diff(sent["t_s"]) > -1e-3)
+    assert np.median(sent["ages"]) < 0.1
+
+    figures = json.loads((tmp_path / "session.json").read_text())
+    assert figures["imu"]["lost_times"] == 1
+    assert figures["skeleton"]["lost_times"] == 0
+    # away for 2 s, and found again by the library within another
+    assert 1.8 < figures["imu"]["lost_s"] < 6.0
+    assert figures["skeleton"]["delay_s"] == pytest.approx(0.1, abs=0.04)
+    recorded = read_recording(tmp_path / "session.mcap")
+    assert (recorded.side, recorded.arm.present) == ("right", ("shoulder", "elbow", "wrist"))
+    assert recorded.imu.rate_hz == pytest.approx(80, rel=0.02)
+    original = read_recording(DEMO)
+    rows = {tuple(row) for row in original.imu.acc.tolist()}
+    assert all(tuple(row) in rows for row in recorded.imu.acc.tolist())
+    assert not list(tmp_path.glob("*.recording.mcap"))
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
+def test_the_recording_survives_its_program(lab, tmp_path, ending):
+    outlets = players(lab)
+    # without names: the only streams of their types
+    live = lab.start("live_program.py", "--echo", "live", "--record", "session.mcap")
+    lines_until(live, "calibrating")
+    tell(outlets, "go")
+    lines_until(live, "  visible")
+    time.sleep(2.5)
+    live.send_signal(ending)
+    live.communicate(timeout=20)
+    name = "session.mcap" if ending is signal.SIGTERM else "session.recording.mcap"
+    recorded = read_recording(tmp_path / name)
+    assert recorded.imu.t_s[-1] - recorded.imu.t_s[0] > 2.0
+    assert not [note for note in recorded.notes if "damaged" in note]
+    others = [path.name for path in tmp_path.iterdir() if path.suffix == ".mcap"]
+    assert others == [name]
+
+
+def test_streams_that_cannot_be_used(lab, tmp_path):
+    players(lab, "--bare")  # never begins: what a stream is shows before its first sample
+
+    def refused(*arguments: str) -> str:
+        live = lab.start("live_program.py", "live", *arguments)
+        _, said = live.communicate(timeout=40)
+        assert live.returncode == 1
+        assert said.count("\n") == 1, said
+        return said
+
+    assert (
+        "its channels have no labels; acc_x, acc_y, acc_z and gyro_x, gyro_y, gyro_z are missing"
+        in refused("--imu", "wrist", "--skeleton", "kinect", "--record", "session.mcap")
+    )
+    missing = refused("--imu", "ankle", "--skeleton", "kinect", "--wait", "4")
+    assert "no stream for --imu ankle came within 4 s" in missing
+    assert "kinect (type MoCap), wrist (type IMU)" in missing
+    assert not list(tmp_path.glob("*.mcap"))

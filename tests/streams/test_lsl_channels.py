@@ -1,0 +1,125 @@
+"""What streams say of their channels, well and badly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from smoother.errors import RecordingError
+from smoother.recording import CameraFrame, JointState
+from smoother.streams.lsl_channels import ImuChannels, SkeletonChannels, StreamLabels
+
+AXES = "xyz"
+
+
+def stream(labels, units=None, types=None, name="wrist", kind="IMU") -> StreamLabels:
+    units = [units] * len(labels) if isinstance(units, str) else units or [""] * len(labels)
+    return StreamLabels(name, kind, list(labels), list(types or [""] * len(labels)), list(units))
+
+
+def imu_labels(acc="acc", gyro="gyro"):
+    return [f"{kind}_{axis}" for kind in (acc, gyro) for axis in AXES]
+
+
+def arm_labels(*sides, joints=("shoulder", "elbow", "wrist")):
+    return [f"{joint}_{side}_{axis}" for side in sides for joint in joints for axis in AXES]
+
+
+def test_units_become_si():
+    channels = ImuChannels.of(stream(imu_labels(), ["g"] * 3 + ["deg/s"] * 3))
+    acc, gyro, mag = channels.values(np.array([[0, 0, 1, 180, 0, 0]], np.float32))
+    np.testing.assert_allclose(acc, [[0, 0, 9.80665]])
+    np.testing.assert_allclose(gyro, [[np.pi, 0, 0]], rtol=1e-6)
+    assert mag is None
+
+
+def test_labels_of_devices():
+    labels = ["timestamp", "AccX", "AccY", "AccZ", "GyrX", "GyrY", "GyrZ", "MagX", "MagY", "MagZ"]
+    units = ["s", *["m/s²"] * 3, *["°/s"] * 3, *["uT"] * 3]
+    channels = ImuChannels.of(stream(labels, units))
+    assert (channels.acc, channels.gyro, channels.mag) == ((1, 2, 3), (4, 5, 6), (7, 8, 9))
+    channels = ImuChannels.of(stream([""] * 6, ["m/s^2"] * 3 + ["rad/s"] * 3, [f"Acc{a}" for a in "XYZ"] + [
+        f"Gyro{a}" for a in "XYZ"]))  # fmt: skip
+    assert channels.acc == (0, 1, 2)
+
+
+@pytest.mark.parametrize(
+    "labels, units, said",
+    [
+        (["", "", "", "", "", ""], "", "its channels have no labels; acc_x, acc_y, acc_z and gyro_x"),
+        (imu_labels()[:3], "g", "gyro_x, gyro_y, gyro_z are missing"),
+        (imu_labels(), "", "the unit of its accelerometer is missing; send m/s^2 or g"),
+        (imu_labels(), ["g"] * 3 + ["furlong"] * 3, "gyroscope is stated as 'furlong', which is not known"),
+        (
+            imu_labels(),
+            ["g", "g", "m/s^2", "deg/s", "deg/s", "deg/s"],
+            "accelerometer is stated as 'g, m/s^2'",
+        ),
+        (["left_acc_x\x1b", "b", "c"], "", "left_acc_x\\x1b, b, c; acc_x"),
+    ],
+)
+def test_an_imu_that_does_not_say_enough(labels, units, said):
+    with pytest.raises(RecordingError) as error:
+        ImuChannels.of(stream(labels, units))
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_skeleton_of_the_right_arm_in_mm():
+    labels = [*arm_labels("right"), "wrist_right_confidence"]
+    channels = SkeletonChannels.of(stream(labels, ["mm"] * 9 + [""], kind="MoCap"), None)
+    assert (channels.side, channels.joints) == ("right", ("shoulder", "elbow", "wrist"))
+    values = np.full((3, 10), 1000.0)
+    values[:, 9] = [0.9, 0.4, np.nan]
+    values[1, 0:3], values[2, 3:6] = 0.0, np.nan
+    position, state = channels.values(values)
+    assert position[0, 2].tolist() == [1.0, 1.0, 1.0]
+    tracked, inferred, lost = JointState.TRACKED, JointState.INFERRED, JointState.NOT_TRACKED
+    assert state.tolist() == [
+        [tracked, tracked, tracked, lost, lost],
+        [lost, tracked, inferred, lost, lost],  # all of (0, 0, 0) is how programs write a lost joint
+        [tracked, lost, tracked, lost, lost],
+    ]
+    assert np.isnan(position[1, 0]).all()
+
+
+def test_states_of_a_kinect_stay_states_in_every_batch():
+    labels = [*arm_labels("right"), "wrist_right_state"]
+    channels = SkeletonChannels.of(stream(labels, "m"), None)
+    for value, state in ((0, JointState.NOT_TRACKED), (1, JointState.INFERRED), (2, JointState.TRACKED)):
+        values = np.ones((1, 10))
+        values[0, 9] = value
+        assert channels.values(values)[1][0, 2] == state
+
+
+def test_which_arm():
+    both = stream(arm_labels("left", "right"), "m", name="kinect")
+    with pytest.raises(RecordingError, match="kinect shows both arms; say which wears the IMU with --side"):
+        SkeletonChannels.of(both, None)
+    assert SkeletonChannels.of(both, "left").side == "left"
+    assert SkeletonChannels.of(both, None, "left").side == "left"
+    assert SkeletonChannels.of(both, "right", "left").axes["shoulder"] == (9, 10, 11)
+    with pytest.raises(RecordingError, match="shows no left arm"):
+        SkeletonChannels.of(stream(arm_labels("right"), "m"), "left")
+
+
+def test_a_strap_alone_and_the_cameras_axes():
+    strap = SkeletonChannels.of(stream(["strap_x", "strap_y", "strap_z"], "m"), "left")
+    assert (strap.side, strap.joints) == ("left", ("strap",))
+    labels = [f"{j}_{a}" for j in ("SPINE_NAVEL", "ELBOW_LEFT", "WRIST_LEFT") for a in "XYZ"]
+    assert SkeletonChannels.of(stream(labels, "m"), None).camera_frame is CameraFrame.OPTICAL
+
+
+@pytest.mark.parametrize(
+    "labels, units, said",
+    [
+        ([""] * 9, "m", "its channels have no labels; shoulder, elbow and wrist of an arm are missing"),
+        (arm_labels("right", joints=("shoulder", "elbow")), "m", "are missing: send their x, y, z"),
+        (arm_labels("right"), "", "the unit of its positions is missing; send m or mm"),
+        (arm_labels("right"), "pixel", "positions is stated as 'pixel'"),
+    ],
+)
+def test_a_skeleton_that_does_not_say_enough(labels, units, said):
+    with pytest.raises(RecordingError) as error:
+        SkeletonChannels.of(stream(labels, units), None)
+    assert said in str(error.value)

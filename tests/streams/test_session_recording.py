@@ -1,0 +1,159 @@
+"""A session that is recorded while a recording is played: every byte that matters comes back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from live_engine import CameraEcho
+from made_recordings import make
+from scenes import ALONE, arm
+
+from smoother import smooth
+from smoother.errors import UnoccludeError
+from smoother.io import open_recording, read_recording, write_recording
+from smoother.io.mcap.repair_container import repair_container
+from smoother.streams.arrivals import Arrivals
+from smoother.streams.replay import Replay
+from smoother.streams.session import LiveSession
+from smoother.streams.session_recording import SessionRecording, check_recording, growing_name
+
+
+@pytest.fixture
+def original(tmp_path):
+    write_recording(make(6.0), tmp_path / "original.mcap")
+    return tmp_path / "original.mcap"
+
+
+def played(path, record, **options) -> tuple[LiveSession, SessionRecording]:
+    source = Replay(path, speed=0.0, **options)
+    recording = SessionRecording(record, source.info)
+    session = LiveSession(source, CameraEcho(), recording=recording)
+    session.run(lambda: False, lambda _: None)
+    recording.close()
+    return session, recording
+
+
+def same(one, other) -> None:
+    np.testing.assert_array_equal(one.imu.t_s, other.imu.t_s)
+    np.testing.assert_array_equal(one.imu.acc, other.imu.acc)
+    np.testing.assert_array_equal(one.imu.gyro, other.imu.gyro)
+    np.testing.assert_array_equal(one.imu.mag, other.imu.mag)
+    np.testing.assert_array_equal(one.arm.t_s, other.arm.t_s)
+    np.testing.assert_array_equal(one.arm.position, other.arm.position)
+    np.testing.assert_array_equal(one.arm.state, other.arm.state)
+    assert (one.side, one.camera_frame, one.origin_ns) == (other.side, other.camera_frame, other.origin_ns)
+    hints = [recording.gravity_hint for recording in (one, other)]
+    if hints[0] is not None:
+        np.testing.assert_allclose(*hints)
+
+
+def test_what_is_recorded_is_what_was_played(original, tmp_path):
+    session, _ = played(original, tmp_path / "session.mcap")
+    same(read_recording(original), read_recording(tmp_path / "session.mcap"))
+    assert not growing_name(tmp_path / "session.mcap").exists()
+    assert session.engine.steps > 500
+
+
+def test_log_times_are_arrivals_and_a_second_replay_uses_them(original, tmp_path):
+    played(original, tmp_path / "one.mcap", latency_s=0.16)
+    again = Replay(tmp_path / "one.mcap", speed=0.0)
+    assert "log times" in again.info.notes[-1]
+    np.testing.assert_allclose(again._frames.arrival_s - again._frames.t_s, 0.16, atol=1e-6)
+    played(tmp_path / "one.mcap", tmp_path / "two.mcap")
+    same(read_recording(tmp_path / "one.mcap"), read_recording(tmp_path / "two.mcap"))
+    first, second = ((tmp_path / name).read_bytes() for name in ("one.mcap", "two.mcap"))
+    assert len(first) == pytest.approx(len(second), abs=400)  # the name inside differs
+
+
+def test_the_growing_file_can_be_read_at_any_moment(original, tmp_path):
+    source = Replay(original, speed=0.0)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    while source.now_s() < 5.0:
+        recording.take(source.arrivals())
+    # nothing is closed: as kill -9 leaves it
+    growing = growing_name(tmp_path / "session.mcap")
+    read = read_recording(growing)
+    assert read.imu.t_s[-1] > 3.5  # a second may wait in memory
+    assert len(read.arm) > 100
+    report = repair_container(growing, tmp_path / "whole.mcap")
+    assert sum(report.messages.values()) > 400
+    assert read_recording(tmp_path / "whole.mcap").imu.t_s[-1] == read.imu.t_s[-1]
+    with pytest.raises(UnoccludeError, match=r"session.recording.mcap was left by a session that was killed"):
+        check_recording(tmp_path / "session.mcap", force=True)
+    recording.close()
+    assert len(read_recording(tmp_path / "session.mcap").imu) > len(read.imu)
+
+
+def test_a_session_without_samples_leaves_no_file(original, tmp_path):
+    recording = SessionRecording(tmp_path / "session.mcap", Replay(original).info)
+    recording.take(Arrivals())
+    recording.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["original.mcap"]
+
+
+def test_a_name_that_is_there(original, tmp_path):
+    (tmp_path / "session.mcap").write_bytes(b"precious")
+    with pytest.raises(UnoccludeError, match="exists already"):
+        SessionRecording(tmp_path / "session.mcap", Replay(original).info)
+    assert (tmp_path / "session.mcap").read_bytes() == b"precious"
+
+
+def test_the_metadata_says_what_was_done(original, tmp_path):
+    source = Replay(original, speed=0.0)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    arrivals = Arrivals()
+    while source.now_s() < 1.0:
+        arrivals = source.arrivals()
+        recording.take(arrivals)
+    recording.take(Arrivals(arrivals.imu, arrivals.frames, ("the clock of A stepped by +3.000 s",)))
+    recording.close()
+    file = open_recording(tmp_path / "session.mcap")
+    assert "the clock of A stepped by +3.000 s" in file.notes
+    assert json.loads(file.metadata["unocclude.recording"]["gravity"]) == [0.0, -1.0, 0.0]
+
+
+def test_recorded_out_of_order_and_smoothed_offline_it_is_the_same_answer(tmp_path):
+    """A tenth of samples and frames come up to 0.4 s late: the answer of the original, within 0.02 sigma."""
+    made = arm(seed=0, preset="realistic", duration_s=24.0)
+    write_recording(made.recording, tmp_path / "original.mcap")
+    source = Replay(tmp_path / "original.mcap", speed=0.0)
+    rng = np.random.default_rng(0)
+
+    def disordered(rows):
+        late = np.where(rng.random(len(rows)) < 0.1, rng.uniform(0, 0.4, len(rows)), 0.0)
+        order = np.argsort(rows.arrival_s + late, kind="stable")
+        return dataclasses.replace(rows, arrival_s=rows.arrival_s + late).select(order)
+
+    source._imu, source._frames = disordered(source._imu), disordered(source._frames)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    session = LiveSession(source, CameraEcho(), recording=recording)
+    session.run(lambda: False, lambda _: None)
+    recording.close()
+    assert session.figures.imu.late > 100
+    original, recorded = (read_recording(tmp_path / name) for name in ("original.mcap", "session.mcap"))
+    same(original, recorded)
+    one, other = smooth(original, config=ALONE), smooth(recorded, config=ALONE)
+    difference = np.abs(one.position - other.position) / one.sigma_m
+    assert np.isfinite(difference).any()
+    assert np.nanmax(difference) < 0.02
+
+
+def test_a_full_disk_ends_the_session_and_leaves_what_was_written(original, tmp_path, monkeypatch):
+    source = Replay(original, speed=0.0)
+    recording = SessionRecording(tmp_path / "session.mcap", source.info)
+    while source.now_s() < 4.0:
+        recording.take(source.arrivals())
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recording._output, "write", full)
+        with pytest.raises(UnoccludeError, match=r"No space left.*can be read: `unocclude repair"):
+            recording.take(source.arrivals())
+    recording.close()
+    assert not (tmp_path / "session.mcap").exists()
+    assert read_recording(growing_name(tmp_path / "session.mcap")).imu.t_s[-1] > 2.5
