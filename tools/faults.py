@@ -4,7 +4,8 @@ Each case is a file with one fault, drawn from a seed, on which the real command
 own with a guard for time and memory. What it ends in is one of these: right (the answer of the sound file),
 partly right with a note, one clear sentence, SILENT (less, or something else, and not a word), UNEXPECTED
 (a traceback, an "unexpected error", a signal, or more time or memory than the guard allows). `--every 20`
-runs one case in twenty, which is what the tests do.
+runs one case in twenty, which is what the tests do; `--log FILE` notes each outcome, and cases that the file
+already holds are not run again.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,11 +51,24 @@ class Outcome:
         One of `ENDS`.
     text : str
         The sentence, the first new note, or what was unexpected.
+    seconds : float, s
+        How long the command took.
     """
 
     case: Case
     end: str
     text: str
+    seconds: float = 0.0
+
+    def to_line(self) -> str:
+        """A line of the log."""
+        words = {"case": key_of(self.case), "end": self.end, "text": self.text, "seconds": self.seconds}
+        return json.dumps(words) + "\n"
+
+
+def key_of(case: Case) -> str:
+    """The same for the same case in every run with a seed."""
+    return f"{case.family} | {case.fault} | {case.name} | {case.base}"
 
 
 @dataclass(frozen=True)
@@ -175,11 +190,15 @@ def _other_motion(path: Path, sound: Path) -> str:
     return f"off by up to {np.nanmax(off):.3f} m" if bad.any() else ""
 
 
-def run_all(cases: list[Case], shop: Workshop, shown: bool = True) -> list[Outcome]:
-    """Run all cases one after the other."""
+def run_all(cases: list[Case], shop: Workshop, shown: bool = True, log: Path | None = None) -> list[Outcome]:
+    """Run all cases one after the other, but those whose outcome the log holds."""
     sound: dict[str, Answer] = {}
+    before = logged(log)
     outcomes = []
     for number, case in enumerate(cases):
+        if old := before.get(key_of(case)):
+            outcomes.append(Outcome(case, old["end"], old["text"], old["seconds"]))
+            continue
         if case.base not in sound:
             folder = shop.folder / f"sound_{len(sound)}"
             folder.mkdir()
@@ -190,13 +209,27 @@ def run_all(cases: list[Case], shop: Workshop, shown: bool = True) -> list[Outco
         with tempfile.TemporaryDirectory(dir=shop.folder) as name:
             folder = Path(name)
             case.make(shop, folder)
-            outcome = judged(case, run_case(case, folder), sound[case.base])
+            began = time.monotonic()
+            answer = run_case(case, folder)
+            seconds = round(time.monotonic() - began, 2)
+            outcome = replace(judged(case, answer, sound[case.base]), seconds=seconds)
         outcomes.append(outcome)
+        if log is not None:
+            with log.open("a", encoding="utf-8") as file:
+                file.write(outcome.to_line())
         if shown and outcome.end in ENDS[3:]:
             print(f"{outcome.end}: {case.family}, {case.name}: {outcome.text}", file=sys.stderr, flush=True)
         if shown and number % 100 == 99:
             print(f"{number + 1} of {len(cases)}, {time.process_time():.0f} s", file=sys.stderr, flush=True)
     return outcomes
+
+
+def logged(log: Path | None) -> dict[str, dict[str, Any]]:
+    """Outcomes of an earlier run by case; what was silent or unexpected is run again."""
+    if log is None or not log.exists():
+        return {}
+    rows = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    return {row["case"]: row for row in rows if row["end"] in ENDS[:3]}
 
 
 def table(outcomes: list[Outcome]) -> str:
@@ -225,12 +258,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=int, default=1, help="run one case in so many")
     parser.add_argument("--family", help="only families whose name holds this")
+    parser.add_argument("--log", type=Path, help="note outcomes here, and run only cases that it lacks")
     parser.add_argument("--write", type=Path, help="put the table into this page")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         shop = Workshop(Path(name), options.seed)
         cases = [case for case in all_cases(shop) if not options.family or options.family in case.family]
-        outcomes = run_all(cases[:: options.every], shop)
+        outcomes = run_all(cases[:: options.every], shop, log=options.log)
     text = table(outcomes)
     print(text)
     if options.write:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
+from smoother.runtime.inputs import check_input
 
 from ..image_size import stated_size
 from ..intrinsics import Intrinsics
@@ -81,6 +82,7 @@ def check_size(seen: View, lens: Intrinsics) -> None:
 def _read(path: str | os.PathLike[str]) -> NDArray:
     import cv2
 
+    check_input(path, CalibrationError)
     try:
         with open(path, "rb") as file:
             packed = np.frombuffer(file.read(), np.uint8)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
+from ..runtime.inputs import check_input
 
 
 def read_config(path: Path | None) -> Config:
@@ -23,6 +24,7 @@ def read_config(path: Path | None) -> Config:
     """
     if path is None:
         return Config()
+    check_input(path)
     try:
         return Config.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:

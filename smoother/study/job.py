@@ -15,6 +15,7 @@ from .. import __version__
 from ..config import Config
 from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging
 from ..result import is_of_arm
+from ..runtime.inputs import check_input
 from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
@@ -176,6 +177,7 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
         raise _Surroundings(
             f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
         )
+    check_input(job.source, RecordingError)
     if not Path(job.source).is_file():
         raise _Surroundings(
             f"{host} does not see {job.source}; share the recordings with all workers under the same path"
@@ -235,7 +237,7 @@ def _recover_in(
     try:
         images = job.choice.passthrough_images
         answers = [recovery for _, recovery in results]
-        write_recovery(answers, staged, source=job.source, passthrough_images=images)
+        left_out = write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
             DONE,
@@ -245,7 +247,7 @@ def _recover_in(
             output_hash=file_hash(staged),
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
-            **figures_of_arms(results),
+            **figures_of_arms(results, left_out),
             seconds=time.perf_counter() - began,
         )
         _leave(row, folder)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 #: Reading takes no longer than this, s, and a second for so many bytes; with a damaged length the library
@@ -40,6 +41,7 @@ def read_c3d(path: Path) -> Markers:
     RecordingError
         It is no C3D file, is damaged, or holds no point.
     """
+    check_input(path, RecordingError)
     with open(path, "rb") as file:
         start = file.read(2)
     if len(start) < 2 or start[1] != 0x50:

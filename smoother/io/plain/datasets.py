@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
+from ...runtime.inputs import check_input
 from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0
@@ -147,6 +148,7 @@ def _empty_tracks(frames: int) -> tuple[FloatArray, NDArray[np.int8]]:
 def _load(path: str | os.PathLike[str], fields: tuple[str, ...], kind: str) -> dict[str, NDArray]:
     from scipy.io import loadmat
 
+    check_input(path, RecordingError)
     try:
         data = loadmat(path)
     except FileNotFoundError:

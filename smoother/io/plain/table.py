@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..devices.head import shown
 
 Columns = tuple[dict[str, FloatArray], dict[str, list[str]]]
@@ -54,6 +55,7 @@ def read_table(
         The file or a column is missing, or a cell is not a number; the message names the line.
     """
     path = Path(path)
+    check_input(path, RecordingError)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             header = [cell.strip() for cell in next(csv.reader(file, skipinitialspace=True), [])]
