@@ -31,6 +31,7 @@ from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery
 from tools.fault_cases import Case, Workshop, all_cases
+from tools.page_table import write_table
 
 ENDS = ("right", "note", "sentence", "SILENT", "UNEXPECTED")
 #: A case may take so long, s of processor time and in all, and so much memory more, bytes.
@@ -163,7 +164,7 @@ def differs(case: Case, answer: Answer, sound: Answer) -> str:
         missing = answer.figures["missing"].get("smooth")
         return "" if missing == sound.figures["missing"].get("smooth") else str(missing)
     if case.kind == "smooth":
-        return _other_motion(answer.folder / "out.mcap", sound.folder / "out.mcap")
+        return other_motion(answer.folder / "out.mcap", sound.folder / "out.mcap")
     for key in case.compares:
         a, b = answer.figures.get(key), sound.figures.get(key)
         if json.dumps(a) != json.dumps(b):
@@ -171,7 +172,7 @@ def differs(case: Case, answer: Answer, sound: Answer) -> str:
     return ""
 
 
-def _other_motion(path: Path, sound: Path) -> str:
+def other_motion(path: Path, sound: Path) -> str:
     """How a recovered motion departs from the sound one; empty where it does not."""
     try:
         (new,), (old,) = read_recovery(path), read_recovery(sound)
@@ -199,7 +200,7 @@ def run_all(cases: list[Case], shop: Workshop, shown: bool = True, log: Path | N
         if old := before.get(key_of(case)):
             outcomes.append(Outcome(case, old["end"], old["text"], old["seconds"]))
             continue
-        if case.base not in sound:
+        if case.runs is None and case.base not in sound:
             folder = shop.folder / f"sound_{len(sound)}"
             folder.mkdir()
             answer = run_case(case.sound(shop), folder)
@@ -208,11 +209,13 @@ def run_all(cases: list[Case], shop: Workshop, shown: bool = True, log: Path | N
             sound[case.base] = answer
         with tempfile.TemporaryDirectory(dir=shop.folder) as name:
             folder = Path(name)
-            case.make(shop, folder)
             began = time.monotonic()
-            answer = run_case(case, folder)
-            seconds = round(time.monotonic() - began, 2)
-            outcome = replace(judged(case, answer, sound[case.base]), seconds=seconds)
+            if case.runs is not None:
+                outcome = Outcome(case, *case.runs(folder, other_motion))
+            else:
+                case.make(shop, folder)
+                outcome = judged(case, run_case(case, folder), sound[case.base])
+            outcome = replace(outcome, seconds=round(time.monotonic() - began, 2))
         outcomes.append(outcome)
         if log is not None:
             with log.open("a", encoding="utf-8") as file:
@@ -268,17 +271,11 @@ def main() -> int:
     text = table(outcomes)
     print(text)
     if options.write:
-        page = options.write.read_text(encoding="utf-8")
-        begin, end = "<!-- table of tools/faults.py -->\n", "<!-- end -->\n"
-        head, _, rest = page.partition(begin)
-        tail = rest.partition(end)[2]
         worst = [o for o in outcomes if o.end in ENDS[3:]]
         listed = "".join(f"- {o.end}: {o.case.family}, {o.case.name}: {o.text}\n" for o in worst[:40])
-        where = f"\nNot as it should be:\n\n{listed}" if worst else ""
-        made = (
-            f"`python tools/faults.py --seed {options.seed} --every {options.every}` gave\n\n{text}\n{where}"
-        )
-        options.write.write_text(f"{head}{begin}{made}{end}{tail}", encoding="utf-8")
+        where = f"\n\nNot as it should be:\n\n{listed}" if worst else ""
+        made = f"`python tools/faults.py --seed {options.seed} --every {options.every}` gave\n\n{text}{where}"
+        write_table(options.write, made, "tools/faults.py")
     return int(any(outcome.end in ENDS[3:] for outcome in outcomes))
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..config import Config
-from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging
+from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging, is_out_of_memory
 from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from ..runtime.store import Store
@@ -278,7 +278,7 @@ def explain(error: BaseException) -> tuple[str, bool]:
         text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
     elif isinstance(error, TimeUp):
         text, retry = "it took longer than a recording may; give more time (--time-limit), or cut it", True
-    elif isinstance(error, MemoryError):
+    elif is_out_of_memory(error):
         text, retry = (
             "the memory does not suffice for this recording; use fewer processes a machine, or allow it more"
             " (--memory-limit)",
