@@ -169,7 +169,7 @@ def _containers(shop: Workshop) -> Iterator[Case]:
     number = 0
     for way in fault_bytes.WAYS:
         for fault, change in fault_bytes.CONTAINER.items():
-            for variant in range(7):
+            for variant in range(6):
                 number += 1
                 smooth = number % 5 == 0
                 yield Case(

@@ -247,6 +247,7 @@ def main() -> None:
     parser.add_argument(
         "--again-every", type=int, default=1, help="run the same command again in one of so many"
     )
+    parser.add_argument("--until", type=float, default=1e9, help="no kill later than this, s")
     parser.add_argument("--log", type=Path, action="append", default=[], help="note each case here")
     parser.add_argument("--write", type=Path, help="only put what the logs hold into this page")
     options = parser.parse_args()
@@ -272,7 +273,7 @@ def main() -> None:
         (work / "whole").mkdir()
         began = time.monotonic()
         subprocess.run([*command, *into(work / "whole")], check=True, stdout=subprocess.DEVNULL)
-        longest_s = time.monotonic() - began
+        longest_s = min(time.monotonic() - began, options.until)
         print(f"{options.command}: {longest_s:.1f} s without a kill")
         failed = count = 0
         for case in cases(options.moments, longest_s, options.seed, options.kinds.split(",")):

@@ -12,9 +12,11 @@ from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
-#: Reading takes no longer than this, s, and a second for so many bytes; with a damaged length the library
-#: goes on for minutes.
+#: Reading takes no longer than this of the processor, s, and a second for so many bytes; with a damaged
+#: length the library goes on for minutes.
 _LONGEST_S, _SLOWEST = 4, 2_000_000
+#: A busy machine takes so many times as long.
+_BUSY = 8
 #: It takes no more memory than this, bytes, and so many times the file's size.
 _MOST_MEMORY, _MEMORY_PER_BYTE = 1 << 29, 64
 
@@ -123,7 +125,9 @@ def ends_the_process(path: Path) -> bool:
             pages = int(statm.read_text().split()[0]) if statm.exists() else 1 << 19
             memory = pages * resource.getpagesize() + _MOST_MEMORY + _MEMORY_PER_BYTE * size
             resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-            signal.alarm(_LONGEST_S + size // _SLOWEST)
+            longest_s = _LONGEST_S + size // _SLOWEST
+            resource.setrlimit(resource.RLIMIT_CPU, (longest_s, longest_s + 1))
+            signal.alarm(_BUSY * longest_s)
             faulthandler.disable()
             os.close(2)  # what the library says while it crashes is no message
             ezc3d.c3d(str(path))
