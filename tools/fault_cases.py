@@ -47,6 +47,8 @@ class Case:
     runs : callable, optional
         Runs the case in a folder by itself, instead of `command` on changed inputs: from the folder and
         what compares motions (`tools.faults.other_motion`) to the end and its sentence.
+    cpu_s : int, s
+        Processor time that it may take where that is more than usual, else 0.
     """
 
     family: str
@@ -58,6 +60,7 @@ class Case:
     change: Callable[[Path], None]
     compares: tuple[str, ...] = ()
     runs: Callable[[Path, Motion], around.End] | None = None
+    cpu_s: int = 0
 
     def sound(self, shop: Workshop) -> Case:
         """The same command on the sound files."""
@@ -195,6 +198,7 @@ def _values(shop: Workshop) -> Iterator[Case]:
                 "smooth",
                 SMOOTH,
                 partial(_rewrite, change, shop.rng(fault, variant)),
+                cpu_s=fault_values.LONG.get(fault, 0),
             )
     for fault, by_message in fault_values.MESSAGES.items():
         for variant in range(8):

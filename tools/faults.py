@@ -112,7 +112,8 @@ def run_case(case: Case, folder: Path) -> Answer:
         code = 70
         try:
             signal.alarm(MOST_S)
-            resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S, MOST_CPU_S + 2))
+            cpu_s = case.cpu_s or MOST_CPU_S
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 2))
             pages = int(Path("/proc/self/statm").read_text().split()[0])
             most = pages * resource.getpagesize() + MOST_MEMORY
             resource.setrlimit(resource.RLIMIT_AS, (most, most))

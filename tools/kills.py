@@ -40,6 +40,8 @@ QUICK = (
 )
 #: Processes of a killed command are gone after this, s.
 GONE_S = 2.0
+#: A signal ends it within this, s.
+ENDS_S = 60.0
 KINDS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "worker")
 TIDY = ("SIGTERM", "SIGHUP", "SIGINT")
 
@@ -87,6 +89,17 @@ def is_alive(process: int) -> bool:
     except OSError:
         return False
     return stat.rsplit(")", 1)[1].split()[0] not in "ZX"
+
+
+def of_session(leader: int) -> list[int]:
+    """Processes that run in the session of a command, whoever started them."""
+    members = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):
+            fields = (place / "stat").read_text().rsplit(")", 1)[1].split()
+            if fields[0] not in "ZX" and int(fields[3]) == leader:
+                members.append(int(place.name))
+    return members
 
 
 def hidden(folder: Path) -> list[str]:
@@ -162,15 +175,18 @@ def try_case(
         if not ended_before:
             # a terminal sends Ctrl-C and its own end to the whole group
             (os.killpg if case.what in ("SIGINT", "SIGHUP") else os.kill)(program.pid, number)
-        _, said = program.communicate(timeout=60)
+        with suppress(subprocess.TimeoutExpired):
+            program.wait(ENDS_S)
         until = time.monotonic() + GONE_S
-        while time.monotonic() < until and any(map(is_alive, below)):
+        while time.monotonic() < until and of_session(program.pid):
             time.sleep(0.05)
-        alive = [each for each in below if is_alive(each)]
-        if alive:
-            wrong.append(f"{len(alive)} processes live on")
+        if alive := of_session(program.pid):
+            names = [_command_line(each)[-80:].replace(b"\0", b" ") for each in alive]
+            wrong.append(f"{len(alive)} processes live on: {names}")
             for each in alive:
-                os.kill(each, signal.SIGKILL)
+                with suppress(ProcessLookupError):
+                    os.kill(each, signal.SIGKILL)
+        _, said = program.communicate(timeout=60)
         if not ended_before and case.what in TIDY:
             if said.count("\n") > 1 or "Traceback" in said:
                 wrong.append(f"said more than a line: {said[-300:]!r}")

@@ -19,7 +19,7 @@ def test_a_sample_of_the_matrix(tmp_path: Path):
     cases = all_cases(shop)
     containers = [case for case in cases if case.family.startswith("MCAP")]
     assert len(cases) >= 1200 and len(containers) >= 288
-    outcomes = run_all(cases[7::30], shop, shown=False)
+    outcomes = run_all([case for case in cases[7::30] if not case.cpu_s], shop, shown=False)
     ends = Counter(outcome.end for outcome in outcomes)
     worst = [(o.case.family, o.case.name, o.text) for o in outcomes if o.end in ENDS[3:]]
     assert not worst
