@@ -37,6 +37,7 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.recording import FloatArray
 from smoother.runtime.atomic import writing
+from smoother.runtime.inputs import check_input
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
@@ -278,6 +279,7 @@ def _merged(held: Any, new: Any, depth: int) -> Any:
 
 def _load(path: Path) -> dict[str, Any]:
     """The file as plain values, once it has shown to be a calibration of a version that we know."""
+    check_input(path, CalibrationError)
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

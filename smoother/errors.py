@@ -11,6 +11,11 @@ def debugging() -> bool:
     return os.environ.get(DEBUG, "") not in ("", "0")
 
 
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether the memory did not suffice; for a thread's stack Python has no error of its own."""
+    return isinstance(error, MemoryError) or "can't start new thread" in str(error)
+
+
 class UnoccludeError(Exception):
     """Something the user can mend; the command line prints its text and exits with 1."""
 

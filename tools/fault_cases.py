@@ -6,7 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from smoother.cli.run import run
 from smoother.io.recording.write import as_file, write_recording
 from smoother.recording import JOINTS, JointState, Recording
 from tools import fault_bytes, fault_values
+from tools import fault_surroundings as around
+from tools.fault_surroundings import Motion
 
 Rng = np.random.Generator
 Change = Callable[[bytes, Rng], bytes]
@@ -42,6 +44,11 @@ class Case:
         Damages the inputs in a folder.
     compares : tuple of str
         Keys of the figures.
+    runs : callable, optional
+        Runs the case in a folder by itself, instead of `command` on changed inputs: from the folder and
+        what compares motions (`tools.faults.other_motion`) to the end and its sentence.
+    cpu_s : int, s
+        Processor time that it may take where that is more than usual, else 0.
     """
 
     family: str
@@ -52,6 +59,8 @@ class Case:
     command: tuple[str, ...]
     change: Callable[[Path], None]
     compares: tuple[str, ...] = ()
+    runs: Callable[[Path, Motion], around.End] | None = None
+    cpu_s: int = 0
 
     def sound(self, shop: Workshop) -> Case:
         """The same command on the sound files."""
@@ -97,6 +106,23 @@ class Workshop:
         words = f"smooth {first}/rec.mcap -o {folder}/result/out.mcap --calibration {first}/cal.toml"
         _quiet([*words.split(), "--processes", "1"])
 
+    @cached_property
+    def with_long(self) -> Path:
+        """The folder, with a recording that is long enough for temporary files."""
+        words = ["simulate", "arm", "-o", f"{self.folder}/long.mcap", "--seed", "4", "--protocol", "random"]
+        _quiet([*words, "--duration-s", "240", "--imu-rate-hz", "200"])
+        return self.folder
+
+    @cached_property
+    def with_study(self) -> Path:
+        """The folder, with three recordings and what `batch` made of them."""
+        (self.folder / "studied").mkdir()
+        for seed in range(3):
+            words = f"simulate arm -o {self.folder}/studied/{seed}.mcap --seed {seed} --duration-s 6"
+            _quiet([*words.split(), "--protocol", "random"])
+        _quiet(["batch", f"{self.folder}/studied", "-o", f"{self.folder}/study", "--processes", "1"])
+        return self.folder
+
     def rng(self, *words: object) -> Rng:
         """Numbers of a case, whatever cases come before it."""
         return np.random.default_rng([self.seed, *" ".join(map(str, words)).encode()])
@@ -127,6 +153,7 @@ def all_cases(shop: Workshop) -> list[Case]:
         *_devices(shop),
         *_calibrations(shop),
         *_results(shop),
+        *_surroundings(shop),
     ]
 
 
@@ -171,6 +198,7 @@ def _values(shop: Workshop) -> Iterator[Case]:
                 "smooth",
                 SMOOTH,
                 partial(_rewrite, change, shop.rng(fault, variant)),
+                cpu_s=fault_values.LONG.get(fault, 0),
             )
     for fault, by_message in fault_values.MESSAGES.items():
         for variant in range(8):
@@ -314,3 +342,64 @@ def _results(shop: Workshop) -> Iterator[Case]:
             yield Case(
                 "result", fault, name, "result validate", "figures", tuple(words.split()), damage, ("all",)
             )
+
+
+def _surroundings(shop: Workshop) -> Iterator[Case]:
+    """What surrounds a command: disks, folders, memory, other programs, a study that was damaged."""
+
+    def case(fault: str, name: str, work: Callable[[Path, Motion], around.End]) -> Case:
+        return Case("surroundings", fault, name, "none", "runs", (), lambda folder: None, runs=work)
+
+    def on(name: str) -> tuple[Path, list[str]]:
+        place = shop.with_study if name == "batch" else shop.folder
+        return place, around.words_of(place)[name]
+
+    def in_place(name: str, work: Callable[..., around.End], what: object) -> Case:
+        def runs(folder: Path, motion: Motion) -> around.End:
+            place, words = on(name)
+            return work(what, words, place, folder, motion)
+
+        return case(FAULTS[work], f"{name}, {what}", runs)
+
+    if around.can_mount():
+        for name in around.words_of(shop.folder):
+            for size in ("4k", "100k", "700k"):
+                yield in_place(name, around.full_output, size)
+            yield in_place(name, around.read_only, "output")
+        for what in ("temporary", "input"):
+            yield in_place("smooth", around.read_only, what)
+        for size in ("4k", "1m", "3m", "64m"):
+            yield case(
+                "disk for temporary files full",
+                f"smooth, {size}",
+                lambda folder, motion, size=size: around.full_temporary(  # type: ignore[misc]
+                    size, shop.with_long, folder, motion
+                ),
+            )
+    for name in ("smooth", "batch"):
+        for megabytes in (150, 250, 350, 450):
+            yield in_place(name, around.limited_memory, megabytes)
+    for name in ("smooth", "smooth with report", "repair", "export", "batch"):
+        yield in_place(name, around.two_at_once, "twice")
+    for name in ("smooth", "batch"):
+        for after_s in (1.5, 3.0, 4.5):
+            yield in_place(name, around.killed_worker, after_s)
+    for fault, damage in around.LEDGER.items():
+        for variant in range(2):
+            rng = shop.rng("ledger", fault, variant)
+            yield case(
+                "ledger of a study damaged",
+                f"{fault} {variant}",
+                lambda folder, motion, damage=damage, rng=rng: around.damaged_study(  # type: ignore[misc]
+                    damage, rng, shop.with_study, folder, motion
+                ),
+            )
+
+
+FAULTS: dict[Callable[..., around.End], str] = {
+    around.full_output: "disk for outputs full",
+    around.read_only: "a folder that cannot be written to",
+    around.limited_memory: "little memory",
+    around.two_at_once: "two runs on one output",
+    around.killed_worker: "a worker killed",
+}

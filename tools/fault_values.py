@@ -169,6 +169,21 @@ def hidden(recording: Recording, rng: Rng) -> Recording:
     return replace(recording, arm=recording.arm.hide(late, FOREARM_JOINTS))
 
 
+def an_hour_blind(recording: Recording, rng: Rng) -> Recording:
+    """The camera ends after some seconds and the IMU goes on for an hour, moving or at rest."""
+    imu = recording.imu
+    step = float(np.median(np.diff(imu.t_s)))
+    count = round(3600 / step)
+    rows = np.arange(count) % len(imu.t_s) if rng.random() < 0.5 else np.zeros(count, int)
+    noise = rng.normal(size=(2, count, 3)) * [[[0.02]], [[0.002]]]
+    t_s = np.concatenate([imu.t_s, imu.t_s[-1] + step * np.arange(1, count + 1)])
+    acc, gyro = (
+        np.concatenate([values, values[rows] + more])
+        for values, more in zip((imu.acc, imu.gyro), noise, strict=True)
+    )
+    return replace(recording, imu=ImuStream(imu.name, t_s, acc, gyro))
+
+
 RECORDING: dict[str, tuple[Edit, int]] = {
     "IMU nan": (imu_values(np.nan), 6),
     "IMU inf": (imu_values(np.inf), 6),
@@ -212,14 +227,20 @@ RECORDING: dict[str, tuple[Edit, int]] = {
     "two frames": (few(None, 2), 3),
     "three frames": (few(None, 3), 3),
     "IMU at 1 Hz": (rate(1, None), 2),
+    "IMU at 10 Hz": (rate(10, None), 2),
+    "IMU at 1 kHz": (rate(1000, None), 2),
     "IMU at 10 kHz": (rate(10_000, None), 1),
     "camera at 1 Hz": (rate(None, 1), 2),
+    "camera at 5 Hz": (rate(None, 5), 2),
     "camera at 240 Hz": (rate(None, 240), 2),
     "gravity zero": (gravity((0, 0, 0)), 2),
     "gravity nan": (gravity((np.nan, 0, 0)), 2),
     "gravity 1e300": (gravity((1e300, 0, 0)), 2),
     "no camera after a second": (hidden, 3),
+    "an hour without the camera": (an_hour_blind, 1),
 }
+#: Faults that take more of the processor's time than usual, s: minutes of one gap are solved.
+LONG = {"an hour without the camera": 600}
 
 
 def _log(value: int) -> Callable[[list[Any], Rng], list[Any]]:

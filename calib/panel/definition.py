@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
+from smoother.runtime.inputs import check_input
 
 from ..intrinsics import Intrinsics
 
@@ -139,6 +140,7 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 
 
 def _load(path: Path) -> dict[str, Any]:
+    check_input(path, CalibrationError)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from smoother.errors import CalibrationError
 from smoother.recording import FloatArray
+from smoother.runtime.inputs import check_input
 
 from ..image_size import unpacked
 from ..intrinsics import Intrinsics
@@ -79,6 +80,7 @@ def check_size(seen: View, lens: Intrinsics) -> None:
 
 
 def _read(path: str | os.PathLike[str]) -> NDArray:
+    check_input(path, CalibrationError)
     try:
         with open(path, "rb") as file:
             packed = file.read()

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Rows of the tables that are printed at the end.
 MOST_WORST, MOST_FAILURES = 10, 25
+#: Sentences on topics that were left out that are printed at the end.
+MOST_LEFT_OUT = 3
 #: Rows that `--json` holds at most; all of them are among the results.
 MOST_JSON = 10_000
 #: Hours of recording take minutes; what takes half a day hangs.
@@ -245,6 +247,8 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     )
     import pyarrow.compute as pc
 
+    from ..io.recording.carried import NOT_CARRIED
+
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
     done = rows.filter(pc.equal(rows["status"], "done")).select([*columns, "arm_figures"])
     worst = worst_arms(done.sort_by([("sigma_max_m", "descending")]).slice(0, MOST_WORST).to_pylist())
@@ -257,8 +261,13 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
                 for row in worst
             ],
         )
-    notes = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
-    damaged = damage(note for texts in notes for note in texts or [])
+    texts = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
+    notes = [note for each in texts for note in each or []]
+    left_out = list(dict.fromkeys(note for note in notes if note.startswith(NOT_CARRIED)))
+    print_notes(left_out[:MOST_LEFT_OUT])
+    if len(left_out) > MOST_LEFT_OUT:
+        say(f".. and other topics in {len(left_out) - MOST_LEFT_OUT} recordings; the results have them all")
+    damaged = damage(notes)
     print_notes(damaged[:MOST_FAILURES])
     if len(damaged) > MOST_FAILURES:
         say(f".. and {len(damaged) - MOST_FAILURES} damaged files more; the results have them all")

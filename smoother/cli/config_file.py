@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
+from ..runtime.inputs import check_input
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -36,6 +37,7 @@ def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
     """
     if path is None:
         return kind()
+    check_input(path)
     try:
         return kind.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:

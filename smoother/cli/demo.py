@@ -13,6 +13,7 @@ from .output import (
     centimetres,
     check_outputs,
     percent,
+    print_notes,
     print_table,
     say,
     say_command,
@@ -58,19 +59,20 @@ def demo(
         recovery = smooth(recording, calibration, with_processes(read_config(None), processes), progress)
     recovery = with_given(recovery, calibration)
     result, report = folder / "demo_recovered.mcap", folder / "demo_report.html"
-    write_recovery([recovery], result, source=source, force=True)
+    left_out = write_recovery([recovery], result, source=source, force=True)
     truth = recording.truth
     validation = None if truth is None else validate(recovery, truth)
     write_report(recovery, report, recording=recording, validation=validation, truth=truth, force=True)
     figures = {
         "recovery": smooth_figures(recording, recovery),
         "validation": validation and validation.to_dict(),
-        "report": report,
+        "report": report.name,
     }
     write_json(json_file, figures, True)
     if recovery.estimates.verdict:
         say(recovery.estimates.verdict)
     print_gaps(recovery, validation)
+    print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
     if validation is not None:
         say_command("validate", result, "--truth", source)

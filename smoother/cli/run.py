@@ -13,7 +13,7 @@ from contextlib import suppress
 
 import typer
 
-from ..errors import DEBUG, UnoccludeError, debugging
+from ..errors import DEBUG, UnoccludeError, debugging, is_out_of_memory
 from ..runtime.printable import printable
 from .signals import ending_tidily
 
@@ -80,7 +80,7 @@ def explain(error: BaseException) -> tuple[str, int]:
         return str(error), FAILED
     if isinstance(error, OSError):
         return _os_error(error), FAILED
-    if isinstance(error, MemoryError):
+    if is_out_of_memory(error):
         return (
             "the computer's memory does not suffice for this recording; cut it, or use a larger machine",
             FAILED,

@@ -142,7 +142,8 @@ def smooth(
             write_page(results, report, force)
         if json_file is not None:
             figures = [smooth_figures(recording, recovery) for recording, recovery in results]
-            write_json(json_file, arms_figures(answers, figures), force)
+            together = arms_figures(answers, figures) | {"not_carried_over": list(left_out)}
+            write_json(json_file, together, force)
         for recording, recovery in results:
             say_arm(recovery, len(results))
             print_recovery(recording, recovery)

@@ -51,12 +51,12 @@ def view(
     from .export import prepared_rrd
 
     side = one_side(side)
-    rerun_module()
-    if web:
-        check_ports(web_port, port)
     recoveries = [recovery for recovery in read_recovery(result) if side in (None, recovery.side)]
     if not recoveries:
         raise UnoccludeError(f"{result}: there is no recovered arm {side!r} in this file")
+    rerun_module()
+    if web:
+        check_ports(web_port, port)
     ready = prepared_rrd(result, recoveries)
     with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:
         file = Path(folder) / f"{result.stem}.rrd"

@@ -11,6 +11,7 @@ from ..errors import RecordingError
 from ..io.devices.head import shown
 from ..recording import FloatArray, Truth
 from ..result import Recovery
+from ..runtime.inputs import check_input
 
 #: What a truth may be read from.
 FORMATS = (".mcap", ".csv")
@@ -40,6 +41,7 @@ def read_truth(path: Path | str, recovery: Recovery) -> Truth:
             f"{path}: a truth is read from .c3d or .trc (markers), {' or '.join(FORMATS)} (poses), not from"
             f" '{path.suffix or path.name}'"
         )
+    check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
     if path.suffix.lower() == ".csv":
@@ -55,6 +57,7 @@ def read_truth_csv(path: Path) -> Truth:
     RecordingError
         A column is missing, or a cell is no number; the text names the line.
     """
+    check_input(path, RecordingError)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             table = csv.reader(file)

@@ -9,8 +9,15 @@ from pathlib import Path
 from ..errors import UnoccludeError
 
 
-def check_input(path: str | os.PathLike[str]) -> None:
+def check_input(path: str | os.PathLike[str], error: type[UnoccludeError] = UnoccludeError) -> None:
     """Refuse what is there and is neither a file nor a folder; what is missing is its reader's to say.
+
+    Parameters
+    ----------
+    path : path-like
+        What is about to be opened.
+    error : type of UnoccludeError
+        As which it is refused.
 
     Raises
     ------
@@ -22,7 +29,7 @@ def check_input(path: str | os.PathLike[str]) -> None:
     except (OSError, ValueError):
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise UnoccludeError(f"{path} is a pipe, a socket or a device; save what it gives as a file first.")
+        raise error(f"{path} is a pipe, a socket or a device; save what it gives as a file first.")
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path | None:

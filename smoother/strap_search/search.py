@@ -19,7 +19,7 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap_cameras import Cameras, StrapFound
-from ..io.recording.carried import may_copy
+from ..io.recording.carried import Carrying
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
@@ -107,8 +107,10 @@ def import_strap(
         covariances[row] = covariance.ravel()
     with_strap = replace(arm, position=position, state=state)
 
+    carrying = Carrying(passthrough_images)
+
     def wanted(topic: Topic) -> bool:
-        return topic.name != skeleton and may_copy(topic, passthrough_images)
+        return topic.name != skeleton and carrying(topic)
 
     with writing(path, force) as temporary, Output(temporary) as output:
         metadata = {**file.metadata.get(METADATA, {}), "camera_frame": str(convention)}
@@ -121,6 +123,7 @@ def import_strap(
         ]
         output.interleave(Container(source).chunks(wanted))
         output.write(outgoing)
+    cameras.found.notes += [carrying.sentence] if carrying.sentence else []
     return cameras.found
 
 

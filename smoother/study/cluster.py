@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import queue
 import signal
@@ -90,7 +91,8 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
             stack.enter_context(cluster)
         client = stack.enter_context(Client(cluster, set_as_default=False))
         try:
-            yield from _run(client, chain(first, jobs), 0, f"its processes went away; {_SAME_COMMAND}")
+            gone = f"its processes went away; {_SAME_COMMAND}"
+            yield from _run(client, chain(first, jobs), 0, gone, FIRST_WORKER_S)
         except BaseException:
             for nanny in cluster.workers.values():  # closing would wait for what they are doing
                 nanny.close_gracefully()  # else it starts another process
@@ -179,15 +181,19 @@ def _be_quiet() -> int | bool:
     return level
 
 
-def _run(client: Client, jobs: Iterator[Job], ahead: int, gone: str) -> Generator[Row | None, None, None]:
+def _run(
+    client: Client, jobs: Iterator[Job], ahead: int, gone: str, alone_s: float = math.inf
+) -> Generator[Row | None, None, None]:
     """Keep the workers busy; a recording whose worker died is tried once more, alone, after the others.
 
-    What dies then is at fault itself: a worker's death also strikes what waits there for its turn.
+    What dies then is at fault itself: a worker's death also strikes what waits there for its turn. Without
+    any worker for `alone_s` it gives up.
     """
     ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
     running: dict[str, tuple[Job, Any]] = {}
     again: deque[Job] = deque()
     slots, looked = 0, -_LOOK_S
+    last_seen = time.monotonic()
 
     def submit(job: Job, key: str) -> None:
         future = client.submit(run_job, job, key=key, pure=False)
@@ -198,6 +204,12 @@ def _run(client: Client, jobs: Iterator[Job], ahead: int, gone: str) -> Generato
         if time.monotonic() - looked >= _LOOK_S:  # workers come and go
             threads = sum(client.nthreads().values())
             slots, looked = max(1, threads) * (1 + ahead), time.monotonic()
+            last_seen = looked if threads else last_seen
+            if looked - last_seen > alone_s:
+                raise UnoccludeError(
+                    f"no process for the recordings could start within {alone_s:.0f} s; close other programs,"
+                    " or use fewer --processes: the memory may not suffice"
+                )
         while len(running) < slots and (job := next(jobs, None)) is not None:
             # the same key for the same work: what runs already is not started again
             submit(job, f"unocclude-{job.key}")

@@ -131,11 +131,15 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
 _SUMMED = ("samples", "answered", "gaps", "occluded_s")
 
 
-def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
-    """The columns that tell of a recording's arms: of several the worst, or their sum, and each by itself."""
+def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Sequence[str] = ()) -> Row:
+    """The columns that tell of a recording's arms: of several the worst, or their sum, and each by itself.
+
+    `left_out`: sentences on topics that did not go into the result; they join the notes.
+    """
     arms = [figures_of(recording, recovery) for recording, recovery in results]
     if len(arms) == 1:
-        return arms[0] | {"arms": 1}
+        texts = list(dict.fromkeys([*arms[0]["note_texts"], *left_out]))
+        return arms[0] | {"arms": 1, "note_texts": texts, "notes": len(texts)}
     together = dict(arms[0])
     for name, value in arms[0].items():
         values = [arm[name] for arm in arms if arm[name] is not None]
@@ -145,7 +149,7 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]]) -> Row:
             together[name] = all(values) if values else None
         elif isinstance(value, int | float) or value is None:
             together[name] = max(values, default=None)
-    texts = list(dict.fromkeys(note for arm in arms for note in arm["note_texts"]))
+    texts = list(dict.fromkeys([*(note for arm in arms for note in arm["note_texts"]), *left_out]))
     # a clock belongs to one arm's IMU: those of several stand with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
     together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}

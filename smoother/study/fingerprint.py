@@ -10,6 +10,7 @@ from typing import Any
 
 from ..config import Config
 from ..io.recording.selection import Selection
+from ..runtime.inputs import check_input
 
 _BLOCK = 1 << 20
 
@@ -31,7 +32,8 @@ class Fingerprint:
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal digits."""
+    """SHA-256 of a file's bytes, in hexadecimal digits; refuses what is no file."""
+    check_input(path)
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while block := file.read(_BLOCK):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import UnoccludeError
+from ..runtime.inputs import check_input
 from .fingerprint import text_hash
 from .folder import StudyFolder
 
@@ -123,6 +124,8 @@ def _fixed_part(pattern: str) -> Path:
 
 def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
     """Folder that the names count from, and the recordings of a list with their own calibrations."""
+    if path.absolute().parent != Path("/dev/fd"):  # what a shell makes of <(...) has its writer
+        check_input(path)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except OSError as error:

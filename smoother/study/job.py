@@ -13,8 +13,9 @@ from pathlib import Path
 
 from .. import __version__
 from ..config import Config
-from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging
+from ..errors import CalibrationError, RecordingError, SolveError, UnoccludeError, debugging, is_out_of_memory
 from ..result import is_of_arm
+from ..runtime.inputs import check_input
 from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of_arms
 from .fingerprint import Fingerprint, file_hash, row_id, text_hash
@@ -186,6 +187,7 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
         raise _Surroundings(
             f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
         )
+    check_input(job.source, RecordingError)
     if not Path(job.source).is_file():
         raise _Surroundings(
             f"{host} does not see {job.source}; share the recordings with all workers under the same path"
@@ -249,7 +251,7 @@ def _recover_in(
         answers = [replace(recovery, draws=None) for recovery in answers]  # the result is that of `smooth`
         if job.hash_names:
             answers = [replace(recovery, name=Path(job.name).stem) for recovery in answers]
-        write_recovery(answers, staged, source=job.source, passthrough_images=images)
+        left_out = write_recovery(answers, staged, source=job.source, passthrough_images=images)
         about = os.stat(staged)
         row = job.row(
             DONE,
@@ -259,7 +261,7 @@ def _recover_in(
             output_hash=file_hash(staged),
             output_bytes=about.st_size,
             output_mtime_ns=about.st_mtime_ns,
-            **figures_of_arms(results),
+            **figures_of_arms(results, left_out),
             measures=measured,
             recorded_day=relative_day(job.word, person_of(job.name), answers[0].origin_ns),
             seconds=time.perf_counter() - began,
@@ -292,7 +294,7 @@ def explain(error: BaseException) -> tuple[str, bool]:
         text, retry = str(error), not isinstance(error, RecordingError | CalibrationError | SolveError)
     elif isinstance(error, TimeUp):
         text, retry = "it took longer than a recording may; give more time (--time-limit), or cut it", True
-    elif isinstance(error, MemoryError):
+    elif is_out_of_memory(error):
         text, retry = (
             "the memory does not suffice for this recording; use fewer processes a machine, or allow it more"
             " (--memory-limit)",

@@ -197,6 +197,7 @@ def test_a_recording_that_lacks_something(capsys, tmp_path, good, lacking):
         (PermissionError(errno.EACCES, "Permission denied", "x"), "x: permission denied"),
         (FileNotFoundError(errno.ENOENT, "No such file", "x"), "x: there is no such file"),
         (MemoryError(), "memory does not suffice"),
+        (RuntimeError("can't start new thread"), "memory does not suffice"),
         (ZeroDivisionError("division\nby zero"), "unexpected error, ZeroDivisionError"),
     ],
 )

@@ -230,3 +230,10 @@ def test_demo_as_a_user_runs_it(tmp_path):
     assert report.is_file()
     figures = json.loads((tmp_path / "d.json").read_text())
     assert figures["validation"]["occluded"]["position_rms_m"] < 0.06
+
+
+def test_figures_of_the_demo_hold_no_place_of_this_machine(tmp_path):
+    assert run(["demo", "-o", str(tmp_path / "demo"), "--json", str(tmp_path / "d.json")]) == 0
+    text = (tmp_path / "d.json").read_text()
+    assert json.loads(text)["report"] == "demo_report.html"
+    assert str(tmp_path) not in text and str(Path(__file__).parents[2]) not in text

@@ -65,6 +65,13 @@ def test_other_joints_stay_and_images_stay_out(session):
     assert topics >= {"/skeleton", "/colour/calibration"} and not topics & {"/colour/image", "/depth/image"}
 
 
+def test_what_stays_out_is_said(session):
+    folder, _ = session
+    (note,) = [note for note in json.loads((folder / "s.json").read_text())["notes"] if "carried" in note]
+    assert "/colour/image" in note and "/depth/image" in note and "--passthrough-images" in note
+    assert "/skeleton" not in note
+
+
 def test_sigma_goes_with_the_strap(session):
     from smoother.io.wire.schemas import message_class
 

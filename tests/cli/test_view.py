@@ -59,6 +59,13 @@ def test_the_viewer_speaks_to_nobody_else(monkeypatch):
     assert variables["PATH"] == os.environ["PATH"]
 
 
+def test_the_file_is_looked_at_before_the_package(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)  # as if it were not installed
+    assert run(["view", str(tmp_path / "missing.mcap")]) == 1
+    said = capsys.readouterr().err
+    assert "missing.mcap does not exist" in said and "rerun-sdk" not in said
+
+
 def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch, capsys):
     shown = []
 

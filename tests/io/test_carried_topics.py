@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -86,13 +87,21 @@ def test_from_file_to_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
             )
         writer.finish()
     out = tmp_path / "out.mcap"
-    assert run(["smooth", str(tmp_path / "rec.mcap"), "-o", str(out), "--processes", "1"]) == 0
+    smooth = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(out), "--processes", "1"]
+    assert run([*smooth, "--json", str(tmp_path / "out.json")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Not carried over" in said and "--passthrough-images" in said and "/body_index_map" in said
+    (sentence,) = json.loads((tmp_path / "out.json").read_text())["not_carried_over"]
+    assert sentence in said
     with open(out, "rb") as file:
         data = {channel.topic: message.data for _, channel, message in make_reader(file).iter_messages()}
     assert set(channels) <= set(data)
     assert not any(b"PATIENT" in each for each in data.values())
+    study = ["batch", str(tmp_path / "rec.mcap"), "-o", str(tmp_path / "study"), "--processes", "1"]
+    assert run([*study, "--json", str(tmp_path / "study.json")]) == 0
+    assert sentence in " ".join(capsys.readouterr().out.split())
+    (row,) = json.loads((tmp_path / "study.json").read_text())["rows"]
+    assert sentence in row["note_texts"] and row["notes"] == len(row["note_texts"])
     again = tmp_path / "all.mcap"
     arguments = ["smooth", str(tmp_path / "rec.mcap"), "-o", str(again), "--processes", "1"]
     assert run([*arguments, "--passthrough-images"]) == 0

@@ -208,6 +208,20 @@ def test_any_table(
     assert "absent" not in numbers
 
 
+@pytest.mark.parametrize("cut", [1, 2, 4])
+def test_a_table_that_ends_within_a_number(tmp_path: Path, cut: int) -> None:
+    text = "t_s,x\n" + "".join(f"{0.01 * k:.4f},{1.5 + k:.3f}\n" for k in range(40))
+    (tmp_path / "a.csv").write_text(text)
+    numbers, _ = read_table(tmp_path / "a.csv", ["t_s", "x"])
+    assert numbers["x"][-1] == 40.5
+    (tmp_path / "a.csv").write_text(text[:-1])  # its last line is whole
+    numbers, _ = read_table(tmp_path / "a.csv", ["t_s", "x"])
+    assert numbers["x"][-1] == 40.5
+    (tmp_path / "a.csv").write_text(text[: -1 - cut])
+    with pytest.raises(RecordingError, match="ends within a number"):
+        read_table(tmp_path / "a.csv", ["t_s", "x"])
+
+
 def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None:
     folder = plain_folder(recording=plain_texts()["recording"].replace('skeleton = "skeleton.csv"\n', ""))
     found = open_csv(folder)

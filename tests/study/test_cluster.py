@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopped
@@ -102,3 +103,22 @@ def test_a_scheduler_that_goes_away(monkeypatch, tmp_path, capfd):
         with pytest.raises(UnoccludeError, match="went away; the same command continues"):
             list(cluster.run_cluster(jobs(), address))
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_without_any_process_a_study_gives_up(monkeypatch):
+    """Where memory is too little for a worker to start, nothing ever answers."""
+
+    class NoWorkers:
+        status = "running"
+
+        def nthreads(self) -> dict[str, int]:
+            return {}
+
+        def submit(self, work: object, job: object, key: str, pure: bool) -> object:
+            return SimpleNamespace(key=key, add_done_callback=lambda done: None)
+
+    monkeypatch.setattr(cluster, "_LOOK_S", 0.05)
+    jobs = iter([SimpleNamespace(key="a")])
+    with pytest.raises(UnoccludeError, match="no process for the recordings could start within 1 s"):
+        for row in cluster._run(NoWorkers(), jobs, 0, "gone", 0.6):
+            assert row is None

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tools.fault_cases import Workshop, all_cases
+from tools.fault_surroundings import can_mount
 from tools.faults import ENDS, run_all, table
 
 
@@ -18,9 +19,38 @@ def test_a_sample_of_the_matrix(tmp_path: Path):
     cases = all_cases(shop)
     containers = [case for case in cases if case.family.startswith("MCAP")]
     assert len(cases) >= 1200 and len(containers) >= 288
-    outcomes = run_all(cases[7::30], shop, shown=False)
+    outcomes = run_all([case for case in cases[7::30] if not case.cpu_s], shop, shown=False)
     ends = Counter(outcome.end for outcome in outcomes)
     worst = [(o.case.family, o.case.name, o.text) for o in outcomes if o.end in ENDS[3:]]
     assert not worst
     assert min(ends["right"], ends["note"], ends["sentence"]) > 3  # the sample has all three
     assert f"**{len(outcomes)}**" in table(outcomes)
+
+
+def test_outcomes_are_not_computed_twice(tmp_path: Path):
+    (tmp_path / "shop").mkdir()
+    shop = Workshop(tmp_path / "shop", seed=1)
+    cases = [case for case in all_cases(shop) if case.family == "CSV, imu.csv"][:3]
+    log = tmp_path / "log.jsonl"
+    first = run_all(cases[:2], shop, shown=False, log=log)
+    lines = log.read_text().splitlines()
+    assert len(lines) == 2
+    again = run_all(cases, shop, shown=False, log=log)
+    assert log.read_text().splitlines()[:2] == lines and len(log.read_text().splitlines()) == 3
+    assert [(o.end, o.text) for o in again[:2]] == [(o.end, o.text) for o in first]
+
+
+def test_the_list_of_faults_is_whole(tmp_path: Path):
+    """What is to be tried, whatever else is."""
+    faults = {case.fault for case in all_cases(Workshop(tmp_path, seed=1))}
+    wanted = """
+        IMU nan|IMU inf|IMU 1e300|IMU denormal|spikes of 1 %|a spike of one sample|one IMU sample|two frames
+        |IMU at 1 Hz|IMU at 10 kHz|camera at 240 Hz|joints in one point|an hour without the camera
+        |IMU missing for half|imu stamp back|imu stamp repeated|imu stamp 2554|imu stamp zero
+        |imu stamp 10 days|camera stamp 10 days
+        |little memory|two runs on one output|a worker killed|ledger of a study damaged
+    """
+    assert {fault.strip() for fault in wanted.split("|")} <= faults
+    if can_mount():
+        wanted = "disk for outputs full|disk for temporary files full|a folder that cannot be written to"
+        assert set(wanted.split("|")) <= faults

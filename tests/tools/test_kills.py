@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.kills import COMMAND, QUICK, Case, hidden, try_case
+from tools.kills import COMMAND, QUICK, Case, broken, hidden, table, try_case
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads /proc")
 
@@ -37,3 +38,24 @@ def test_a_kill_leaves_nothing(recording: Path, tmp_path: Path, number: int):
 def test_what_is_left_is_seen(tmp_path: Path):
     (tmp_path / ".r.mcap.0123.unocclude.tmp").touch()
     assert hidden(tmp_path)
+
+
+def test_an_output_that_is_not_whole_is_seen(tmp_path: Path):
+    magic = b"\x89MCAP0\r\n"
+    (tmp_path / "a.mcap").write_bytes(magic + b"..." + magic)
+    (tmp_path / "b.mcap").write_bytes(magic + b"...")
+    (tmp_path / "a.json").write_text('{"a": 1}\n')
+    (tmp_path / "b.json").write_text('{"a": ')
+    (tmp_path / "a.html").write_text("<html></html>\n")
+    (tmp_path / "b.html").write_text("<html><p>")
+    assert broken(tmp_path) == ["b.html", "b.json", "b.mcap"]
+
+
+def test_the_table_counts_all_logs(tmp_path: Path):
+    rows = [("smooth", "SIGINT", []), ("smooth", "SIGKILL", ["left"]), ("batch", "SIGINT", [])]
+    for number, (command, what, wrong) in enumerate(rows):
+        row = {"command": command, "what": what, "after_s": 1.0, "wrong": wrong}
+        (tmp_path / f"{number}.jsonl").write_text(json.dumps(row) + "\n")
+    lines = table(sorted(tmp_path.glob("*.jsonl"))).splitlines()
+    assert lines[0] == "| command | SIGKILL | SIGINT | something lost or left |"
+    assert lines[2:] == ["| `smooth` | 1 | 1 | 1 |", "| `batch` | 0 | 1 | 0 |"]

@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 
 #: Joints that a map may name.
 MAPPED_JOINTS = ("shoulder", "elbow", "wrist", "hand")
@@ -83,6 +84,7 @@ def read_marker_map(path: Path | str) -> MarkerMap:
         The file is missing, not TOML, or a key or value is not one of a map; the text names the key.
     """
     path = Path(path)
+    check_input(path, RecordingError)
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -6,6 +6,7 @@ import codecs
 from pathlib import Path
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from .protocol import FileHead
 
 #: So much of a file is read to recognise it, bytes.
@@ -39,6 +40,7 @@ def read_head(path: Path) -> FileHead:
     RecordingError
         The file does not exist, is a folder, is empty, or cannot be read.
     """
+    check_input(path, RecordingError)
     try:
         with path.open("rb") as stream:
             raw = stream.read(HEAD_BYTES)

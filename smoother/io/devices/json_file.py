@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from .head import decode
 
 
@@ -29,6 +30,7 @@ def read_json(path: Path, expected: str) -> Any:
     RecordingError
         It cannot be read, or is no JSON.
     """
+    check_input(path, RecordingError)
     try:
         text = decode(path.read_bytes())
     except OSError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from ..markers.c3d import would_crash
 from ..markers.trajectories import METRES, Markers
 from .head import shown
@@ -45,6 +46,7 @@ def read_segment_origins(path: Path) -> Markers | None:
     RecordingError
         The file is damaged.
     """
+    check_input(path, RecordingError)
     with open(path, "rb") as file:
         if b"ROTATION" not in file.read(_PARAMETER_BYTES):
             return None

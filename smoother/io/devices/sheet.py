@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from .date_cells import seconds_of_dates
 from .head import decode, shown
 from .sheet_rows import even_rows, separators_in
@@ -217,6 +218,7 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     RecordingError
         The file cannot be read, is no text, or holds no table.
     """
+    check_input(path, RecordingError)
     try:
         raw = path.read_bytes()
     except OSError as error:

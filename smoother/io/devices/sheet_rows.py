@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from .head import amount
 from .table_layout import TableLayout, split_line
 
+CUT = "The last line is cut off and was left out."
+#: Rows at the end of a text that show how numbers are written.
+ROWS_BEFORE = 50
 _QUOTED = re.compile(r'"[^"]*"')
 
 
@@ -44,9 +47,11 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
     counts = [separators_in(row, mark) for row in rows]
     usual = Counter(counts).most_common(1)[0][0] if counts else 0
     header = lines[layout.header].strip() if layout.header >= 0 else None
+    notes = [] if whole_end else _end_notes(rows, counts, usual, mark, end)
+    is_cut = notes[:1] == [CUT]
     # Separators behind the last column make empty columns, which do no harm.
     if usual >= width - 1 and counts.count(usual) == len(rows) and header not in rows:
-        return rows, numbers, []
+        return (rows[:-1], numbers[:-1], notes) if is_cut else (rows, numbers, notes)
     even, indices, short, long, repeated = [], [], 0, 0, 0
     for at, (row, count) in enumerate(zip(rows, counts, strict=True)):
         if not row.strip(mark + " "):
@@ -54,8 +59,8 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
         if row.strip() == header or (header and row.startswith(header[:40]) and row.strip()[:1].isalpha()):
             repeated += 1
             continue
-        if count < usual and at == len(rows) - 1 and not whole_end:
-            continue  # said below
+        if is_cut and at == len(rows) - 1:
+            continue
         cells_needed = width - 1
         if count < cells_needed:
             short += count < usual
@@ -68,9 +73,6 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
             row = mark.join(cell.replace(mark, " ") for cell in cells[:width])
         even.append(row)
         indices.append(first + at)
-    notes = []
-    if not whole_end and counts[-1] < usual:
-        notes.append("The last line is cut off and was left out.")
     if repeated:
         headers = amount(
             repeated, "repeated header among the rows was", "repeated headers among the rows were"
@@ -85,6 +87,28 @@ def even_rows(lines: list[str], layout: TableLayout) -> tuple[list[str], Sequenc
         )
         notes.append(f"{rows_were} left out.")
     return even, indices, notes
+
+
+def _end_notes(rows: list[str], counts: list[int], usual: int, mark: str, line: int) -> list[str]:
+    """What is to be said of a text that does not end with a line's end."""
+    if not rows:
+        return []
+    cells = [row.rsplit(mark, 1)[-1] for row in rows[-ROWS_BEFORE:]]
+    if counts[-1] < usual or is_cut_number(cells):
+        return [CUT]
+    return [
+        f"The file ends without a line break; if it was cut off, what came behind line {line} is missing."
+    ]
+
+
+def is_cut_number(cells: Sequence[str], fewest: int = 3) -> bool:
+    """Whether the last of a column's cells has fewer decimals than all before it, which have equally many.
+
+    `fewest`: cells before it that it takes to say so; some programs leave out a last zero.
+    """
+    *before, last = [cell.strip().strip('"').replace(",", ".").partition(".")[2] for cell in cells]
+    decimals = {len(digits) for digits in before if digits.isdigit()}
+    return len(before) >= fewest and len(decimals) == 1 and all(before) and len(last) < min(decimals)
 
 
 def separators_in(row: str, mark: str) -> int:

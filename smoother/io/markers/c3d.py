@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from ...runtime.native import ends_the_process
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
@@ -34,6 +35,7 @@ def read_c3d(path: Path) -> Markers:
     RecordingError
         It is no C3D file, is damaged, or holds no point.
     """
+    check_input(path, RecordingError)
     with open(path, "rb") as file:
         start = file.read(2)
     if len(start) < 2 or start[1] != 0x50:

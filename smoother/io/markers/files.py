@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 from .c3d import read_c3d
 from .trajectories import Markers
 from .trc import read_trc
@@ -35,6 +36,7 @@ def read_markers(path: str | os.PathLike[str]) -> Markers:
     path = Path(path)
     if path.suffix.lower() not in MARKER_FORMATS:
         raise RecordingError(f"{path}: markers are read from {' or '.join(MARKER_FORMATS)}")
+    check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
     return read_trc(path) if path.suffix.lower() == ".trc" else read_c3d(path)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..plain.table import read_table
 from .files import MARKER_FORMATS, read_markers
 from .trajectories import Markers, told_apart
@@ -41,6 +42,7 @@ def read_positions(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     path = Path(path)
     if path.suffix.lower() in MARKER_FORMATS:
         return _still(read_markers(path))
+    check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
     numbers, words = read_table(path, ["marker", *"xyz"], words=["marker"], empty=[*"xyz"])

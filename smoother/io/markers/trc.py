@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..devices.head import shown
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
@@ -81,6 +82,7 @@ def read_trc(path: Path) -> Markers:
 
 
 def _lines(path: Path) -> list[str]:
+    check_input(path, RecordingError)
     raw = path.read_bytes()
     if b"\0" in raw[:4096]:
         raise RecordingError(f"{path}: not a TRC file: it holds no text; is it a C3D file with a wrong name?")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import IntArray
+from ...runtime.inputs import check_input
 from .chunk_source import ChunkSource
 from .definitions import Definitions
 from .losses import DamageLog, Loss, plain_name
@@ -191,6 +192,7 @@ class Container:
 
     def _chunks(self) -> Iterator[tuple[bytes, list[bytes]]]:
         """Yield chunks of schema, channel and message records, each with the index records behind it."""
+        check_input(self.path, RecordingError)
         try:
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic
 from ..wire.cdr import CdrReader
@@ -78,6 +79,7 @@ def read_sound(
         return _from_mcap(path, topic, ros_rate_hz, [] if notes is None else notes)
     from scipy.io import wavfile
 
+    check_input(path, RecordingError)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # chunks that it does not know are of no concern

@@ -11,6 +11,7 @@ import numpy as np
 from calib.clock.links import Receptions
 
 from ...errors import RecordingError
+from ...runtime.inputs import check_input
 
 COLUMNS = ("round", "node", "t_s")
 #: Times that say "not received", in lower case.
@@ -40,6 +41,7 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
         The file cannot be read, lacks a column, or a line of it is wrong; the message names the line.
     """
     path = Path(path)
+    check_input(path, RecordingError)
     rounds: dict[str, int] = {}
     line_of: dict[tuple[int, str], int] = {}
     event, node, t = [], [], []

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..devices.head import decode, shown
 from ..devices.protocol import ImuTable
 from ..devices.sheet import Sheet, read_sheet, sheet_of_text
@@ -108,6 +109,7 @@ def times_in(
 def described_sheet(path: Path, keys: TableKeys, columns: Mapping[str, Column | list[Column]]) -> Sheet:
     """The table of a file, laid out as said."""
     expected = "the table that recording.toml describes"
+    check_input(path, RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path} does not exist, but recording.toml names it; add it or mend the name.")
     if keys.separator is None and keys.skip_rows is None:

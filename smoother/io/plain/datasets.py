@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
+from ...runtime.inputs import check_input
 from ...runtime.native import ends_the_process
 from ...units import STANDARD_GRAVITY
 
@@ -148,6 +149,7 @@ def _empty_tracks(frames: int) -> tuple[FloatArray, NDArray[np.int8]]:
 def _load(path: str | os.PathLike[str], fields: tuple[str, ...], kind: str) -> dict[str, NDArray]:
     from scipy.io import loadmat
 
+    check_input(path, RecordingError)
     if not Path(path).exists():
         raise RecordingError(f"{path} does not exist; check the name.")
     if ends_the_process(Path(path), loadmat):  # a damaged type of data leads it past its table

@@ -113,6 +113,7 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
 
 def _describe(folder: Path) -> _Description:
     path = folder / "recording.toml"
+    check_input(path, RecordingError)
     try:
         return _Description.model_validate(tomllib.loads(path.read_bytes().decode("utf-8-sig")))
     except FileNotFoundError:
@@ -151,7 +152,7 @@ def _check_places(folder: Path, description: _Description, outside: bool) -> Non
                 f"{folder / 'recording.toml'} names {shown(name, 120)}, which lies outside its folder; copy"
                 " it into the folder, or give --outside if you trust the recording."
             )
-        check_input(folder / name)
+        check_input(folder / name, RecordingError)
 
 
 def _add_columns(

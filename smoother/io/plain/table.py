@@ -11,8 +11,12 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import FloatArray
+from ...runtime.inputs import check_input
 from ..devices.head import shown
+from ..devices.sheet_rows import ROWS_BEFORE, is_cut_number
 
+#: Bytes at the end of a file that hold its last rows.
+_TAIL = 1 << 14
 Columns = tuple[dict[str, FloatArray], dict[str, list[str]]]
 
 
@@ -54,10 +58,12 @@ def read_table(
         The file or a column is missing, or a cell is not a number; the message names the line.
     """
     path = Path(path)
+    check_input(path, RecordingError)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             header = [cell.strip() for cell in next(csv.reader(file, skipinitialspace=True), [])]
         _check_header(header, path, required)
+        _check_end(path)
         names = [name for name in (*required, *optional) if name in header]
         place = {name: header.index(name) for name in names}
         columns = _read_plain(path, len(header), place, words, empty)
@@ -96,6 +102,18 @@ def _check_header(header: list[str], path: Path, required: Sequence[str]) -> Non
         raise RecordingError(
             f"{path} has no column {', '.join(missing)}; its columns are {shown(', '.join(header))}."
             f" `unocclude import describe {path}` helps with other layouts."
+        )
+
+
+def _check_end(path: Path) -> None:
+    """Refuse a file that ends within a number: the number would be read as another one."""
+    with open(path, "rb") as file:
+        file.seek(max(path.stat().st_size - _TAIL, 0))
+        lines = file.read().split(b"\n")[1:]  # behind the header, or a line that is not whole
+    cells = [line.rsplit(b",", 1)[-1].decode(errors="replace") for line in lines[-ROWS_BEFORE:]]
+    if cells and cells[-1].strip() and is_cut_number(cells, 20):
+        raise RecordingError(
+            f"{path} ends within a number of its last line; copy it again, or delete the line."
         )
 
 

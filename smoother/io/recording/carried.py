@@ -86,6 +86,10 @@ _SCHEMAS = {
 }
 
 
+#: How the sentence on topics that were left out begins.
+NOT_CARRIED = "Not carried over"
+
+
 def may_copy(topic: Topic, passthrough_images: bool) -> bool:
     """Whether a topic of a recording goes into files made of it.
 
@@ -133,6 +137,6 @@ class Carrying:
         listed = [f"{name} ({schema})" for name, schema in sorted(self.left_out.items())]
         more = f" and {len(listed) - 5} more" if len(listed) > 5 else ""
         return (
-            f"Not carried over, since they may show or name the person: {', '.join(listed[:5])}{more};"
+            f"{NOT_CARRIED}, since they may show or name the person: {', '.join(listed[:5])}{more};"
             " --passthrough-images carries all topics over."
         )

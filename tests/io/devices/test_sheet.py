@@ -62,7 +62,22 @@ def test_any_dress(separator, comma, trailing, sep_line, preamble, units, header
     assert sheet.layout.names[:4] == (names if header else ())
     if units and header:
         assert [plain_unit(u) for u in sheet.layout.units[:4]] == ["s", "m/(s^2)", "m/s^2", "m/s^2"]
-    assert not sheet.notes
+    assert len(sheet.notes) == (not last) and all("without a line break" in note for note in sheet.notes)
+
+
+@pytest.mark.parametrize("cut", [1, 3, 6, 7])
+@pytest.mark.parametrize("comma", [False, True])
+def test_a_table_that_ends_within_a_number(cut: int, comma: bool):
+    rows = [[f"{0.01 * k:.4f}", *(f"{value:.6f}" for value in (k, -k, 9.81))] for k in range(12)]
+    text = "\n".join(";".join(row) for row in [NAMES, *rows])
+    text = text.replace(".", ",") if comma else text
+    sheet = read(text[:-cut])
+    assert len(sheet) == 11 and sheet.notes == ["The last line is cut off and was left out."]
+    sheet = read(text)  # cut off behind the number, or by a program that ends files so
+    assert len(sheet) == 12 and sheet.numbers(3)[11] == 9.81
+    assert sheet.notes == [
+        "The file ends without a line break; if it was cut off, what came behind line 13 is missing."
+    ]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])

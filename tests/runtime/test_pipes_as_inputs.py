@@ -1,0 +1,147 @@
+"""Every reader refuses a pipe or a device in one sentence, and does not wait for it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import unocclude
+from calib.file import read_calibration
+from calib.panel.definition import read_intrinsics, read_panel
+from calib.panel.images import read_view
+from smoother.cli import run as cli_run
+from smoother.cli.config_file import read_config
+from smoother.errors import UnoccludeError
+from smoother.evaluation.mocap.marker_map import read_marker_map
+from smoother.evaluation.truth_file import read_truth_csv
+from smoother.io import (
+    describe,
+    import_csv,
+    import_files,
+    open_recording,
+    read_imu,
+    read_recording,
+    read_recovery,
+)
+from smoother.io.devices.files import ImuFiles
+from smoother.io.devices.head import read_head
+from smoother.io.devices.sheet import read_sheet
+from smoother.io.markers.c3d import read_c3d
+from smoother.io.markers.files import read_markers
+from smoother.io.markers.positions import read_positions
+from smoother.io.markers.trc import read_trc
+from smoother.io.mcap.container import Container
+from smoother.io.media.audio import read_sound
+from smoother.io.media.images import read_images
+from smoother.io.plain.clock_times import read_broadcast
+from smoother.io.plain.datasets import import_utd_mhad
+from smoother.io.plain.table import read_table
+from smoother.study.fingerprint import file_hash
+from smoother.study.inputs import find_entries
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+#: No reader waits so long for a writer, s.
+LONGEST_S = 5
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "a.mcap": read_recording,
+    "b.mcap": open_recording,
+    "c.mcap": describe,
+    "d.mcap": read_imu,
+    "e.mcap": read_recovery,
+    "f.mcap": unocclude.smooth,
+    "g.mcap": lambda path: list(Container(path).messages()),
+    "h.mcap": lambda path: list(read_images(path)),
+    "i.mcap": read_sound,
+    "a.toml": read_calibration,
+    "b.toml": read_config,
+    "c.toml": read_marker_map,
+    "d.toml": read_panel,
+    "e.toml": read_intrinsics,
+    "recording.toml": lambda path: import_csv(path.parent),
+    "a.c3d": read_c3d,
+    "b.c3d": read_markers,
+    "c.c3d": read_positions,
+    "a.trc": read_trc,
+    "b.trc": read_markers,
+    "a.csv": lambda path: read_table(path, ["t_s"]),
+    "b.csv": read_sheet,
+    "c.csv": read_head,
+    "d.csv": read_truth_csv,
+    "e.csv": read_positions,
+    "f.csv": lambda path: read_broadcast(path, 1e-6),
+    "g.csv": lambda path: import_files([path], [ImuFiles((path,))]),
+    "a.wav": read_sound,
+    "a.mat": lambda path: import_utd_mhad(path, path),
+    "a.png": lambda path: read_view(path, path),
+    "a.bin": file_hash,
+    "list.txt": lambda path: find_entries(str(path), path.parent / "study"),
+}
+
+
+@pytest.fixture(autouse=True)
+def limited() -> Iterator[None]:
+    """A reader that waits ends the test, not the whole of the tests."""
+
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError("the reader waits for a writer")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(LONGEST_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pipe_is_refused(tmp_path: Path, name: str):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(UnoccludeError, match="is a pipe") as told:
+        READERS[name](tmp_path / name)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "f.mcap", "a.toml", "a.c3d", "a.trc", "a.csv"])
+def test_a_device_by_a_link_is_refused(tmp_path: Path, name: str):
+    (tmp_path / name).symlink_to("/dev/tty0" if Path("/dev/tty0").exists() else "/dev/null")
+    with pytest.raises(UnoccludeError, match="a device"):
+        READERS[name](tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["smooth", "IN", "-o", "out.mcap"],
+        ["info", "IN"],
+        ["batch", "IN", "-o", "study"],
+        ["batch", ".", "-o", "study", "--config", "IN"],
+        ["repair", "IN", "-o", "out.mcap"],
+        ["smooth", "IN", "-o", "out.mcap", "--calibration", "IN"],
+    ],
+)
+def test_the_commands_refuse_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe.mcap")
+    assert cli_run.run([word.replace("IN", "pipe.mcap") for word in words]) == 1
+    printed = capsys.readouterr()
+    assert "is a pipe" in printed.err + printed.out
+    assert not Path("out.mcap").exists()
+
+
+def test_a_list_from_a_shell_is_read(tmp_path: Path):
+    """What `batch <(ls)` gives is a pipe too, with its writer there."""
+    (tmp_path / "a.mcap").write_bytes(b"")
+    reading, writing = os.pipe()
+    os.write(writing, f"{tmp_path}/a.mcap\n".encode())
+    os.close(writing)
+    try:
+        entries = find_entries(f"/dev/fd/{reading}", tmp_path / "study")
+    finally:
+        os.close(reading)
+    assert [entry.path for entry in entries] == [f"{tmp_path}/a.mcap"]
