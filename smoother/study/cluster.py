@@ -20,6 +20,7 @@ from ..runtime.pool import THREADS, blank_main
 from ..runtime.worker import interrupts_wait
 from .columns import Row
 from .job import Job, run_job
+from .limits import check_allowance
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -67,6 +68,7 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
     first = list(islice(jobs, processes or os.cpu_count() or 1))
     if not first:
         return
+    check_allowance()
     import dask.config
     from distributed import Client, LocalCluster
 

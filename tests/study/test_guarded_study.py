@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import socket
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -55,6 +57,19 @@ def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_p
     listed = json.loads(figures.read_text())
     assert {row["host"] for row in listed["rows"]} == {socket.gethostname()}
     assert listed["rows"][0]["input"] == str(recordings / listed["rows"][0]["recording"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the memory as Linux does")
+def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path):
+    """Its processes would start and never answer: it says so before."""
+    program = (
+        "import resource; resource.setrlimit(resource.RLIMIT_DATA, (150 << 20,) * 2);"
+        "from smoother.cli import main; main()"
+    )
+    words = [sys.executable, "-c", program, "batch", str(recordings), "-o", str(tmp_path / "out")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and "150 MB a process here (ulimit -d)" in done.stderr
 
 
 def test_it_is_known_again_without_its_path(job: Job):
