@@ -12,7 +12,7 @@ import numpy as np
 from calib import read_calibration
 from smoother.io.plain.folder import _Description
 from smoother.io.result.write import write_recovery
-from smoother.result import Recovery
+from smoother.result import Draws, Recovery
 
 ROOT = Path(__file__).parents[1]
 
@@ -71,7 +71,10 @@ def test_topics_and_columns(tmp_path, monkeypatch):
     # as if with an IMU on the upper arm and one on the trunk
     trunk = TrunkMotion(recovery.quaternion, recovery.pose_covariance[:, 3:, 3:], np.eye(3), np.zeros(3))
     recovery = replace(recovery, upper=UpperMotion(*own, np.zeros(3)), trunk=trunk)
-    write_recovery(recovery, tmp_path / "out.mcap")
+    still = np.zeros((20, 2, 3), np.float32)
+    ends = recovery.t_s[[0, -1]]
+    draws = Draws(ends, 0, still, still, dict.fromkeys(recovery.joints, still), still)
+    write_recovery(replace(recovery, draws=draws), tmp_path / "out.mcap")
     with open(tmp_path / "out.mcap", "rb") as file:
         channels = make_reader(file).get_summary().channels.values()
     assert {channel.topic for channel in channels} == set(re.findall(r"`(/unocclude/\w+)`", text))

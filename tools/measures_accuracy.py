@@ -97,7 +97,8 @@ def accuracy(preset: str, seeds: range, draws: int, cache: Path | None) -> list[
         else:
             recovery = recovered(simulate_arm(ArmSimulation.preset(preset), seed), draws, seed)
             if kept is not None:
-                kept.write_bytes(pickle.dumps(recovery))
+                kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_bytes(pickle.dumps(recovery))
         simulated = simulate_arm(ArmSimulation.preset(preset), seed)
         samples += samples_of(simulated, recovery, MeasureSettings())
         print(f"{preset} seed {seed}: done", file=sys.stderr, flush=True)

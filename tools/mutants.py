@@ -56,6 +56,8 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             "solve",
         )
     },
+    "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
+    "smoother/graph/lag_window.py": ("tests/live/test_live_smoother.py",),
     "smoother/selfcal/clock_fit.py": (_ALONE, "tests/selfcal/test_clock_score.py"),
     "smoother/measurements/outliers.py": (
         _ALONE,

@@ -359,9 +359,10 @@ def reject_by_direction(
     if along_A is None:
         return segment, None
     frame_t = segment.frame_t_imu(clock)
-    alignment = align(
-        pairs(segment, frame_t, segment.accepted, calibration), segment.start_s, segment.end_s, segment.down
-    )
+    vectors = pairs(segment, frame_t, segment.accepted, calibration)
+    if not vectors:
+        return segment, None
+    alignment = align(vectors, segment.start_s, segment.end_s, segment.down)
     inlier = reject_by_attitude(segment, frame_t, alignment, along_A)
     return inlier, alignment if inlier is segment else None
 

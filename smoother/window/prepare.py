@@ -77,7 +77,10 @@ def prepare(
         GAP_NODE_UPPER_S if with_upper else GAP_NODE_S,
     )
     if alignment is None:
-        alignment = align(pairs(segment, frame_t_imu, accepted, calibration), start_s, end_s, segment.down)
+        vectors = pairs(segment, frame_t_imu, accepted, calibration)
+        if not vectors:
+            return None
+        alignment = align(vectors, start_s, end_s, segment.down)
     R = (alignment.at(t) * segment.attitude.at(t)).as_matrix()
     nearest = np.clip(np.searchsorted(alignment.t, t), 0, len(alignment.t) - 1)
     position = _imu_positions(segment, frame_t_imu, accepted, alignment, calibration)
