@@ -47,14 +47,16 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         for name in (
             "build",
             "chain",
-            "clock_information",
             "error_columns",
             "imu_factors",
-            "linear_system",
             "optimise",
             "shared_prior",
-            "solve",
         )
+    },
+    "smoother/graph/clock_information.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
+    **{
+        f"smoother/graph/{name}.py": (*_GRAPH[1:], "tests/graph/test_sampling.py")
+        for name in ("linear_system", "solve")
     },
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
     "smoother/graph/lag_window.py": ("tests/live/test_live_smoother.py",),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from ..errors import UnoccludeError
+from ..runtime.allowance import check_allowance
 from .output import say
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def load_arm(
     Where the recording leaves the side open, a calibration of one arm settles it. Parameters as of
     `io.recording.read_arm`.
     """
+    check_allowance()
     from ..io.recording.read_arm import read_arm
 
     recording, calibration = read_arm(path, calibration_file, remedy=remedy, **reading)
@@ -48,6 +50,7 @@ def load_arms(
 
     Parameters as of `load_arm`.
     """
+    check_allowance()
     from ..io.recording.read_arm import read_arms
 
     arms = read_arms(path, calibration_file, remedy=remedy, **reading)

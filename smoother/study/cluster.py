@@ -16,11 +16,11 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
+from ..runtime.allowance import check_allowance
 from ..runtime.pool import THREADS, blank_main
 from ..runtime.worker import interrupts_wait
 from .columns import Row
 from .job import Job, run_job
-from .limits import check_allowance
 
 if TYPE_CHECKING:
     from distributed import Client

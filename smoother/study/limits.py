@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 from ..errors import UnoccludeError
 
-#: What a process of a study takes before it reads its first recording, bytes; with less it never answers.
-LEAST_BYTES = 300 << 20
 #: A recording that a library holds on to for so much longer than its time ends with its process, s.
 GRACE_S = 60.0
 
@@ -33,26 +31,6 @@ class Limits:
 
     time_s: float = 0.0
     memory_bytes: int = 0
-
-
-def check_allowance() -> None:
-    """Refuse where this process may use less memory than a process of a study needs to start.
-
-    Raises
-    ------
-    UnoccludeError
-        As `ulimit -d` limits it.
-    """
-    if sys.platform != "linux":
-        return
-    import resource
-
-    allowed, _ = resource.getrlimit(resource.RLIMIT_DATA)
-    if allowed != resource.RLIM_INFINITY and allowed < LEAST_BYTES:
-        raise UnoccludeError(
-            f"memory is limited to {allowed >> 20} MB a process here (ulimit -d); a study needs"
-            f" {LEAST_BYTES >> 20} MB: raise the limit."
-        )
 
 
 class TimeUp(BaseException):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from .metadata import calibration_of, gaps_of
 from .topic_tables import TABLES, CameraTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT
 
+Kind = TypeVar("Kind")
 #: What gathers each kind of a result's topics.
 _TABLES: dict[str, type[TopicTable]] = TABLES | {"draws": DrawsTable}
 #: What values of a result that somebody else wrote, or that are damaged, end in.
@@ -100,7 +101,7 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
         joints = {joint: skeleton[joint] for joint in values["joints"] if joint in skeleton}
         spread = {joint: skeleton[f"{joint}_covariance"].reshape(-1, 3, 3) for joint in joints}
         return Recovery(
-            method=values["method"],
+            method=_of_type(values["method"], str),
             t_s=seconds(stamp, origin),
             occluded=occluded,
             **arrays,
@@ -109,20 +110,20 @@ def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], n
             gaps=gaps_of(values["gaps"]),
             calibration=calibration_of(values["calibration"]),
             gravity_direction=np.array(values["gravity_direction"], float),
-            clock_offset_s=values["clock_offset_s"],
-            clock_offset_sigma_s=values["clock_offset_sigma_s"],
+            clock_offset_s=float(values["clock_offset_s"]),
+            clock_offset_sigma_s=float(values["clock_offset_sigma_s"]),
             arm=_arm(tables.get(f"{RESULT_PREFIX}camera{suffix}"), values["camera"], origin),
             residuals=_residuals(tables.get(f"{RESULT_PREFIX}residuals{suffix}"), origin)
             if values["has_residuals"]
             else None,
             origin_ns=origin,
-            side=values["side"],
-            name=values["name"],
-            notes=tuple([*values["notes"], *container.notes]),
-            config=values["config"],
+            side=_of_type(values["side"], str),
+            name=_of_type(values["name"], str),
+            notes=tuple([*(_of_type(note, str) for note in values["notes"]), *container.notes]),
+            config=_of_type(values["config"], dict),
             estimates=Estimates.from_plain(values["figures"]),
             upper=_upper(stamp, tables.get(f"{RESULT_PREFIX}upper_arm{suffix}"), values.get("upper_arm")),
-            body=values.get("body"),
+            body=None if values.get("body") is None else _of_type(values["body"], int),
             trunk=_trunk(stamp, tables.get(f"{RESULT_PREFIX}trunk{suffix}"), values.get("trunk")),
             draws=_draws(tables.get(f"{RESULT_PREFIX}draws{suffix}"), values.get("draws"), origin),
         )
@@ -165,6 +166,13 @@ def _trunk(stamp: IntArray, table: TopicTable | None, values: dict[str, Any] | N
         clock_offset_s=values["clock_offset_s"],
         name=values["name"],
     )
+
+
+def _of_type(value: Any, kind: type[Kind]) -> Kind:
+    """The value, which a file of somebody else may have of another type."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{kind.__name__} expected, not {type(value).__name__}")
+    return value
 
 
 def _draws(table: TopicTable | None, values: dict[str, Any] | None, origin: int) -> Draws | None:
