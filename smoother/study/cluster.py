@@ -16,7 +16,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
-from ..runtime.allowance import check_allowance
+from ..runtime.memory_limit import check_allowance
 from ..runtime.pool import THREADS, blank_main
 from ..runtime.worker import interrupts_wait
 from .columns import Row

@@ -62,7 +62,15 @@ def test_a_recording_is_played_recorded_and_summed_up(recording, tmp_path, capsy
     assert values["state_s"]["calibrating"] == pytest.approx(1.1, abs=0.2)
 
 
-def test_ctrl_c_leaves_a_whole_recording(recording, tmp_path, capsys):
+@pytest.fixture
+def ctrl_c_is_heard():
+    """A shell that starts tests in the background has them ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_leaves_a_whole_recording(ctrl_c_is_heard, recording, tmp_path, capsys):
     def interrupt() -> None:
         time.sleep(2.5)
         os.kill(os.getpid(), signal.SIGINT)
