@@ -51,11 +51,14 @@ class Settled:
     optimum : Optimum
     tighten : int
         Number of the tightening in `TIGHTEN` that it was found with.
+    tolerance : float
+        That it was found with.
     """
 
     window: Window
     optimum: Optimum
     tighten: int
+    tolerance: float
 
 
 def settle(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> Settled:
@@ -88,9 +91,9 @@ def solve(
     tolerance: float = RELATIVE_TOLERANCE,
     plan: DrawPlan | None = None,
 ) -> Solution:
-    """Optimise a window and read its answer: `settle` and `solution_of` in one."""
+    """Optimise a window and read its answer: `settle` and `solution_of` in one, with their parameters."""
     settled = settle(window, tolerance)
-    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, tolerance, plan)
+    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, plan)
 
 
 def solution_of(
@@ -99,10 +102,11 @@ def solution_of(
     with_offset: bool = False,
     with_message: bool = True,
     with_evidence: bool = False,
-    tolerance: float = RELATIVE_TOLERANCE,
     plan: DrawPlan | None = None,
 ) -> Solution:
     """Read the answer of a window that is at its optimum.
+
+    Where a direction turns out free the window is optimised again, with a tighter prior.
 
     Parameters
     ----------
@@ -115,8 +119,6 @@ def solution_of(
         Also the covariance of the message; its mean is there in any case.
     with_evidence : bool
         Also what the window says of errors that are constant over the recording.
-    tolerance : float
-        As `settle` had it: where a direction turns out free it is done again, with a tighter prior.
     plan : DrawPlan, optional
         Also motions drawn from the posterior; needs the covariance.
 
@@ -133,7 +135,7 @@ def solution_of(
         try:
             return _read(settled, with_covariance, with_offset, with_message, with_evidence, plan)
         except np.linalg.LinAlgError:
-            settled = _settled(settled.window, tolerance, settled.tighten + 1)
+            settled = _settled(settled.window, settled.tolerance, settled.tighten + 1)
 
 
 def _settled(window: Window, tolerance: float, first: int) -> Settled:
@@ -147,7 +149,7 @@ def _settled(window: Window, tolerance: float, first: int) -> Settled:
             if "ndetermin" not in str(error):
                 raise
             continue
-        return Settled(window, optimum, number)
+        return Settled(window, optimum, number, tolerance)
     raise SolveError(
         f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
         " the camera saw there"

@@ -103,7 +103,7 @@ class Task:
         Parameters
         ----------
         messages : sequence of Message
-            Of all windows.
+            Of the windows that the first pass asked.
         scores : sequence of ClockScore
             Of all sections.
         synthetic_stamps : bool
@@ -130,7 +130,7 @@ class Task:
             How many, and of the random numbers.
         recording : Recording
         messages : sequence of Message
-            Of all windows of the first pass.
+            Of the windows that the first pass asked.
         """
         if not count:
             return self
