@@ -31,11 +31,11 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from scipy.spatial.transform import Rotation
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.recording import FloatArray
+from smoother.rotation import Rotation
 from smoother.runtime.atomic import writing
 from smoother.runtime.inputs import check_input
 

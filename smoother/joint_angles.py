@@ -20,11 +20,11 @@ shoulder angles are relative to gravity and the camera.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .linalg import unit
 from .recording import BoolArray, FloatArray
 from .result import Recovery
+from .rotation import Rotation
 
 ANGLES = (
     "elbow_flexion",

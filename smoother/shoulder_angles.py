@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .joint_angles import arm_angles, wrapped_deg
 from .linalg import rotate_covariance
 from .recording import FloatArray, IntArray
 from .result import Recovery
+from .rotation import Rotation
 
 SHOULDER_ANGLES = ("shoulder_plane", "shoulder_elevation", "shoulder_rotation")
 TRUNK_ANGLES = ("shoulder_plane_trunk", "shoulder_elevation_trunk", "shoulder_rotation_trunk")

@@ -22,6 +22,7 @@ STACK = (
         "config",
         "filters",
         "linalg",
+        "rotation",
         "sketch",
         "splines",
         "units",

@@ -7,29 +7,23 @@ of any shift. The robust loss counts with its weights at the solution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from ..recording import FloatArray
 from ..window.problem import JointMeasurements, States, Window
 from .build import stacked_measurements
 from .error_columns import camera_rows
+from .jacobian import Jacobian
 from .linear_system import LinearSystem
 
 
-def offset_column(
-    jacobian: csr_matrix, columns: Mapping[int, slice], window: Window, states: States
-) -> FloatArray:
+def offset_column(jacobian: Jacobian, window: Window, states: States) -> FloatArray:
     """Column of the whitened Jacobian for a clock offset of the window's own.
 
     Parameters
     ----------
-    jacobian : csr_matrix, shape (rows, variables)
+    jacobian : Jacobian
         Of the graph as `build` puts it together.
-    columns : mapping of int to slice
-        Columns of each variable, by key.
     window : Window
     states : States
         At its nodes.
@@ -41,7 +35,7 @@ def offset_column(
     """
     by_joint = {measured.joint: measured for measured in window.joint_measurements}
     column = np.zeros((0, 1))
-    for factors in camera_rows(jacobian, columns, window):
+    for factors in camera_rows(jacobian, window):
         if factors.joint in by_joint:
             mean, _ = _velocity_at_nodes(by_joint[factors.joint], states, window.noise.cauchy)
             rows = np.zeros((factors.rows.stop, 1))

@@ -7,18 +7,18 @@ state-space methods to navigation problems, 1966).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, E, G, S, V, W, X, Y
-from scipy.sparse import csr_matrix
 
 from ..linalg import skew
 from ..recording import JOINTS, FloatArray, IntArray
 from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
 from ..window.problem import Window
+from .jacobian import Jacobian
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 
@@ -37,18 +37,14 @@ def node_of_variables(window: Window) -> dict[int, int]:
     return nodes
 
 
-def constant_error_columns(
-    jacobian: csr_matrix, columns: Mapping[int, slice], window: Window, biases: IntArray, R: FloatArray
-) -> FloatArray:
+def constant_error_columns(jacobian: Jacobian, window: Window, biases: IntArray, R: FloatArray) -> FloatArray:
     """Columns of the whitened Jacobian for the constant errors (see `window.constant_errors`).
 
     Parameters
     ----------
-    jacobian : csr_matrix, shape (rows, variables)
+    jacobian : Jacobian
         Of the graph as `build` puts it together: the IMU's factors first, then the
         joints' and the shoulder's.
-    columns : mapping of int to slice
-        Columns of each variable, by key.
     window : Window
     biases : ndarray of int, shape (n - 1,)
         From `bias_of_intervals`.
@@ -61,8 +57,9 @@ def constant_error_columns(
         Of the first r rows; the errors are in no others.
     """
     count = len(window.t) - 1
-    first_bias = columns[B(0)].start
-    imu = jacobian[: IMU_ROWS * count, first_bias : columns[B(int(biases[-1]))].stop].toarray()
+    columns = jacobian.columns
+    all_biases = slice(columns[B(0)].start, columns[B(int(biases[-1]))].stop)
+    imu = jacobian.block(slice(0, IMU_ROWS * count), all_biases)
     of_bias = imu.reshape(count, IMU_ROWS, -1, 6)[np.arange(count), :, biases]
     # M f is a bias that follows the specific force, the same for the rate
     force, rate = _means(window)
@@ -76,7 +73,7 @@ def constant_error_columns(
             axis=2,
         ).reshape(-1, SIZE)
     ]
-    for factors in camera_rows(jacobian, columns, window):
+    for factors in camera_rows(jacobian, window):
         # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has
         block = np.zeros((len(factors.nodes), JOINT_ROWS, SIZE))
         error = JOINT_ERRORS.start + 3 * JOINTS.index(factors.joint)
@@ -108,15 +105,13 @@ class CameraRows:
     weight: FloatArray
 
 
-def camera_rows(jacobian: csr_matrix, columns: Mapping[int, slice], window: Window) -> Iterator[CameraRows]:
+def camera_rows(jacobian: Jacobian, window: Window) -> Iterator[CameraRows]:
     """Where each joint's camera factors stand in a window's Jacobian, in their order.
 
     Parameters
     ----------
-    jacobian : csr_matrix, shape (rows, variables)
+    jacobian : Jacobian
         Of the graph as `build` puts it together: the IMU's factors first, then these.
-    columns : mapping of int to slice
-        Columns of each variable, by key.
     window : Window
 
     Yields
@@ -127,8 +122,8 @@ def camera_rows(jacobian: csr_matrix, columns: Mapping[int, slice], window: Wind
     start = IMU_ROWS * (len(window.t) - 1)
     for joint, nodes in _camera_factors(window):
         stop = start + JOINT_ROWS * len(nodes)
-        weight = _weight(jacobian, start, stop, columns, joint, window)
-        yield CameraRows(joint, nodes, slice(start, stop), weight)
+        rows = slice(start, stop)
+        yield CameraRows(joint, nodes, rows, _weight(jacobian, rows, joint, window))
         start = stop
 
 
@@ -157,18 +152,17 @@ def _strap(window: Window, joint: str, R: FloatArray) -> FloatArray:
     return np.asarray((turned[:, :, :, None] * down_A[:, None, None, :]).reshape(len(R), 3, 9))
 
 
-def _weight(
-    jacobian: csr_matrix, start: int, stop: int, columns: Mapping[int, slice], joint: str, window: Window
-) -> FloatArray:
+def _weight(jacobian: Jacobian, rows: slice, joint: str, window: Window) -> FloatArray:
     """Whitening of a joint's rows: the length of each row's derivative by position."""
-    block = jacobian[start:stop].tocoo()
+    row, column, value = jacobian.entries(rows)
+    columns = jacobian.columns
     if joint == "shoulder":
         knots = columns[S(0)].start, columns[S(len(window.shoulder.node) - 1)].stop  # type: ignore[union-attr]
-        mine = (block.col >= knots[0]) & (block.col < knots[1])
+        mine = (column >= knots[0]) & (column < knots[1])
     else:
         first = columns[X(0)].start
-        mine = (block.col >= first) & ((block.col - first) % 6 >= 3)
-    return np.sqrt(np.bincount(block.row[mine], block.data[mine] ** 2, minlength=stop - start))
+        mine = (column >= first) & ((column - first) % 6 >= 3)
+    return np.sqrt(np.bincount(row[mine], value[mine] ** 2, minlength=rows.stop - rows.start))
 
 
 def evidence(

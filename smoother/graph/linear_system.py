@@ -14,19 +14,13 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.sparse import coo_matrix, csr_matrix
 
+from ..linalg import inverse
 from ..recording import FloatArray, IntArray
+from .jacobian import Jacobian
 
-#: Dimension of a variable by the letter of its key (see `build`).
-DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
-DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
-
-
-def dimension(key: int) -> int:
-    """How many coordinates a variable has."""
-    return DIMENSION[chr(gtsam.Symbol(key).chr())]
+#: Columns of the whitened Jacobian, of its first rows, for quantities that are not variables of the graph.
+ExtraColumns = Callable[[Jacobian], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -68,7 +62,7 @@ class LinearSystem:
         The node whose time a variable has, by key; what is not in it belongs to the border.
     extra : sequence of callable
         Each gives columns (r, e) of the whitened Jacobian for quantities that are not variables of the graph,
-        from the Jacobian and each variable's columns in it; rows beyond the r-th have none.
+        from the Jacobian; rows beyond the r-th have none.
 
     Raises
     ------
@@ -81,120 +75,117 @@ class LinearSystem:
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
         node_of: Mapping[int, int],
-        extra: Sequence[Callable[[csr_matrix, Mapping[int, slice]], FloatArray]] = (),
+        extra: Sequence[ExtraColumns] = (),
     ) -> None:
-        keys = sorted(values.keys())  # the order in which GTSAM hands out columns
-        sizes = np.array([dimension(key) for key in keys])
-        starts = np.concatenate(([0], np.cumsum(sizes)))
-        self._columns = {key: slice(a, b) for key, a, b in zip(keys, starts[:-1], starts[1:], strict=True)}
-        row, column, value = graph.linearize(values).sparseJacobian_()
-        row, column = row.astype(np.int64) - 1, column.astype(np.int64) - 1
-        count, width = int(row.max(initial=-1)) + 1, int(starts[-1])
-        jacobian = csr_matrix((value, (row, column)), shape=(count, width + 1))  # the last: right-hand side
-        self.jacobian, self.rhs = jacobian[:, :width], jacobian[:, width].toarray().ravel()
-        given = [columns(self.jacobian, self._columns) for columns in extra]
-        self._extra = np.zeros((count, sum(columns.shape[1] for columns in given)))
-        first = 0
-        for own in given:
-            self._extra[: len(own), first : first + own.shape[1]] = own
-            first += own.shape[1]
-        node = np.array([node_of.get(key, -1) for key in keys])
-        node_of_column = np.repeat(node, sizes)
-        self._border = np.flatnonzero(node_of_column < 0)
-        self._border_row = np.full(width, -1)
+        self.jacobian = Jacobian.of(graph, values)
+        node = np.full(self.jacobian.width, -1)
+        for key, number in node_of.items():
+            node[self.jacobian.columns[key]] = number
+        self._border = np.flatnonzero(node < 0)
+        self._border_row = np.full(len(node), -1)
         self._border_row[self._border] = np.arange(len(self._border))
-        self._group(node_of_column)
-        self._reduce()
+        given = [columns(self.jacobian) for columns in extra]
+        self._extra_count = sum(columns.shape[1] for columns in given)
+        self._group(node)
+        self._reduce(*self._normal_equations(given))
 
     def columns(self, key: int) -> slice:
         """Columns of a variable in `jacobian`."""
-        return self._columns[key]
+        return self.jacobian.columns[key]
 
-    def _group(self, node_of_column: IntArray) -> None:
+    def _group(self, node: IntArray) -> None:
         """Nodes to groups so that no factor reaches beyond the neighbouring group."""
-        chain = np.flatnonzero(node_of_column >= 0)
-        pattern = self.jacobian[:, chain]
-        entry_node = node_of_column[chain][pattern.indices]
-        filled = np.flatnonzero(np.diff(pattern.indptr))
-        first = np.minimum.reduceat(entry_node, pattern.indptr[filled])
-        last = np.maximum.reduceat(entry_node, pattern.indptr[filled])
-        reach = max(int((last - first).max(initial=1)), 3)
-        group = node_of_column[chain] // reach
+        rows, of_entry = self.jacobian.row, node[self.jacobian.column]
+        count = len(self.jacobian.rhs)
+        chained = of_entry >= 0
+        first, last = np.full(count, len(node)), np.full(count, -1)
+        np.minimum.at(first, rows[chained], of_entry[chained])
+        np.maximum.at(last, rows[chained], of_entry[chained])
+        reach = max(int((last - first)[last >= 0].max(initial=1)), 3)
+        chain = np.flatnonzero(node >= 0)
+        group = node[chain] // reach
         order = np.argsort(group, kind="stable")
-        self._groups = np.split(chain[order], np.flatnonzero(np.diff(group[order])) + 1)
+        sizes = np.bincount(group)
+        self._groups = np.split(chain[order], np.cumsum(sizes)[:-1])
         #: group and row in it of every column
-        self._place = np.full((len(node_of_column), 2), -1)
-        for g, columns in enumerate(self._groups):
-            self._place[columns] = np.stack([np.full(len(columns), g), np.arange(len(columns))], axis=1)
+        self._place = np.full((len(node), 2), -1)
+        self._place[chain[order], 0] = group[order]
+        self._place[chain[order], 1] = np.arange(len(chain)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        #: the group of every row of the Jacobian; -1 of those that are about the border alone
+        self._group_of_row = np.where(last >= 0, first // reach, -1)
 
-    def _reduce(self) -> None:
-        """Eliminate the chain: what is left of the information on the border and the extra columns."""
-        A, b = self.jacobian, self.rhs
-        chain = np.concatenate(self._groups)
-        ends = np.cumsum([len(columns) for columns in self._groups])
-        C, B = A[:, chain], A[:, self._border].toarray()
-        side = np.column_stack([B, self._extra, b])  # border, extra, right-hand side
-        information = (C.T @ C).tocoo()
-        scale = 1.0 / np.sqrt(
-            np.bincount(information.row, information.data * (information.row == information.col))
+    def _normal_equations(self, given: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Normal equations group by group, in columns of the group, of the next, of the border and the rest.
+
+        Returns
+        -------
+        normal : ndarray, shape (g, w + w + s, w + w + s)
+            What the rows of each group say; a group's columns are padded to the widest one's w, and the s
+            others are the border, the extra columns and the right-hand side.
+        loose : ndarray, shape (s, s)
+            What the rows say that are about the border alone.
+        """
+        jacobian, count = self.jacobian, len(self._groups)
+        wide, borders = max(len(columns) for columns in self._groups), len(self._border)
+        width = 2 * wide + borders + self._extra_count + 1
+        # rows, sorted by group, into panels of one height; those of the border alone into one more
+        group = np.where(self._group_of_row < 0, count, self._group_of_row)
+        heights = np.bincount(group, minlength=count + 1)
+        rank = np.empty(len(group), int)
+        rank[np.argsort(group, kind="stable")] = np.arange(len(group)) - np.repeat(
+            np.cumsum(heights) - heights, heights
         )
-        self._scale = np.split(scale, ends[:-1])
-        coupling = np.split(scale[:, None] * (C.T @ side), ends[:-1])
-        own, following = self._blocks(information, scale, ends)
-        self._factors: list[FloatArray] = []
-        self._gains: list[FloatArray] = []
-        forward: list[FloatArray] = []
-        for g, D in enumerate(own):
-            r = coupling[g]
+        panel = np.zeros((count + 1, int(heights.max()), width))
+        of_column = np.where(self._place[:, 0] >= 0, self._place[:, 1], 2 * wide + self._border_row)
+        row, column = jacobian.row, jacobian.column
+        is_next = self._place[column, 0] > group[row]
+        panel[group[row], rank[row], of_column[column] + wide * is_next] = jacobian.value
+        first = 2 * wide + borders
+        for own in given:
+            rows = slice(0, len(own))
+            panel[group[rows], rank[rows], first : first + own.shape[1]] = own
+            first += own.shape[1]
+        panel[group, rank, -1] = jacobian.rhs
+        normal = np.swapaxes(panel, 1, 2) @ panel
+        return normal[:-1], normal[-1, 2 * wide :, 2 * wide :]
+
+    def _reduce(self, normal: FloatArray, loose: FloatArray) -> None:
+        """Eliminate the chain: what is left of the information on the border and the extra columns."""
+        count, wide = len(normal), (normal.shape[1] - len(loose)) // 2
+        own, right = normal[:, :wide, :wide], normal[:, :wide, wide:]
+        own[1:] += normal[:-1, wide : 2 * wide, wide : 2 * wide]
+        right[1:, :, wide:] += normal[:-1, wide : 2 * wide, 2 * wide :]
+        diagonal = np.einsum("gii->gi", own)
+        diagonal[diagonal == 0.0] = 1.0  # columns that pad a group
+        self._scale = 1.0 / np.sqrt(diagonal)
+        own *= self._scale[:, :, None] * self._scale[:, None, :]
+        right *= self._scale[:, :, None]
+        right[:-1, :, :wide] *= self._scale[1:, None, :]
+        coupling = right[:, :, wide:].reshape(count * wide, -1).copy()
+        forward = np.empty_like(right)
+        for g in range(count):
             if g > 0:  # what the groups before say of this one
-                across = following[g - 1]
-                gain = _solve(self._factors[-1], across)
-                self._gains.append(gain)
-                D, r = D - across.T @ gain, r - across.T @ forward[-1]
-            self._factors.append(_cholesky(D))
-            forward.append(_solve(self._factors[-1], r))
-        solved = [forward[-1]]
-        for g in range(len(own) - 2, -1, -1):
-            solved.append(forward[g] - self._gains[g] @ solved[-1])
-        solved.reverse()
-        borders = len(self._border)
-        total = side.T @ side - sum(c.T @ z for c, z in zip(coupling, solved, strict=True))
-        total = 0.5 * (total + total.T)
-        self._solved = [z * s[:, None] for z, s in zip(solved, self._scale, strict=True)]
+                said = right[g - 1, :, :wide].T @ forward[g - 1]
+                own[g] -= said[:, :wide]
+                right[g, :, wide:] -= said[:, wide:]
+            forward[g] = np.linalg.solve(own[g], right[g])
+        self._own, self._gains = own, forward[:, :, :wide]
+        self._factors = np.asarray(np.linalg.cholesky(own), float)  # raises where a direction is left free
+        solved = forward[:, :, wide:]
+        for g in range(count - 2, -1, -1):
+            solved[g] -= self._gains[g] @ solved[g + 1]
+        said = coupling.T @ solved.reshape(count * wide, -1)
+        total = normal[:, 2 * wide :, 2 * wide :].sum(axis=0) + loose - 0.5 * (said + said.T)
+        self._solved = solved * self._scale[:, :, None]
         #: information (b + e, b + e) and vector (b + e,) on the border's variables and the extra columns
         self.information, self.vector = total[:-1, :-1], total[:-1, -1]
+        borders = len(self._border)
         self._shared_covariance = _inverse(self.information[:borders, :borders])
-
-    def _blocks(
-        self, information: coo_matrix, scale: FloatArray, ends: IntArray
-    ) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Scaled information within each group, and of each with the next."""
-        sizes = np.diff(ends, prepend=0)
-        group = np.repeat(np.arange(len(sizes)), sizes)
-        within = np.arange(len(group)) - np.repeat(ends - sizes, sizes)
-        row, column = information.row, information.col
-        value = information.data * scale[row] * scale[column]
-        blocks = []
-        for step in (0, 1):  # a group's columns, then the next one's
-            width = sizes[step:]
-            height = sizes[: len(width)]
-            start = np.concatenate(([0], np.cumsum(height * width)))
-            mine = group[column] == group[row] + step
-            i, j = row[mine], column[mine]
-            flat = np.zeros(start[-1])
-            flat[start[group[i]] + within[i] * width[group[i]] + within[j]] = value[mine]
-            blocks.append(
-                [
-                    flat[a:b].reshape(h, w)
-                    for a, b, h, w in zip(start[:-1], start[1:], height, width, strict=True)
-                ]
-            )
-        return blocks[0], blocks[1]
 
     @property
     def extra_count(self) -> int:
         """How many extra columns there are."""
-        return self._extra.shape[1]
+        return self._extra_count
 
     @property
     def extras(self) -> slice:
@@ -206,7 +197,7 @@ class LinearSystem:
 
     def border_rows(self, keys: Sequence[int]) -> IntArray:
         """Rows of border variables in `information` and `vector`, one after the other."""
-        return np.concatenate([self._border_row[self._columns[key]] for key in keys])
+        return np.concatenate([self._border_row[self.columns(key)] for key in keys])
 
     def shared_covariance(self, keys: Sequence[int]) -> FloatArray:
         """Joint covariance of border variables, in the order of the keys; extra quantities held fixed."""
@@ -214,20 +205,20 @@ class LinearSystem:
         return np.asarray(self._shared_covariance[np.ix_(rows, rows)])
 
     @cached_property
-    def _diagonal(self) -> list[FloatArray]:
-        """Covariance within each group, the border held fixed, in scaled coordinates."""
-        blocks = [_inverse_of(self._factors[-1])]
-        for g in range(len(self._groups) - 2, -1, -1):
+    def _diagonal(self) -> FloatArray:
+        """Covariance (g, w, w) within each group, the border held fixed, in scaled coordinates."""
+        blocks = np.linalg.inv(self._own)
+        for g in range(len(blocks) - 2, -1, -1):
             gain = self._gains[g]
-            blocks.append(_inverse_of(self._factors[g]) + gain @ blocks[-1] @ gain.T)
-        return blocks[::-1]
+            blocks[g] += gain @ blocks[g + 1] @ gain.T
+        return np.asarray(blocks)
 
     def covariances(self, keys: Sequence[int]) -> FloatArray:
         """Covariances (k, d, d) of variables in time, all of one dimension; extra quantities held fixed."""
         group, rows = self._rows(keys)
-        scale = np.array([self._scale[g][r] for g, r in zip(group, rows, strict=True)])
-        own = np.array([self._diagonal[g][r[:, None], r] for g, r in zip(group, rows, strict=True)])
-        follows = self._follows(group, rows)[:, :, : len(self._border)]
+        scale = self._scale[group, rows]
+        own = self._diagonal[group[:, :, None], rows[:, :, None], rows[:, None, :]]
+        follows = self._solved[group, rows, : len(self._border)]
         across = follows @ self._shared_covariance @ np.swapaxes(follows, 1, 2)
         return np.asarray(own * scale[:, :, None] * scale[:, None, :] + across)
 
@@ -240,12 +231,9 @@ class LinearSystem:
         shared : ndarray, shape (b, e)
             How the border follows them (`shared_sensitivity`).
         """
-        follows = self._follows(*self._rows(keys))
+        follows = self._solved[self._rows(keys)]
         borders, extras = len(self._border), self._first_extras(shared.shape[1])
         return np.asarray(-follows[:, :, extras] - follows[:, :, :borders] @ shared)
-
-    def _follows(self, group: list[int], rows: IntArray) -> FloatArray:
-        return np.array([self._solved[g][r] for g, r in zip(group, rows, strict=True)])
 
     def shared_sensitivity(self, pull: FloatArray | None = None) -> FloatArray:
         """How the border's variables follow the first e extra quantities, (b, e).
@@ -268,15 +256,21 @@ class LinearSystem:
 
     def conditionals(self) -> Iterator[Conditional]:
         """The groups of the chain, each given what comes after it, from the last to the first."""
-        gains = [*self._gains, None]
-        for g in range(len(self._groups) - 1, -1, -1):
-            follows = self._solved[g][:, : len(self.information)]
-            yield Conditional(self._groups[g], self._factors[g], gains[g], self._scale[g], follows)
+        last = len(self._groups) - 1
+        for g in range(last, -1, -1):
+            columns = self._groups[g]
+            size = len(columns)
+            gain = self._gains[g, :size, : len(self._groups[g + 1])] if g < last else None
+            follows = self._solved[g, :size, : len(self.information)]
+            factor, scale = self._factors[g, :size, :size], self._scale[g, :size]
+            yield Conditional(columns, factor, gain, scale, follows)
 
-    def _rows(self, keys: Sequence[int]) -> tuple[list[int], IntArray]:
-        """The group of each variable, and its rows in it (k, d)."""
-        place = self._place[np.array([np.arange(own.start, own.stop) for own in map(self.columns, keys)])]
-        return place[:, 0, 0].tolist(), place[:, :, 1]
+    def _rows(self, keys: Sequence[int]) -> tuple[IntArray, IntArray]:
+        """The group of each variable's columns, and their rows in it, (k, d) each."""
+        first = np.array([self.columns(key).start for key in keys])
+        own = self.columns(keys[0])
+        place = self._place[first[:, None] + np.arange(own.stop - own.start)]
+        return place[:, :, 0], place[:, :, 1]
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
@@ -287,21 +281,6 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     if not (diagonal > 0).all():
         raise np.linalg.LinAlgError("a shared quantity is left free")
     scale = 1.0 / np.sqrt(diagonal)
-    inverse = _inverse_of(_cholesky(matrix * scale[:, None] * scale))
-    return np.asarray(inverse * scale[:, None] * scale)
-
-
-def _inverse_of(factor: FloatArray) -> FloatArray:
-    return _solve(factor, np.eye(len(factor)))
-
-
-def _cholesky(matrix: FloatArray) -> FloatArray:
-    """Lower factor; LAPACK itself, since checks and conversions cost more than blocks of some thirty rows."""
-    factor, info = dpotrf(matrix, lower=1)
-    if info:
-        raise np.linalg.LinAlgError("a direction is left free")
-    return np.asarray(factor)
-
-
-def _solve(factor: FloatArray, right: FloatArray) -> FloatArray:
-    return np.asarray(dpotrs(factor, right, lower=1)[0])
+    scaled = matrix * scale[:, None] * scale
+    np.linalg.cholesky(scaled)  # raises where it is not positive definite
+    return inverse(scaled) * scale[:, None] * scale

@@ -13,14 +13,14 @@ from collections.abc import Callable
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
-from scipy.linalg import solve_triangular
 
 from ..recording import FloatArray, IntArray
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.problem import Window
 from .error_columns import node_of_variables
-from .linear_system import DIMENSION, LinearSystem
+from .jacobian import DIMENSION
+from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 
 #: Variables of a node in the order of their random numbers, by the letter of their keys.
@@ -112,6 +112,8 @@ def _border(
     system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray, plan: DrawPlan
 ) -> FloatArray:
     """Errors (count, b) of the border's variables: the shared vector, then the other biases given it."""
+    from scipy.linalg import solve_triangular  # only where motions are drawn
+
     keys = shared_keys(window, biases)
     jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
     covariance = jacobian @ system.shared_covariance(keys) @ jacobian.T
@@ -158,7 +160,9 @@ def _chain(
     system: LinearSystem, nodes: dict[int, int], t: FloatArray, border: FloatArray, plan: DrawPlan
 ) -> FloatArray:
     """Errors (count, columns) of all variables in time, given the border's; zero of the border."""
-    width = system.jacobian.shape[1]
+    from scipy.linalg import solve_triangular  # only where motions are drawn
+
+    width = system.jacobian.width
     normals = plan.at_times("node", t, _WIDTH)
     # the node of each column, and which of the node's random numbers it has
     place = np.full((width, 2), -1)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
-from scipy.sparse import csr_matrix
 
 from ..errors import SolveError
 from ..linalg import interpolate
@@ -22,7 +21,7 @@ from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
 from .clock_information import offset_column, offset_information
 from .error_columns import constant_error_columns, evidence, node_of_variables
-from .linear_system import LinearSystem
+from .linear_system import ExtraColumns, LinearSystem
 from .optimise import Optimum, optimise
 from .sampling import sample_window
 from .shared_prior import shared_jacobian, shared_keys
@@ -171,7 +170,7 @@ def _read(
     states = _states(values, len(window.t))
     following, pose_covariance, velocity_covariance, offset, draws = None, None, None, 0.0, None
     if with_covariance or with_message or with_evidence or with_offset:
-        extra: list[Callable[[csr_matrix, Mapping[int, slice]], FloatArray]] = []
+        extra: list[ExtraColumns] = []
         if with_evidence or window.considered is not None:
             extra.append(partial(constant_error_columns, window=window, biases=biases, R=states.R))
         if with_offset:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import skew
 from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
 from ..recovery.samples import widen_turns
+from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.constant_errors import JOINT_ERRORS
 from ..window.lag_solution import LagSolution, NodeState

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray
+from ..rotation import Rotation
 from ..window.lag_solution import NodeState
 
 #: A jump is spread over so long, s.

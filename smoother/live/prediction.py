@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import skew
 from ..measurements.inertial import InertialSignal, integrate_between
 from ..recording import FloatArray
+from ..rotation import Rotation
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import NoiseModel
 

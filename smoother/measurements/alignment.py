@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, nearest_rotation
 from ..recording import JOINTS, BoolArray, FloatArray
+from ..rotation import Rotation, Slerp
 from ..units import GRAVITY
 from .attitude import InertialAttitude
 from .inertial import InertialSignal

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from ..recording import FloatArray
+from ..rotation import Rotation, Slerp
 from .inertial import InertialSignal
 
 #: Half width of the time that the acceleration's standard deviation is taken over, s.

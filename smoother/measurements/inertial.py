@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray, ImuStream, IntArray
+from ..rotation import Rotation
 from ..splines import cubic_spline
 
 #: Longest fine step of the integration, s.

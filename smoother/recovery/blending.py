@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ..recording import FloatArray
+from ..rotation import Rotation
 from ..window.trajectory import mix, turn_to
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import runs, unit
 from ..measurements.rejection import Rejection
@@ -18,6 +17,7 @@ from ..measurements.segment import without_spikes
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import FloatArray, ImuStream, Recording
 from ..result import Recovery
+from ..rotation import Rotation
 from .gyroscope_drift import gyroscope_drift
 
 #: Down before and after a moment is averaged over these times, s; both must show the jump.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..recording import FloatArray, IntArray
+from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws

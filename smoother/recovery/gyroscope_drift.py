@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import FloatArray, ImuStream
 from ..result import Recovery
+from ..rotation import Rotation
 
 #: Over so long a time, s; looked at so often, s.
 OVER_S, STEP_S = 4.0, 0.5

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance
@@ -15,6 +14,7 @@ from ..measurements.alignment import lever_of
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.cut import PreparedSegment
 from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose

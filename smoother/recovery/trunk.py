@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import unit
 from ..measurements.attitude import inertial_attitude
@@ -19,6 +18,7 @@ from ..measurements.segment import without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import FloatArray, ImuStream, IntArray, JointTracks, Recording, TrunkSensors
 from ..result import Recovery
+from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
 from ..trunk_motion import TrunkMotion

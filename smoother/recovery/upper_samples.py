@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..recording import FloatArray
+from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.trajectory import Trajectory
 from ..window.upper_runs import PreparedRun

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..errors import UnoccludeError
 from ..recording import FloatArray
+from ..rotation import Rotation
 
 if TYPE_CHECKING:
     from .recovery import Recovery

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..calibration import ArmCalibration, LeverArm
 from ..linalg import parabola_vertex
@@ -19,6 +18,7 @@ from ..measurements.alignment import Alignment, acceleration_pairs, align, direc
 from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.segment import Segment
 from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from ..rotation import Rotation
 from ..units import GRAVITY
 
 #: Clock offsets tried first, s.

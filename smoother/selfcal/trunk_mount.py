@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import nearest_rotation, parabola_vertex, unit
 from ..measurements.attitude import InertialAttitude
 from ..recording import FloatArray
+from ..rotation import Rotation
 
 #: Errors of the shoulders last about so long, s: frames that are nearer say together no more than one. The
 #: mounting is found on frames so far apart, s.
@@ -61,7 +61,7 @@ class TrunkHeading:
 
     def at(self, t: FloatArray) -> Rotation:
         """`R_K_E` at the given times, held beyond the ends."""
-        return self.level * Rotation.from_euler("z", np.interp(t, self.t, self.heading)[:, None])
+        return self.level * Rotation.about_z(np.interp(t, self.t, self.heading))
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def _first_direction(line: ShoulderLine, up_K: FloatArray) -> FloatArray:
     in_E = _level(up_K).inv().apply(line.in_K)
     means = []
     for heading in HEADINGS:
-        turned = Rotation.from_euler("z", -heading).apply(in_E)
+        turned = Rotation.about_z(-heading).apply(in_E)
         means.append(line.attitude.at(line.t).inv().apply(turned).mean(axis=0))
     return unit(max(means, key=lambda mean: float(np.linalg.norm(mean))))
 

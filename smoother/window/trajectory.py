@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..recording import FloatArray, IntArray
+from ..rotation import Rotation
 from .problem import States, Window
 from .solution import Solution
 

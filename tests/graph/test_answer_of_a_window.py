@@ -63,9 +63,9 @@ class Optimum:
         self.biases = bias_of_intervals(window)
         self.errors = partial(constant_error_columns, window=window, biases=self.biases, R=self.R)
         self.system = LinearSystem(self.graph, self.values, node_of_variables(window), [self.errors])
-        self.A, self.b = self.system.jacobian.toarray(), self.system.rhs
+        self.A, self.b = self.system.jacobian.toarray(), self.system.jacobian.rhs
         self.extra = np.zeros((len(self.A), SIZE))
-        columns = self.errors(self.system.jacobian, self.columns)
+        columns = self.errors(self.system.jacobian)
         self.extra[: len(columns)] = columns
         self.covariance = np.linalg.inv(self.A.T @ self.A)
 
@@ -243,7 +243,7 @@ def test_a_column_is_the_derivative_of_the_data(upper: bool) -> None:
         system = LinearSystem(
             _with_errors(best, window, scale * error), best.values, node_of_variables(window)
         )
-        return system.rhs
+        return system.jacobian.rhs
 
     moved = -(rhs(step) - rhs(-step)) / (2 * step)  # the graph's right-hand side is minus its error
     stated = best.extra @ error

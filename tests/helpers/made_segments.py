@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from curve import G
-from scipy.spatial.transform import Rotation
 
 from smoother.measurements.attitude import InertialAttitude
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, FloatArray, ImuStream
+from smoother.rotation import Rotation
 
 ELBOW, WRIST, HAND, STRAP = (JOINTS.index(joint) for joint in ("elbow", "wrist", "hand", "strap"))
 FOREARM_M = 0.25

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from curve import Curve, G
 from scenes import point
-from scipy.spatial.transform import Rotation
+from scipy.spatial import transform
 
 from smoother.measurements.alignment import (
     FILTER_SIGMA_RAD,
@@ -18,6 +18,7 @@ from smoother.measurements.alignment import (
 from smoother.measurements.attitude import InertialAttitude, inertial_attitude
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import JOINTS, FloatArray
+from smoother.rotation import Rotation
 from smoother.window.prepare import states_from_camera
 
 NOTHING = VectorPairs(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
@@ -115,14 +116,15 @@ def test_pairs_outweigh_the_hint() -> None:
 
 def true_attitude(curve: Curve, R_E_K: Rotation, duration_s: float) -> InertialAttitude:
     t = np.arange(0.0, duration_s, 0.01)
-    return InertialAttitude(t, R_E_K * curve.rotation(t), np.zeros(3))
+    return InertialAttitude(t, R_E_K * Rotation.from_matrix(curve.rotation(t).as_matrix()), np.zeros(3))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_acceleration_pairs_are_one_vector_from_two_frames(seed: int) -> None:
     """A joint with a lever arm, exact samples: the same functional of the same path, up to interpolation."""
     curve = Curve(seed, fastest_hz=1.0, down=np.array([0.0, -1.0, 0.0]))
-    R_K_E = Rotation.align_vectors([[0, 1.0, 0], [0.6, 0, 0.8]], [[0, 0, 1.0], [1.0, 0, 0]])[0]
+    shortest = transform.Rotation.align_vectors([[0, 1.0, 0], [0.6, 0, 0.8]], [[0, 0, 1.0], [1.0, 0, 0]])[0]
+    R_K_E = Rotation.from_matrix(shortest.as_matrix())
     attitude = true_attitude(curve, R_K_E.inv(), 8.0)
     t, lever = np.arange(0.2, 7.8, 1 / 30), np.array([0.02, -0.2, 0.03])
     joint = curve.position(t) + curve.rotation(t).apply(lever)
@@ -142,7 +144,7 @@ def test_acceleration_pairs_leave_gaps_alone() -> None:
     curve = Curve(0, fastest_hz=1.0)
     t = np.arange(0.2, 7.8, 1 / 30)
     t = t[(t < 3.0) | (t > 3.5)]
-    attitude = true_attitude(curve, Rotation.identity(), 8.0)
+    attitude = true_attitude(curve, Rotation.from_matrix(np.eye(3)), 8.0)
     signal = InertialSignal(curve.imu(100.0, 8.0))
     accelerations = acceleration_pairs(t, curve.position(t), attitude, signal, G)
     assert not ((accelerations.t > 2.65) & (accelerations.t < 3.85)).any()
@@ -175,7 +177,7 @@ def test_align_on_a_simulated_point_is_within_its_covariance(seed: int) -> None:
 def test_direction_pairs_hold_the_forearm_s_direction() -> None:
     curve, along = Curve(2), np.array([0.0, 1.0, 0.0])
     t = np.arange(0.5, 4.0, 0.05)
-    attitude = true_attitude(curve, Rotation.identity(), 5.0)
+    attitude = true_attitude(curve, Rotation.from_matrix(np.eye(3)), 5.0)
     elbow = curve.position(t)
     pairs = direction_pairs(t, elbow, elbow + 0.25 * curve.rotation(t).apply(along), attitude, along)
     np.testing.assert_allclose(pairs.in_K, pairs.in_E, atol=5e-3)  # slerp between 10 ms knots

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from made_segments import ELBOW, FOREARM_M, HAND, WRIST, forearm, still_imu, with_position
 from made_segments import STRAP as STRAP_COLUMN
-from scipy.spatial.transform import Rotation
 
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
@@ -24,6 +23,7 @@ from smoother.measurements.outliers import (
 from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, FloatArray
+from smoother.rotation import Rotation
 
 X = np.array([1.0, 0.0, 0.0])
 RESTING = Alignment(np.zeros(1), Rotation.from_quat([[0.0, 0.0, 0.0, 1.0]]), np.eye(3)[None])

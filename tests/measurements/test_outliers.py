@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_segments import ELBOW, HAND, WRIST, forearm, still_imu, with_position
 from made_segments import STRAP as STRAP_COLUMN
-from scipy.spatial.transform import Rotation
 
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
@@ -23,6 +22,7 @@ from smoother.measurements.outliers import (
 from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.rotation import Rotation
 
 TURNING = np.array([0.0, 0.0, 0.5])
 X = np.array([1.0, 0.0, 0.0])

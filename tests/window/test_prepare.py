@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import arm
-from scipy.spatial.transform import Rotation
 
 from smoother.measurements.clock import Clock, constant_clock
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.measurements.visibility import Gap, enough_joints
 from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.rotation import Rotation
 from smoother.simulation import SimulatedArm
 from smoother.window.cut import PreparedSegment
 from smoother.window.nodes import CLOSEST_S, GAP_NODE_S, GROUPED_S

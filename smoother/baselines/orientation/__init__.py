@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 
-from scipy.spatial.transform import Rotation
-
 from ...measurements.attitude import InertialAttitude
 from ...measurements.inertial import InertialSignal
 from ...recording import FloatArray, ImuStream
+from ...rotation import Rotation
 from .samples import EvenSamples, even_samples
 
 #: A filter: even samples in, quaternions (n, 4; qw, qx, qy, qz) of `R_E_A` out.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...recording import IntArray
 from ...result import Recovery
+from ...rotation import Rotation
 from ..wire import protobuf_encode as wire
 
 
@@ -62,8 +63,6 @@ def odometry(r: Recovery, frame_id: str, body: str) -> Iterator[wire.AlikeRows]:
     columns : callable
         From some of the rows to what is not.
     """
-    from scipy.spatial.transform import Rotation
-
     has_position = np.isfinite(r.position).all(axis=1)
     has_turn = np.isfinite(r.quaternion).all(axis=1)
     has_velocity = np.isfinite(r.velocity).all(axis=1)

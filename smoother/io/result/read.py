@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...measurements.rejection import Reason
 from ...recording import JOINTS, FloatArray, IntArray, JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
+from ...rotation import Rotation
 from ...trunk_motion import TrunkMotion
 from ...upper_motion import UpperMotion
 from ..mcap.container import Container
@@ -194,8 +195,6 @@ def _rows(stamp: IntArray, table: TopicTable | None) -> tuple[IntArray, dict[str
 
 
 def _motion(count: int, row: IntArray, motion: dict[str, NDArray]) -> dict[str, Any]:
-    from scipy.spatial.transform import Rotation
-
     arrays: dict[str, Any] = {
         "position": np.full((count, 3), np.nan),
         "quaternion": np.full((count, 4), np.nan),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...joint_angles import torso_axes
 from ...recording import FloatArray
 from ...result import Recovery
+from ...rotation import Rotation
 from ..wire import protobuf_encode as wire
 
 #: Name of the level frame: x towards the camera, z up, the origin in the camera.
