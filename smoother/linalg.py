@@ -6,6 +6,9 @@ import numpy as np
 
 from .recording import BoolArray, FloatArray, IntArray
 
+#: Of a root: a double one is halved in distance by each, others are met after a few.
+NEWTON_STEPS = 40
+
 
 def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """Linear interpolation of stacked values, held beyond the ends.
@@ -104,6 +107,38 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
     U, _, Vt = np.linalg.svd(matrix)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return np.asarray(U @ Vt)
+
+
+def largest_trace(matrix: FloatArray) -> FloatArray:
+    """The trace of R' M for the `nearest_rotation` R, without R: the largest root of a quartic.
+
+    (Markley, J. Astronautical Sciences 41, 1993, eq 17, by Newton's method from above, as his FOAM does.)
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., 3, 3)
+        M.
+
+    Returns
+    -------
+    trace : ndarray, shape (...)
+        Good to rounding where the root is simple; a double root keeps half of the digits, a triple one a
+        third.
+    """
+    a, b, c = np.moveaxis(matrix, -2, 0)
+    across = np.cross(b, c)
+    det = np.einsum("...i,...i->...", a, across)
+    minors = sum(np.einsum("...i,...i->...", v, v) for v in (across, np.cross(c, a), np.cross(a, b)))
+    square = np.einsum("...ij,...ij->...", matrix, matrix)
+    root = np.sqrt(3.0 * square)  # no sum of three singular values is larger
+    for _ in range(NEWTON_STEPS):
+        apart = root**2 - square
+        slope = 4.0 * root * apart - 8.0 * det
+        step = (apart**2 - 8.0 * root * det - 4.0 * minors) / np.where(slope > 0.0, slope, np.inf)
+        root = root - step
+        if (np.abs(step) <= 1e-12 * root).all():
+            break
+    return np.asarray(root)
 
 
 def parabola_vertex(x: FloatArray, y: FloatArray) -> float:

@@ -8,6 +8,7 @@ All factors are GTSAM's own; see each function for the class.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import gtsam
@@ -61,23 +62,24 @@ def build(window: Window) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
 
 
 def _add_states(values: gtsam.Values, window: Window) -> None:
-    states = window.start
-    for i in range(len(window.t)):
-        values.insert(X(i), Pose3(Rot3(states.R[i]), states.p[i]))
-        values.insert(V(i), states.v[i])
+    start, pose, velocity = window.start, X(0), V(0)  # keys of a letter follow each other
+    for i, (R, p, v) in enumerate(zip(start.R, start.p, start.v, strict=True)):
+        values.insert(pose + i, Pose3(Rot3(R), p))
+        values.insert(velocity + i, v)
 
 
 def _add_joints(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:
     """`GPSFactorArmCalib` (the lever arm is a variable) or `GPSFactorArm` at the IMU itself."""
     for measured in window.joint_measurements:
         is_lever = measured.joint in window.priors.layout.joints
-        key = L(JOINTS.index(measured.joint))
-        for node, position, sigma in zip(*stacked_measurements(measured, window.noise.cauchy), strict=True):
-            model = robust(float(sigma), window.noise.cauchy)
+        pose, key, nowhere = X(0), L(JOINTS.index(measured.joint)), np.zeros(3)
+        nodes, positions, sigmas = stacked_measurements(measured, window.noise.cauchy)
+        for node, position, sigma in zip(nodes.tolist(), positions, sigmas.tolist(), strict=True):
+            model = robust(sigma, window.noise.cauchy)
             if is_lever:
-                graph.add(gtsam.GPSFactorArmCalib(X(node), key, position, model))
+                graph.add(gtsam.GPSFactorArmCalib(pose + node, key, position, model))
             else:
-                graph.add(gtsam.GPSFactorArm(X(node), position, np.zeros(3), model))
+                graph.add(gtsam.GPSFactorArm(pose + node, position, nowhere, model))
 
 
 def stacked_measurements(
@@ -130,38 +132,44 @@ def _add_shoulder(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, windo
         if np.isfinite(shoulder.position[k, 0]):
             model = robust(float(shoulder.sigma_m[k]), noise.cauchy)
             graph.add(gtsam.PriorFactorPoint3(S(k), shoulder.position[k], model))
-    for k, dt in enumerate(np.diff(window.t[shoulder.node])):
-        walk = isotropic(3, round(noise.shoulder_walk * float(np.sqrt(dt)), 6))
-        graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), np.zeros(3), walk))
+    still = np.zeros(3)
+    for k, length in enumerate(np.sqrt(np.diff(window.t[shoulder.node])).tolist()):
+        walk = isotropic(3, round(noise.shoulder_walk * length, 6))
+        graph.add(gtsam.BetweenFactorPoint3(S(k), S(k + 1), still, walk))
     if not np.isfinite(shoulder.position[:, 0]).any():
         graph.add(gtsam.PriorFactorPoint3(S(0), shoulder.start[0], isotropic(3, 1.0)))
     if window.priors.layout.has_upper_arm:
-        for k in range(len(shoulder.node)):
-            graph.add(upper_arm_factor(window, k, noise.upper_arm_sigma_m))
+        for factor in upper_arm_factors(window, np.full(len(shoulder.node), noise.upper_arm_sigma_m)):
+            graph.add(factor)
 
 
-def upper_arm_factor(window: Window, knot: int, sigma_m: float) -> gtsam.RangeFactorWithTransformBias3D:
-    """The elbow's distance from a shoulder knot; the length's correction is the variable U.
+def upper_arm_factors(
+    window: Window, sigma_m: FloatArray, knots: IntArray | None = None
+) -> Iterator[gtsam.RangeFactorWithTransformBias3D]:
+    """The elbow's distance from shoulder knots; the length's correction is the variable U.
 
     Parameters
     ----------
     window : Window
         With a shoulder, and an upper arm among the shared quantities.
-    knot : int
-        Of the shoulder.
-    sigma_m : float, m
-        How far from constant the length is.
+    sigma_m : ndarray, shape (k,), m
+        How far from constant the length is, at each knot.
+    knots : ndarray of int, shape (k,), optional
+        Of the shoulder; all where None.
 
-    Returns
-    -------
+    Yields
+    ------
     factor : gtsam.RangeFactorWithTransformBias3D
+        One a knot.
     """
     assert window.shoulder is not None
     layout, mean = window.priors.layout, window.priors.shared.mean
     length, at_elbow = float(mean[layout.upper_arm][0]), Pose3(Rot3(), mean[layout.lever("elbow")])
-    model = isotropic(1, sigma_m)
-    node = int(window.shoulder.node[knot])
-    return gtsam.RangeFactorWithTransformBias3D(X(node), S(knot), U(0), length, model, at_elbow)
+    nodes = np.asarray(window.shoulder.node)
+    knots = np.arange(len(nodes)) if knots is None else knots
+    for knot, node, sigma in zip(knots.tolist(), nodes[knots].tolist(), sigma_m.tolist(), strict=True):
+        model = isotropic(1, sigma)
+        yield gtsam.RangeFactorWithTransformBias3D(X(node), S(knot), U(0), length, model, at_elbow)
 
 
 def _add_constant_velocity(graph: gtsam.NonlinearFactorGraph, window: Window) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
+from itertools import islice
 
 import gtsam
 import numpy as np
@@ -39,27 +41,38 @@ def add_increments(
     first_node : int
         Number of the window's first node.
     """
-    pose, velocity, bias_of = symbols
+    pose, velocity, bias_of = (symbol(0) for symbol in symbols)  # keys of a letter follow each other
     increments = window.increments
     bias = gtsam.imuBias.ConstantBias(increments.bias[:3], increments.bias[3:])
-    acc = increments.acc + increments.bias[:3]
-    gyro = increments.gyro + increments.bias[3:]
-    first = increments.first
+    samples = zip(
+        *np.moveaxis(increments.acc + increments.bias[:3], 1, 0),
+        increments.gyro + increments.bias[3:],
+        increments.h.tolist(),
+        strict=True,
+    )
+    counts = np.diff(increments.first).tolist()
     levels = noise_levels(increments, np.diff(window.t), window.noise, window.gravity_magnitude)
     params = {
         level: preintegration_parameters(window.noise, window.gravity_magnitude, *level)
         for level in set(levels)
     }
-    for i in range(len(window.t) - 1):
-        pim = gtsam.PreintegratedImuMeasurements(params[levels[i]], bias)
-        for step in range(first[i], first[i + 1]):
-            pim.integrateMeasurement(acc[step, 0], gyro[step], increments.h[step])
-            pim.integrateMeasurement(acc[step, 1], gyro[step], increments.h[step])
+    for i, (count, level, own_bias) in enumerate(zip(counts, levels, biases.tolist(), strict=True)):
+        pim = gtsam.PreintegratedImuMeasurements(params[level], bias)
+        integrate = pim.integrateMeasurement
+        for first_half, second_half, rate, h in islice(samples, count):
+            integrate(first_half, rate, h)
+            integrate(second_half, rate, h)
         a, b = first_node + i, first_node + i + 1
-        states = pose(a), velocity(a), pose(b), velocity(b)
         graph.add(
             gtsam.ImuFactorWithGravityDirection(
-                *states, bias_of(biases[i]), G(0), pim, window.gravity_magnitude
+                pose + a,
+                velocity + a,
+                pose + b,
+                velocity + b,
+                bias_of + own_bias,
+                G(0),
+                pim,
+                window.gravity_magnitude,
             )
         )
 
@@ -98,6 +111,7 @@ def noise_levels(
     return [(int(a), int(g)) for a, g in level]
 
 
+@lru_cache(maxsize=1024)
 def preintegration_parameters(
     noise: NoiseModel, gravity_magnitude: float, acc: int, gyro: int
 ) -> gtsam.PreintegrationParams:

@@ -19,7 +19,7 @@ import numpy as np
 from ..linalg import runs
 from ..recording import FloatArray, IntArray
 from ..window.problem import Window
-from .build import upper_arm_factor
+from .build import upper_arm_factors
 
 MAX_ITERATIONS = 12
 #: Gaps from this length on are solved in stages, s.
@@ -94,8 +94,9 @@ def optimise(
 
     def with_sigma(sigma_m: FloatArray) -> gtsam.NonlinearFactorGraph:
         changed = gtsam.NonlinearFactorGraph(graph)
-        for knot, sigma in zip(gap.knots.tolist(), sigma_m.tolist(), strict=True):
-            changed.replace(lengths[knot], upper_arm_factor(window, knot, sigma))
+        factors = upper_arm_factors(window, sigma_m, gap.knots)
+        for knot, factor in zip(gap.knots.tolist(), factors, strict=True):
+            changed.replace(lengths[knot], factor)
         return changed
 
     last_tolerance = min(tolerance, LAST_TOLERANCE)
@@ -155,7 +156,7 @@ def _descend(
     params.setlambdaInitial(1e-9)  # a good start: close to Gauss-Newton from the first step
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
     values = optimizer.optimize()
-    return Optimum(graph, values, optimizer.iterations(), graph.error(values))
+    return Optimum(graph, values, optimizer.iterations(), optimizer.error())
 
 
 @dataclass(frozen=True)

@@ -230,12 +230,10 @@ def _lost_to_tightening(rotation: FloatArray, window: Window, tighten: float) ->
 
 
 def _states(values: gtsam.Values, count: int) -> States:
-    poses = [values.atPose3(X(i)) for i in range(count)]
-    return States(
-        R=np.array([pose.rotation().matrix() for pose in poses]),
-        p=np.array([pose.translation() for pose in poses]),
-        v=np.array([values.atVector(V(i)) for i in range(count)]),
-    )
+    """At the nodes; GTSAM hands out a letter's variables in the order of their numbers, X before Y."""
+    poses = np.ascontiguousarray(gtsam.utilities.extractPose3(values)[:count])
+    velocities = np.ascontiguousarray(gtsam.utilities.extractVectors(values, "v"))
+    return States(R=poses[:, :9].reshape(-1, 3, 3), p=poses[:, 9:], v=velocities)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import ArmCalibration, LeverArm
-from ..linalg import parabola_vertex
+from ..linalg import largest_trace, parabola_vertex
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
 from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.segment import Segment
@@ -148,15 +148,13 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
     chunk = ((t - t[0]) / CHUNK_S).astype(int)
     loss = np.zeros((len(offsets), len(directions)))
     hint = np.outer(segment.down, [0.0, 0.0, -1.0]) * (DIRECTION_SIGMA_RAD / HINT_SIGMA_RAD) ** 2
-    for i, offset in enumerate(offsets):
-        R_E_A = segment.attitude.at(t + offset).as_matrix()
-        for part in np.unique(chunk):
-            member = chunk == part
-            tensor = np.einsum("na,nbc->abc", along[member], R_E_A[member])
-            profile = np.einsum("abc,kc->kab", tensor, directions) + hint
-            U, S, Vt = np.linalg.svd(profile)
-            sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-            loss[i] += member.sum() - (S[:, 0] + S[:, 1] + sign * S[:, 2])
+    R_E_A = segment.attitude.at((offsets[:, None] + t).ravel()).as_matrix().reshape(len(offsets), -1, 9)
+    for part in np.unique(chunk):
+        member = chunk == part
+        # by offset (camera axis, earth axis, sensor axis), then by direction of the sensor
+        tensor = (along[member].T @ R_E_A[:, member]).reshape(len(offsets), 3, 3, 3)
+        profile = np.moveaxis(tensor @ directions.T, -1, 1) + hint
+        loss += member.sum() - largest_trace(profile)
     return loss / DIRECTION_SIGMA_RAD**2
 
 

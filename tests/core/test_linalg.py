@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 from scipy.signal import find_peaks
 
-from smoother.linalg import nonnegative_pair, peaks
+from smoother.linalg import largest_trace, nearest_rotation, nonnegative_pair, peaks
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -33,3 +33,18 @@ def test_nonnegative_pair_is_scipys(seed: int) -> None:
     theirs, their_misfit = nnls(A, y)
     np.testing.assert_allclose(x, theirs, atol=1e-10)
     assert misfit == pytest.approx(their_misfit)
+
+
+def test_the_largest_trace_is_that_of_the_nearest_rotation() -> None:
+    rng = np.random.default_rng(8)
+    general = rng.normal(size=(300, 3, 3))
+    lines = rng.normal(size=(100, 3, 1)) @ rng.normal(size=(100, 1, 3))  # one direction only: a double root
+    planes = general[:100] @ np.diag([1.0, 1.0, 0.0])
+    for matrices, tolerance in ((general, 1e-11), (100.0 * planes, 1e-11), (lines, 1e-7)):
+        expected = np.einsum("nij,nij->n", nearest_rotation(matrices), matrices)
+        np.testing.assert_allclose(
+            largest_trace(matrices), expected, atol=tolerance * np.abs(matrices).max(), rtol=0
+        )
+    assert largest_trace(np.zeros((3, 3))) == 0.0
+    # no reflection, half a turn about any axis: a triple root, which keeps a third of the digits
+    np.testing.assert_allclose(largest_trace(-np.eye(3)), 1.0, atol=1e-4)

@@ -128,8 +128,9 @@ def _rise(window: Window) -> float:
     lengths = [
         i for i in range(graph.size()) if isinstance(graph.at(i), gtsam.RangeFactorWithTransformBias3D)
     ]
-    for knot in KNOTS:
-        loose.replace(lengths[knot], module.upper_arm_factor(window, knot, LOOSE_M))
+    factors = module.upper_arm_factors(window, np.full(len(KNOTS), LOOSE_M), np.array(KNOTS))
+    for knot, factor in zip(KNOTS, factors, strict=True):
+        loose.replace(lengths[knot], factor)
     best = gtsam.LevenbergMarquardtOptimizer(loose, values).optimize()
     return float(whole.graph.error(whole.values) - loose.error(best))
 
