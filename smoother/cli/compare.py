@@ -148,6 +148,7 @@ def compare(
             {name: running[name] for name in names},
             alignment,
             lambda part, name: report_part((1 + part) / 2, name),
+            config.windows.processes,
         )
 
     with progress_bar("comparing") as progress:

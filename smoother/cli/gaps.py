@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -125,6 +126,7 @@ def gaps(
 
         read_calibration(keep_in)  # before the work: what cannot be read cannot be added to
     config = with_processes(read_config(config_file), processes)
+    side_by_side = config.windows.processes or os.cpu_count() or 1
     recordings: list[Recording] = []
     tables: list[GapTable] = []
     notes: list[str] = []
@@ -159,14 +161,16 @@ def gaps(
                 given = with_strap(calibration, recording) if solve_lever_arms else calibration
                 if keep_in is not None and given is not None:  # what is measured anew is not applied before
                     given = replace(given, sigma_factors=None)
+                inner = with_processes(config, max(side_by_side // (len(lengths_s) * repetitions), 1))
                 return evaluate_gaps(
                     recording,
                     lengths_s,
-                    make_methods(names, given, config, settings, clock=clock, latency_s=latency_s),
+                    make_methods(names, given, inner, settings, clock=clock, latency_s=latency_s),
                     seed=seed,
                     repetitions=repetitions,
                     gaps_per_run=gaps_per_run,
                     progress=_share(file_progress, place, len(here)),
+                    processes=side_by_side,
                 )
 
             evaluated, left_out = each_arm(here, hide_and_recover)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -125,6 +125,10 @@ class SharedGraph:
         self._recording: Recording | None = None
         self._answer: Recovery | UnoccludeError | None = None
 
+    def __getstate__(self) -> dict[str, object]:
+        """In another process there is no progress to report, and the answer lies in its memory."""
+        return {**self.__dict__, "_progress": None, "_store": None}
+
     def __call__(self, recording: Recording) -> Recovery:
         """The recovery of this very object."""
         if self._recording is not recording:
@@ -164,34 +168,47 @@ def make_methods(
     methods see a frame `latency_s` after its moment.
     """
     graph, settings = SharedGraph(calibration, config, progress, store, clock), settings or BaselineSettings()
+    live = _SharedPlay(graph, calibration, config, latency_s)
 
-    @cache
-    def played() -> LivePlay:
+    def method(name: str) -> Method:
+        if name == GRAPH:
+            return graph
+        if name in LIVE_SMOOTHER:
+            return partial(live, LIVE_SMOOTHER[name])
+        options = settings.for_method(name)
+        if name in LIVE_BASELINES:
+            options["latency_s"] = latency_s
+        return partial(_by_baseline, name, graph, settings.orientation, options)
+
+    return {name: method(name) for name in names}
+
+
+class _SharedPlay:
+    """A recording played once into the live smoother, for what it answers now and later."""
+
+    def __init__(
+        self, graph: SharedGraph, calibration: ArmCalibration | None, config: Config, latency_s: float
+    ) -> None:
+        self._inputs = graph, calibration, config, latency_s
+        self._play: LivePlay | None = None
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"_inputs": self._inputs, "_play": None}
+
+    def __call__(self, kind: str, recording: Recording) -> Recovery:
         from ..evaluation.live_methods import LivePlay
 
-        return LivePlay(graph, calibration, config, latency_s)
+        if self._play is None:
+            self._play = LivePlay(*self._inputs)
+        return self._play.method(kind)(recording)
 
-    def live(name: str) -> Method:
-        def run(recording: Recording) -> Recovery:
-            return played().method(LIVE_SMOOTHER[name])(recording)
 
-        return run
+def _by_baseline(
+    name: str, graph: SharedGraph, orientation: str, options: Mapping[str, Any], recording: Recording
+) -> Recovery:
+    from ..baselines.registry import recover
 
-    def baseline(name: str) -> Method:
-        def run(recording: Recording) -> Recovery:
-            from ..baselines.registry import recover
-
-            options = settings.for_method(name)
-            if name in LIVE_BASELINES:
-                options["latency_s"] = latency_s
-            return recover(recording, graph(recording), name, settings.orientation, options)
-
-        return run
-
-    return {
-        name: graph if name == GRAPH else live(name) if name in LIVE_SMOOTHER else baseline(name)
-        for name in names
-    }
+    return recover(recording, graph(recording), name, orientation, options)
 
 
 def recover_arms(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..errors import RecordingError, UnoccludeError
 from ..measurements.visibility import Gap
 from ..recording import FloatArray, Recording, Truth
 from ..result import Recovery
+from ..runtime.pool import Pool
 from .align import truth_at
 from .gaps import Method, Progress
 from .lag import lag_s
@@ -158,6 +160,7 @@ def compare(
     methods: Mapping[str, Method],
     alignment: ReferenceAlignment | None = None,
     progress: Progress | None = None,
+    processes: int = 1,
 ) -> Comparison:
     """Run every method on one recording and hold each answer against the same truth.
 
@@ -175,6 +178,9 @@ def compare(
         How the truth was brought there; None where it came so.
     progress : Progress, optional
         Called with (part done, what is being done).
+    processes : int
+        Methods that run side by side, each in a process; 0 for one a core. With more than one they must be
+        such as can be sent to another process (no local functions).
 
     Raises
     ------
@@ -183,13 +189,17 @@ def compare(
     """
     alignment = alignment or ReferenceAlignment()
     point = compared_point(validate(graph, truth, alignment), graph)
-    rows = []
-    for place, (name, method) in enumerate(methods.items()):
-        if progress is not None:
-            progress(place / len(methods), name)
-        rows.append(_result(name, method, recording, truth, alignment, point))
-    if progress is not None:
-        progress(1.0, "done")
+    report = progress or (lambda part, text: None)
+    job = partial(
+        _result, methods=methods, recording=recording, truth=truth, alignment=alignment, point=point
+    )
+    rows: list[MethodResult] = []
+    with Pool(min(processes, len(methods)), len(methods) * len(recording.arm)) as workers:
+        answers = workers.map(job, methods)
+        for place, name in enumerate(methods):
+            report(place / len(methods), name)
+            rows.append(next(answers))
+    report(1.0, "done")
     return Comparison(
         rows=tuple(sorted(rows, key=lambda row: _rank(row, point))),
         point=point,
@@ -231,10 +241,15 @@ def figures_of(validation: Validation, point: str, part: str) -> Figures | None:
 
 
 def _result(
-    name: str, method: Method, recording: Recording, truth: Truth, alignment: ReferenceAlignment, point: str
+    name: str,
+    methods: Mapping[str, Method],
+    recording: Recording,
+    truth: Truth,
+    alignment: ReferenceAlignment,
+    point: str,
 ) -> MethodResult:
     try:
-        recovery = method(recording)
+        recovery = methods[name](recording)
         validation = validate(recovery, truth, alignment)
     except UnoccludeError as error:
         return MethodResult(name, None, failure=str(error))

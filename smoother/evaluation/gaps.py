@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import RecordingError, UnoccludeError
 from ..recording import Recording
 from ..result import Recovery
+from ..runtime.pool import Pool
 from .gap_score import GapErrors, score_gap
-from .metrics import Figures, summarise
+from .metrics import Figures
 from .placement import HiddenGap, place_gaps
 from .sigma_factor import LengthFactor, length_factors
 
@@ -175,6 +178,20 @@ class _Collected:
     hidden: list[GapErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    def add(self, other: _Collected) -> None:
+        """What came later."""
+        self.rows += other.rows
+        self.hidden += other.hidden
+        self.notes += other.notes
+
+
+class _Trial(NamedTuple):
+    """A copy of the recording with these gaps; `run` counts the copies of one length."""
+
+    length_s: float
+    run: int
+    gaps: list[HiddenGap]
+
 
 def evaluate_gaps(
     recording: Recording,
@@ -186,6 +203,7 @@ def evaluate_gaps(
     gaps_per_run: int = 6,
     margin_s: float = 1.5,
     progress: Progress | None = None,
+    processes: int = 1,
 ) -> GapTable:
     """Hide visible frames at random, recover them, and measure the error there.
 
@@ -213,6 +231,9 @@ def evaluate_gaps(
         Visible time kept on both sides of a gap.
     progress : Progress, optional
         Called with (part done, what is being done).
+    processes : int
+        Copies that are recovered side by side, each in a process; 0 for one a core. With more than one the
+        methods must be such as can be sent to another process (no local functions).
 
     Raises
     ------
@@ -220,16 +241,15 @@ def evaluate_gaps(
         At none of the lengths can a gap be hidden.
     """
     collected = _Collected()
+    report = progress or (lambda part, text: None)
     trials = _place_all(recording, lengths_s, seed, repetitions, gaps_per_run, margin_s, collected)
-    for number, (length, run, gaps) in enumerate(trials):
-        copy = hide(recording, gaps)
-        for place, (name, method) in enumerate(methods.items()):
-            if progress is not None:
-                share = (number + place / len(methods)) / len(trials)
-                progress(share, f"gaps of {length:g} s, {name}")
-            _run(recording, copy, length, run, gaps, name, method, collected)
-    if progress is not None:
-        progress(1.0, "done")
+    job = partial(_trial, recording=recording, methods=methods)
+    with Pool(min(processes, len(trials)), len(trials) * len(recording.arm)) as workers:
+        answers = workers.map(job, trials)
+        for number, trial in enumerate(trials):
+            report(number / len(trials), f"gaps of {trial.length_s:g} s")
+            collected.add(next(answers))
+    report(1.0, "done")
     return _table(collected)
 
 
@@ -249,8 +269,8 @@ def _place_all(
     gaps_per_run: int,
     margin_s: float,
     collected: _Collected,
-) -> list[tuple[float, int, list[HiddenGap]]]:
-    """The gaps of every run, as (length, run, gaps)."""
+) -> list[_Trial]:
+    """The gaps of every copy."""
     trials = []
     for length in lengths_s:
         for run in range(repetitions):
@@ -258,8 +278,8 @@ def _place_all(
             rng = np.random.default_rng([seed, round(1000 * length), run])
             gaps = place_gaps(recording, length, rng, count=gaps_per_run, margin_s=margin_s)
             if gaps:
-                trials.append((length, run, gaps))
-        if not any(entry[0] == length for entry in trials):
+                trials.append(_Trial(length, run, gaps))
+        if not any(trial.length_s == length for trial in trials):
             collected.notes.append(
                 f"The camera never sees the forearm for long enough to hide a gap of {length:g} s."
             )
@@ -272,46 +292,43 @@ def _place_all(
     return trials
 
 
-def _run(
-    recording: Recording,
-    copy: Recording,
-    length_s: float,
-    run: int,
-    gaps: Sequence[HiddenGap],
-    name: str,
-    method: Method,
-    collected: _Collected,
-) -> None:
-    """One method on one copy; what it cannot do becomes a row without figures."""
-    try:
-        recovery = method(copy)
-    except UnoccludeError as error:
-        collected.notes.append(f"{name} could not recover gaps of {length_s:g} s: {error}")
-        for gap in gaps:
-            nothing = summarise(np.zeros(0), np.zeros(0), np.zeros(0))
-            collected.rows.append(
-                GapRow(length_s, name, run, gap, "", nothing, failure=str(error), recording=recording.name)
-            )
-            collected.hidden.append(GapErrors.empty())
-        return
-    for gap in gaps:
-        hidden = score_gap(recording, recovery, gap)
-        failure = "" if np.isfinite(hidden.distance_m).any() else "no answer inside the gap"
-        collected.rows.append(
-            GapRow(
-                length_s,
-                name,
-                run,
-                gap,
-                hidden.reference,
-                hidden.figures(),
-                sigma_max_m=hidden.sigma_max_m,
-                path_m=hidden.path_m,
-                failure=failure,
-                recording=recording.name,
-            )
-        )
-        collected.hidden.append(hidden)
+def _trial(trial: _Trial, recording: Recording, methods: Mapping[str, Method]) -> _Collected:
+    """All methods on one copy; what one of them cannot do becomes rows without figures."""
+    collected = _Collected()
+    copy = hide(recording, trial.gaps)
+    for name, method in methods.items():
+        try:
+            recovery = method(copy)
+        except UnoccludeError as error:
+            collected.notes.append(f"{name} could not recover gaps of {trial.length_s:g} s: {error}")
+            hidden = [GapErrors.empty()] * len(trial.gaps)
+            failures = [str(error)] * len(trial.gaps)
+        else:
+            hidden = [score_gap(recording, recovery, gap) for gap in trial.gaps]
+            failures = [
+                "" if np.isfinite(each.distance_m).any() else "no answer inside the gap" for each in hidden
+            ]
+        for gap, errors, failure in zip(trial.gaps, hidden, failures, strict=True):
+            collected.rows.append(_row(trial, name, gap, errors, failure, recording.name))
+        collected.hidden += hidden
+    return collected
+
+
+def _row(
+    trial: _Trial, method: str, gap: HiddenGap, errors: GapErrors, failure: str, recording: str
+) -> GapRow:
+    return GapRow(
+        trial.length_s,
+        method,
+        trial.run,
+        gap,
+        errors.reference,
+        errors.figures(),
+        sigma_max_m=errors.sigma_max_m,
+        path_m=errors.path_m,
+        failure=failure,
+        recording=recording,
+    )
 
 
 def _table(collected: _Collected) -> GapTable:

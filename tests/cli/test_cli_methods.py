@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from smoother.cli.methods import (
 )
 from smoother.cli.run import run
 from smoother.errors import SolveError
+from smoother.evaluation.compare import compare
 from smoother.evaluation.gaps import evaluate_gaps
 from smoother.io import read_recovery
 from smoother.recording import Recording
+from smoother.runtime import pool
 from smoother.simulation import ArmSimulation, PointSimulation, simulate_arm, simulate_point
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})
@@ -221,3 +224,45 @@ def test_gaps_can_solve_the_straps_lever_arm(tmp_path: Path, capsys):
     write_recording(arm.recording, tmp_path / "arm.mcap")
     assert run(["gaps", str(tmp_path / "arm.mcap"), "--solve-lever-arms"]) == 2
     assert "for recordings with a tracked strap" in capsys.readouterr().err
+
+
+def test_side_by_side_gives_the_same_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copies of a recording in two processes: the methods, with what they share, go there whole."""
+    monkeypatch.setattr(pool, "WORTH_FRAMES", 0)
+    made = simulate_arm(
+        ArmSimulation.preset("white", protocol="random", duration_s=8.0, occlusion_lengths_s=()), seed=7
+    )
+    names = ["graph", "linear-drift", "live-now"]
+    methods = make_methods(names, made.calibration, ALONE)
+    tables = [
+        evaluate_gaps(made.recording, [0.5, 1.0], methods, gaps_per_run=1, processes=processes)
+        for processes in (1, 2)
+    ]
+    assert len(tables[0].rows) == 2 * len(names)
+    for alone, beside in zip(*(table.rows for table in tables), strict=True):
+        assert (alone.method, alone.length_s, alone.gap) == (beside.method, beside.length_s, beside.gap)
+        assert alone.failure == beside.failure  # of live-now: too short to calibrate itself
+        if not alone.failure:
+            # libraries of this process may use several threads and round otherwise: a step of the optimiser
+            assert alone.figures.position_rms_m == pytest.approx(beside.figures.position_rms_m, rel=0.05)
+
+
+def test_methods_compared_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They get the answer that the graph has given here, not one of their own."""
+    monkeypatch.setattr(pool, "WORTH_FRAMES", 0)
+    made = simulate_arm(ArmSimulation.preset("white", protocol="random", duration_s=8.0), seed=7)
+    blind = replace(made.recording, truth=None)
+    names = ["linear-drift", "hold", "pchip"]
+    methods = make_methods(["graph", *names], made.calibration, ALONE)
+    graph = methods["graph"](blind)
+    others = {name: methods[name] for name in names}
+    assert made.recording.truth is not None
+    alone, both = (
+        compare(blind, graph, made.recording.truth, others, processes=processes) for processes in (1, 2)
+    )
+    assert alone.to_dict() == both.to_dict()
+    assert [row.failure for row in both.rows] == [""] * len(names)
+    restored, given = pickle.loads(pickle.dumps((methods["graph"], blind)))
+    with monkeypatch.context() as patch:
+        patch.setattr(smoothing, "smooth", lambda *_: pytest.fail("the graph was solved again"))
+        assert len(restored(given)) == len(graph)
