@@ -179,11 +179,15 @@ def self_calibrate(
         np.full(len(JOINTS), config.camera.joint_sigma_m),
         config.arm.upper_arm_flex_m,
     )
-    errors, trajectories = ConstantErrors(), None
+    errors = ConstantErrors()
+    trajectories: dict[int, Trajectory] = {}
     asked = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
-    for _ in range(rounds):
+    excerpts, coarse = _coarse_first(excerpts)
+    for number in range(rounds):
         signals: dict[int, InertialSignal] = {}
-        corrected = [errors.corrected(segment, signals) for segment in excerpts]
+        is_coarse = number == 0 and rounds > 1 and coarse < len(excerpts)
+        read = excerpts[:coarse] if is_coarse else excerpts
+        corrected = [errors.corrected(segment, signals) for segment in read]
         cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
         windows = cut_round.windows
         solutions = list(workers.map(asked, windows))
@@ -200,7 +204,7 @@ def self_calibrate(
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
         prior = _recentred(estimate, start, given)
-        if _settled(before, (estimate, errors.joints, clocks)):
+        if not is_coarse and _settled(before, (estimate, errors.joints, clocks)):
             break
     spread = mounting.direction_spread_rad if given.forearm_direction is None else float("nan")
     return SelfCalibration(
@@ -214,6 +218,19 @@ def self_calibrate(
         upper_arm_sigma_m,
         spread,
     )
+
+
+def _coarse_first(excerpts: list[Segment]) -> tuple[list[Segment], int]:
+    """The excerpts with every second one of each recording first, and how many these are.
+
+    The first round, which starts farthest off, reads no others.
+    """
+    rank = [
+        sum(other.recording == each.recording for other in excerpts[:k]) for k, each in enumerate(excerpts)
+    ]
+    first = [each for each, number in zip(excerpts, rank, strict=True) if number % 2 == 0]
+    others = [each for each, number in zip(excerpts, rank, strict=True) if number % 2]
+    return first + others, len(first)
 
 
 def _closed_form(
@@ -273,24 +290,23 @@ def _cut(
     clocks: Sequence[Clock],
     joint_sigma_m: FloatArray,
     upper_arm_sigma_m: float,
-    trajectories: dict[int, Trajectory] | None,
+    trajectories: dict[int, Trajectory],
     config: Config,
 ) -> _Cut:
     """Prepare and cut all segments; start values are the last round's trajectories where there are any."""
     margin_s = config.windows.margin_s
     ready = [
-        (segment, *answer)
-        for segment in segments
+        (number, segment, *answer)
+        for number, segment in enumerate(segments)
         if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
     ]
     if not ready:
         raise CalibrationError("at no time do the IMU and a visible forearm come together")
-    prepared = {
-        number: with_initial_values(each, (trajectories or {}).get(number))
-        for number, (_, each, _) in enumerate(ready)
-    }
+    prepared = {number: with_initial_values(each, trajectories.get(number)) for number, _, each, _ in ready}
     initial = initial_values(
-        list(prepared.values()), [alignment for *_, alignment in ready], [each for each, *_ in ready]
+        list(prepared.values()),
+        [alignment for *_, alignment in ready],
+        [segment for _, segment, *_ in ready],
     )
     prior = first_priors(initial, calibration, config)
     noise = noise_of(config, upper_arm_sigma_m)
@@ -298,7 +314,7 @@ def _cut(
     sharing = sum(len(border) - 1 for border in borders)
     windows: list[Window] = []
     recording: list[int] = []
-    for (segment, *_), each, border in zip(ready, prepared.values(), borders, strict=True):
+    for (_, segment, *_), each, border in zip(ready, prepared.values(), borders, strict=True):
         windows += cut(each, [prior] * (len(border) - 1), noise, border, margin_s, GRAVITY, sharing)
         recording += [segment.recording] * (len(border) - 1)
     return _Cut(prepared, borders, windows, np.array(recording), initial, prior)

@@ -1,0 +1,60 @@
+"""Self-calibration: its first round reads every second excerpt, and ends where all of them would."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import arm
+
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
+from smoother.measurements.timeline import Timeline
+from smoother.runtime.pool import Pool
+from smoother.selfcal import rounds
+from smoother.selfcal.excerpts import informative_excerpts
+
+
+def test_every_second_excerpt_of_each_recording_comes_first() -> None:
+    made = arm(3, protocol="random", duration_s=12.0)
+    (segment,) = informative_excerpts(made.recording, Timeline.of(made.recording))
+    numbered = [
+        replace(segment, recording=number, frames=slice(k, k + 1)) for k, number in enumerate([0, 0, 1, 0, 1])
+    ]
+    ordered, coarse = rounds._coarse_first(numbered)
+    assert [(each.recording, each.frames.start) for each in ordered] == [
+        (0, 0),
+        (1, 2),
+        (0, 3),
+        (0, 1),
+        (1, 4),
+    ]
+    assert coarse == 3
+    assert rounds._coarse_first(numbered[:1]) == (numbered[:1], 1)
+
+
+def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
+    excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
+    assert len(excerpts) > 2
+    read: list[int] = []
+    original = rounds._cut
+
+    def cut(segments: list, *others: object) -> object:
+        read.append(len(segments))
+        return original(segments, *others)
+
+    monkeypatch.setattr(rounds, "_cut", cut)
+    config, given = Config(), ArmCalibration(side=made.recording.side)
+    with Pool(1, 0) as workers:
+        coarse = rounds.self_calibrate(excerpts, given, config, workers)
+        assert read[0] == len(excerpts) // 2 and set(read[1:]) == {len(excerpts)}
+        monkeypatch.setattr(rounds, "_coarse_first", lambda excerpts: (excerpts, len(excerpts)))
+        whole = rounds.self_calibrate(excerpts, given, config, workers)
+    # rounds end when nothing moves by more than 0.4 sigma; the windows solve all of it again
+    for joint, lever in coarse.estimate.lever_arms.items():
+        moved_m = lever.position_m - whole.estimate.lever_arms[joint].position_m
+        assert (np.abs(moved_m) < 0.5 * lever.sigma_m).all(), joint
+    moved_s = coarse.clock.mean_s - whole.clock.mean_s
+    assert abs(moved_s) < 0.5 * whole.clock.sigma_s
