@@ -50,18 +50,18 @@ def system(
 def test_covariances_are_those_of_gtsam(
     system: tuple[LinearSystem, np.ndarray], solved: tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
 ) -> None:
-    """Two eliminations of one system: equal to the rounding of a condition number of about 1e10."""
+    """Two eliminations of one system; scaled to unit diagonal its condition number is about 1e4."""
     reference = gtsam.Marginals(*solved)
     for key in (X(0), X(7), X(60), V(3), S(4)):
         expected = reference.marginalCovariance(key)
         np.testing.assert_allclose(
-            system[0].covariances([key])[0], expected, atol=1e-7 * np.abs(expected).max()
+            system[0].covariances([key])[0], expected, atol=1e-9 * np.abs(expected).max()
         )
     keys = [B(0), G(0), L(JOINTS.index("elbow"))]
     joint = reference.jointMarginalCovariance(keys)
     expected = np.block([[joint.at(a, b) for b in keys] for a in keys])
     np.testing.assert_allclose(
-        system[0].shared_covariance(keys), expected, atol=1e-7 * np.abs(expected).max()
+        system[0].shared_covariance(keys), expected, atol=1e-9 * np.abs(expected).max()
     )
 
 
