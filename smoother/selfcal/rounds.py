@@ -8,6 +8,7 @@ each has its own clock.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -182,12 +183,12 @@ def self_calibrate(
     errors = ConstantErrors()
     trajectories: dict[int, Trajectory] = {}
     asked = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
-    excerpts, coarse = _coarse_first(excerpts)
-    for number in range(rounds):
+    everything = list(range(len(excerpts)))
+    # the first round, which starts farthest off, reads half
+    numbers = _every_second(excerpts) if rounds > 1 else everything
+    for _ in range(rounds):
         signals: dict[int, InertialSignal] = {}
-        is_coarse = number == 0 and rounds > 1 and coarse < len(excerpts)
-        read = excerpts[:coarse] if is_coarse else excerpts
-        corrected = [errors.corrected(segment, signals) for segment in read]
+        corrected = {number: errors.corrected(excerpts[number], signals) for number in numbers}
         cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
         windows = cut_round.windows
         solutions = list(workers.map(asked, windows))
@@ -196,7 +197,7 @@ def self_calibrate(
         estimate = calibration_from(shared, cut_round.prior.layout, start, errors.joints.sigma_m)
         noise = joint_noise(windows, solutions)
         largest_m = max((each.sample_m for each in noise.values()), default=0.0)
-        upper_arm_sigma_m = upper_arm_length_sigma(corrected, config, largest_m)
+        upper_arm_sigma_m = upper_arm_length_sigma(list(corrected.values()), config, largest_m)
         joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         before = prior, errors.joints, clocks
         errors = errors.updated(
@@ -204,8 +205,9 @@ def self_calibrate(
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
         prior = _recentred(estimate, start, given)
-        if not is_coarse and _settled(before, (estimate, errors.joints, clocks)):
+        if numbers == everything and _settled(before, (estimate, errors.joints, clocks)):
             break
+        numbers = everything
     spread = mounting.direction_spread_rad if given.forearm_direction is None else float("nan")
     return SelfCalibration(
         estimate,
@@ -220,17 +222,15 @@ def self_calibrate(
     )
 
 
-def _coarse_first(excerpts: list[Segment]) -> tuple[list[Segment], int]:
-    """The excerpts with every second one of each recording first, and how many these are.
-
-    The first round, which starts farthest off, reads no others.
-    """
-    rank = [
-        sum(other.recording == each.recording for other in excerpts[:k]) for k, each in enumerate(excerpts)
-    ]
-    first = [each for each, number in zip(excerpts, rank, strict=True) if number % 2 == 0]
-    others = [each for each, number in zip(excerpts, rank, strict=True) if number % 2]
-    return first + others, len(first)
+def _every_second(excerpts: list[Segment]) -> list[int]:
+    """Numbers of every second excerpt of each recording, from the first on."""
+    seen: Counter[int] = Counter()
+    numbers = []
+    for number, excerpt in enumerate(excerpts):
+        if seen[excerpt.recording] % 2 == 0:
+            numbers.append(number)
+        seen[excerpt.recording] += 1
+    return numbers
 
 
 def _closed_form(
@@ -285,7 +285,7 @@ class _Cut:
 
 
 def _cut(
-    segments: list[Segment],
+    segments: dict[int, Segment],
     calibration: ArmCalibration,
     clocks: Sequence[Clock],
     joint_sigma_m: FloatArray,
@@ -297,7 +297,7 @@ def _cut(
     margin_s = config.windows.margin_s
     ready = [
         (number, segment, *answer)
-        for number, segment in enumerate(segments)
+        for number, segment in segments.items()
         if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
     ]
     if not ready:

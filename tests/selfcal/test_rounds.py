@@ -16,22 +16,12 @@ from smoother.selfcal import rounds
 from smoother.selfcal.excerpts import informative_excerpts
 
 
-def test_every_second_excerpt_of_each_recording_comes_first() -> None:
+def test_every_second_excerpt_of_each_recording() -> None:
     made = arm(3, protocol="random", duration_s=12.0)
     (segment,) = informative_excerpts(made.recording, Timeline.of(made.recording))
-    numbered = [
-        replace(segment, recording=number, frames=slice(k, k + 1)) for k, number in enumerate([0, 0, 1, 0, 1])
-    ]
-    ordered, coarse = rounds._coarse_first(numbered)
-    assert [(each.recording, each.frames.start) for each in ordered] == [
-        (0, 0),
-        (1, 2),
-        (0, 3),
-        (0, 1),
-        (1, 4),
-    ]
-    assert coarse == 3
-    assert rounds._coarse_first(numbered[:1]) == (numbered[:1], 1)
+    excerpts = [replace(segment, recording=number) for number in (0, 0, 1, 0, 1, 2)]
+    assert rounds._every_second(excerpts) == [0, 2, 3, 5]
+    assert rounds._every_second(excerpts[:1]) == [0]
 
 
 def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,8 +31,10 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
     original = rounds._cut
 
-    def cut(segments: list, *others: object) -> object:
+    def cut(segments: dict, *others: object) -> object:
         read.append(len(segments))
+        starts = [segment.start_s for segment in segments.values()]
+        assert starts == sorted(starts)  # the clock's wander is followed in time
         return original(segments, *others)
 
     monkeypatch.setattr(rounds, "_cut", cut)
@@ -50,7 +42,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     with Pool(1, 0) as workers:
         coarse = rounds.self_calibrate(excerpts, given, config, workers)
         assert read[0] == len(excerpts) // 2 and set(read[1:]) == {len(excerpts)}
-        monkeypatch.setattr(rounds, "_coarse_first", lambda excerpts: (excerpts, len(excerpts)))
+        monkeypatch.setattr(rounds, "_every_second", lambda excerpts: list(range(len(excerpts))))
         whole = rounds.self_calibrate(excerpts, given, config, workers)
     # rounds end when nothing moves by more than 0.4 sigma; the windows solve all of it again
     for joint, lever in coarse.estimate.lever_arms.items():
