@@ -1,9 +1,9 @@
 """A clock offset of any size, roughly: before the smoother looks for it within its own reach.
 
 The forearm's direction turns as fast in the camera's frame as in any other, and never faster than the
-gyroscope says. So the two speeds are correlated over all shifts that leave enough of both; the shift whose
-correlation is the least likely to be chance is where the fine search starts. Where several are about as
-likely, each is tried on the closed form: the forearm's direction, not its speed alone, tells which is right.
+gyroscope says. So the two speeds are correlated over all shifts that leave enough of both. Where the shift
+whose correlation is the least likely to be chance is out of the fine search's reach, the likeliest ones and
+none at all are tried on the closed form: the forearm's direction, not its speed alone, tells which is right.
 """
 
 from __future__ import annotations
@@ -132,11 +132,12 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
     peak = _Peak.of(recording.imu, recording.arm)
     if peak is None or abs(peak.lag_s) <= reach_s:
         return 0.0
-    if peak.is_clear:
-        return peak.lag_s
+    # a few seconds of motion agree clearly by chance too: the forearm's direction decides, where it can
     fitting = _fitting_lag(recording, peak)
     if fitting is not None:
         return fitting if abs(fitting) > reach_s else 0.0
+    if peak.is_clear:
+        return 0.0 if _misfit_deg(recording, 0.0) < _misfit_deg(recording, peak.lag_s) else peak.lag_s
     within_reach = np.abs(peak.lags_s) <= reach_s
     if within_reach.any() and float(peak.score[within_reach].max()) >= RIVAL * peak.score.max():
         return 0.0  # the small offset explains the motion about as well
@@ -150,19 +151,18 @@ def coarse_offset(recording: Recording, reach_s: float) -> float:
 
 def _fitting_lag(recording: Recording, peak: _Peak) -> float | None:
     """The shift at which the forearm's direction fits, s; None where none does, or another about as well."""
-    fits = []
-    for lag_s in (0.0, *peak.highest_lags_s()):
-        arm = replace(recording.arm, t_s=recording.arm.t_s + lag_s)
-        fit = closed_form(replace(recording, arm=arm))
-        if fit is not None and np.isfinite(fit.direction_deg):
-            fits.append((fit.direction_deg, lag_s))
-    if not fits:
-        return None
+    fits = [(_misfit_deg(recording, lag_s), lag_s) for lag_s in (0.0, *peak.highest_lags_s())]
     best_deg, best_s = min(fits)
     # what the closed form reaches from next to the best is no other shift
     others = [angle for angle, lag_s in fits if abs(lag_s - best_s) > 2.0 * LARGEST_OFFSET_S]
     is_alone = all(angle > max(BETTER * best_deg, DIRECTION_DEG) for angle in others)
     return best_s if best_deg < DIRECTION_DEG and is_alone else None
+
+
+def _misfit_deg(recording: Recording, lag_s: float) -> float:
+    """What the closed form leaves of the forearm's direction at a shift, degrees; infinite without one."""
+    fit = closed_form(replace(recording, arm=replace(recording.arm, t_s=recording.arm.t_s + lag_s)))
+    return fit.direction_deg if fit is not None and np.isfinite(fit.direction_deg) else np.inf
 
 
 def shifted_agreement(imu: ImuStream, arm: JointTracks, reach_s: float) -> tuple[float, float, bool]:

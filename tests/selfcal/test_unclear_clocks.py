@@ -9,10 +9,10 @@ import pytest
 
 from smoother import smooth
 from smoother.config import Config
-from smoother.measurements.clock import Clock, constant_clock
+from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.recording import Recording
 from smoother.selfcal.clock_fit import ClockScore, refined_clock
-from smoother.selfcal.coarse_clock import coarse_offset, synchronise_coarsely
+from smoother.selfcal.coarse_clock import _Peak, coarse_offset, synchronise_coarsely
 from smoother.simulation import ArmSimulation, simulate_arm
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})
@@ -63,3 +63,17 @@ def test_prior_and_motion_weigh_as_their_information() -> None:
         assert clock.mean_s == pytest.approx(0.02 * share, rel=1e-6)
         assert clock.sigma_s == pytest.approx(np.sqrt(share) * 0.005, rel=1e-6)
         assert clock.prior_sigma_s == prior_s
+
+
+@pytest.mark.parametrize(("seconds", "seed"), [(12.0, 31), (20.0, 1)])
+def test_speeds_that_agree_by_chance(seconds: float, seed: int) -> None:
+    """A second off the two speeds agree clearly; the forearm's direction fits as the clocks are."""
+    settings = ArmSimulation.preset(
+        "realistic", protocol="random", duration_s=seconds, occlusion_lengths_s=(1.0,), occlusion_every_s=6.0
+    )
+    recording = simulate_arm(settings, seed).recording
+    peak = _Peak.of(recording.imu, recording.arm)
+    assert peak is not None and peak.is_clear and abs(peak.lag_s) > LARGEST_OFFSET_S
+    assert coarse_offset(recording, LARGEST_OFFSET_S) == 0.0
+    late = replace(recording, arm=replace(recording.arm, t_s=recording.arm.t_s - 2.0))
+    assert coarse_offset(late, LARGEST_OFFSET_S) == pytest.approx(2.0, abs=0.3)
