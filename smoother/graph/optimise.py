@@ -29,6 +29,8 @@ LOOSE_M = 1.0
 TIGHTER_M = (0.2, 0.05)
 #: The upper arm is put in from the gap's ends inwards, in such steps, s.
 STEP_S, FINE_STEP_S = 3.0, 1.0
+#: Steps are even to this depth, s, and grow with this share of what lies beyond, or minutes would take long.
+EVEN_S, GROWING = 15.0, 0.3
 #: Other strategies are tried where the upper arm raises the error by more than this a knot (two thirds of
 #: simulated windows stay below), unless the first two end within `SAME` of each other: they go different
 #: ways, while the others may follow the first into the same wrong minimum.
@@ -173,13 +175,21 @@ class _LongGap:
 
         def inwards(depth: FloatArray, step_s: float) -> list[FloatArray]:
             deepest = float(np.max(depth, where=np.isfinite(depth), initial=0.0))
-            return [np.where(depth <= r, sigma_m, LOOSE_M) for r in np.arange(step_s, deepest, step_s)]
+            return [np.where(depth <= reach_s, sigma_m, LOOSE_M) for reach_s in _reaches(step_s, deepest)]
 
         yield inwards(nearest, STEP_S)
         yield [np.full(len(self.knots), tighter) for tighter in TIGHTER_M]
         yield inwards(self.since_s, STEP_S)
         yield inwards(self.until_s, STEP_S)
         yield inwards(nearest, FINE_STEP_S)
+
+
+def _reaches(step_s: float, deepest_s: float) -> Iterator[float]:
+    """How far the upper arm is put in, stage by stage, s."""
+    reach_s = step_s
+    while reach_s < deepest_s:
+        yield reach_s
+        reach_s += max(step_s, GROWING * (reach_s - EVEN_S))
 
 
 def _long_gap(window: Window) -> _LongGap | None:

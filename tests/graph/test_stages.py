@@ -229,3 +229,12 @@ def test_the_order_of_the_strategies() -> None:
         [[tight, free, free, free, tight]] + [[tight, tight, free, tight, tight]] * 2,
     ]
     assert backwards == []  # no end to begin from
+
+
+def test_steps_grow_in_gaps_of_minutes() -> None:
+    """Even in gaps that the tables of errors know; a gap of three minutes takes no sixty stages."""
+    assert list(module._reaches(3.0, 16.0)) == [3.0, 6.0, 9.0, 12.0, 15.0]
+    assert not list(module._reaches(3.0, 3.0))
+    reaches = np.array(list(module._reaches(3.0, 180.0)))
+    assert reaches[-1] < 180.0 and len(reaches) < 25
+    assert (np.diff(np.diff(reaches)) >= 0.0).all()
