@@ -23,6 +23,7 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 from ..runtime.atomic import writing
+from ..runtime.leftovers import sweep
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class StudyFolder:
             if not self.mark.exists():
                 with writing(self.mark) as temporary:
                     temporary.write_text(secrets.token_hex(16), encoding="ascii")
-            self._sweep()
+            self.sweep()
             return self._word()
 
     def _holds_others(self) -> bool:
@@ -152,8 +153,9 @@ class StudyFolder:
         with lock:
             yield
 
-    def _sweep(self) -> None:
+    def sweep(self) -> None:
         """Remove what processes of this machine that are gone left half written."""
+        sweep(self.rows, again=True)
         for folder in self.stage.iterdir():
             host, _, process = folder.name.rpartition("~")
             if host == socket.gethostname() and process.isdigit() and not _alive(int(process)):
