@@ -41,7 +41,10 @@ def unpacked(packed: bytes, others: bool = False) -> NDArray:
 
     stated_size(packed, others)
     _check_chunks(packed)
-    image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
+    try:
+        image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
+    except cv2.error as error:  # formats whose size is not looked at before
+        raise ValueError(f"it is damaged, or larger than {MOST_PIXELS} pixels") from error
     if image is None:
         raise ValueError("it is damaged")
     return np.asarray(image)

@@ -224,7 +224,7 @@ def _command_line(process: int) -> bytes:
         return b""
 
 
-def words_of(command: str, recordings: list[Path]) -> list[str]:
+def words_of(command: str, recordings: list[Path], processes: int = 2) -> list[str]:
     """Words of a command on recordings; OUT stands for the folder of its outputs."""
     first = str(recordings[0])
     few = ["--gaps-per-run", "2", "--lengths", "1"]
@@ -233,7 +233,7 @@ def words_of(command: str, recordings: list[Path]) -> list[str]:
         "gaps": ["gaps", first, *few, "--json", "OUT/g.json", "--report", "OUT/g.html", "--force"],
         "compare": ["compare", first, "--json", "OUT/c.json", "--report", "OUT/c.html", "--force"],
         "batch": ["batch", str(recordings[0].parent), "-o", "OUT/study"],
-    }[command] + ["--processes", "2"]
+    }[command] + ["--processes", str(processes)]
 
 
 def table(logs: Sequence[Path]) -> str:
@@ -263,6 +263,7 @@ def main() -> None:
     parser.add_argument(
         "--again-every", type=int, default=1, help="run the same command again in one of so many"
     )
+    parser.add_argument("--processes", type=int, default=2, help="workers of the command")
     parser.add_argument("--until", type=float, default=1e9, help="no kill later than this, s")
     parser.add_argument("--log", type=Path, action="append", default=[], help="note each case here")
     parser.add_argument("--write", type=Path, help="only put what the logs hold into this page")
@@ -281,7 +282,7 @@ def main() -> None:
             simulate += ["--seed", str(seed), "-o", str(recording)]
             subprocess.run([*COMMAND, *simulate], check=True, stdout=subprocess.DEVNULL)
         contents = [recording.read_bytes() for recording in recordings]
-        arguments = words_of(options.command, recordings)
+        arguments = words_of(options.command, recordings, options.processes)
 
         def into(folder: Path) -> list[str]:
             return [argument.replace("OUT", str(folder)) for argument in arguments]

@@ -23,7 +23,7 @@ from .columns import Row
 from .job import Job, run_job
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 #: How long a scheduler may take to answer, and how long to wait for its first worker, s.
 CONNECT_S, FIRST_WORKER_S = 10.0, 120.0
@@ -70,26 +70,14 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
         return
     check_allowance()
     import dask.config
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     with ExitStack() as stack:
         silent = _be_quiet()
         stack.enter_context(dask.config.set(_LOCAL))
         stack.enter_context(blank_main())
         with interrupts_wait():
-            try:
-                cluster = LocalCluster(
-                    n_workers=len(first),
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=None,
-                    silence_logs=silent,
-                    preload=[__name__],
-                )
-            except (OSError, RuntimeError) as error:
-                raise UnoccludeError(f"the processes could not be started: {error}") from error
+            cluster = _processes(len(first), silent)
             stack.enter_context(cluster)
         client = stack.enter_context(Client(cluster, set_as_default=False))
         try:
@@ -102,6 +90,27 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
                     with suppress(ProcessLookupError):
                         os.kill(process, signal.SIGTERM)
             raise
+
+
+def _processes(count: int, silent: int | bool, again: bool = True) -> LocalCluster:
+    """Dask on this machine; begun `again` where a process was killed as it started."""
+    from distributed import LocalCluster
+
+    try:
+        return LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=None,
+            silence_logs=silent,
+            preload=[__name__],
+        )
+    except (OSError, RuntimeError) as error:
+        if again:
+            return _processes(count, silent, again=False)
+        raise UnoccludeError(f"the processes could not be started: {error}") from error
 
 
 def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 from ..runtime.atomic import writing
+from ..runtime.leftovers import sweep
 
 
 @dataclass(frozen=True)
@@ -71,21 +72,29 @@ class StudyFolder:
         Raises
         ------
         UnoccludeError
-            The folder holds files that no study wrote, or cannot be made.
+            The folder holds files that no study wrote, cannot be made, or another process works on it.
         """
         if self.path.exists() and not self.path.is_dir():
             raise UnoccludeError(f"{self.path} is a file; name a folder for the results")
-        if not self.mark.exists():
-            if not force and self.path.is_dir() and any(self.path.iterdir()):
-                raise UnoccludeError(
-                    f"{self.path} holds files that are not of a study; name a new folder, or --force"
-                )
-            self._make_folders()
-            with writing(self.mark) as temporary:
-                temporary.write_text(secrets.token_hex(16), encoding="ascii")
-        self._make_folders()  # some may have been removed meanwhile
-        self._sweep()
-        return self._word()
+        # Asked again behind the look: another command may have begun this very study meanwhile.
+        if not force and not self.mark.exists() and self._holds_others() and not self.mark.exists():
+            raise UnoccludeError(
+                f"{self.path} holds files that are not of a study; name a new folder, or --force"
+            )
+        self._make_folders()  # of an older study, some may have been removed
+        with self.alone():  # two that begin at once would each give it a word
+            if not self.mark.exists():
+                with writing(self.mark) as temporary:
+                    temporary.write_text(secrets.token_hex(16), encoding="ascii")
+            self.sweep()
+            return self._word()
+
+    def _holds_others(self) -> bool:
+        """Whether there is more than what a study has before its mark, which may be just beginning."""
+        if not self.path.is_dir():
+            return False
+        others = {path.name for path in self.path.iterdir()} - {self.results.name, self.mark.parent.name}
+        return bool(others) or not _is_empty(self.results)
 
     def _make_folders(self) -> None:
         for folder in (self.results, self.stage, self.rows):
@@ -144,12 +153,18 @@ class StudyFolder:
         with lock:
             yield
 
-    def _sweep(self) -> None:
+    def sweep(self) -> None:
         """Remove what processes of this machine that are gone left half written."""
+        sweep(self.rows, again=True)
         for folder in self.stage.iterdir():
             host, _, process = folder.name.rpartition("~")
             if host == socket.gethostname() and process.isdigit() and not _alive(int(process)):
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether there is nothing of this name, or an empty folder."""
+    return not any(folder.iterdir()) if folder.is_dir() else not folder.exists()
 
 
 def _alive(process: int) -> bool:

@@ -75,7 +75,7 @@ def find_entries(source: str, output: Path) -> list[Entry]:
     entries = {
         entry.path: entry
         for entry in (
-            Entry(_name(file, base), os.path.abspath(file), calibration) for file, calibration in recordings
+            Entry(_name(file, base), _absolute(file), calibration) for file, calibration in recordings
         )
     }
     return sorted(_told_apart(entries.values()), key=lambda entry: entry.name)
@@ -143,13 +143,13 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
             raise UnoccludeError(
                 f"{path}, line {number}: expected a recording ({ENDING}), perhaps a tab and a calibration"
             )
-        calibration = os.path.abspath(path.parent / more[0]) if more and more[0] else ""
+        calibration = _absolute(path.parent / more[0]) if more and more[0] else ""
         files.append((path.parent / recording, calibration))
     inside = all(_inside(file, path.parent) for file, _ in files)
     if inside or not files:
         return path.parent, files
     try:
-        return Path(os.path.commonpath([os.path.abspath(file.parent) for file, _ in files])), files
+        return Path(os.path.commonpath([_absolute(file.parent) for file, _ in files])), files
     except ValueError as error:  # Windows: several drives
         raise UnoccludeError(
             f"{path}: the recordings lie on several drives; make a list for each of them"
@@ -157,8 +157,14 @@ def _listed(path: Path) -> tuple[Path, list[tuple[Path, str]]]:
 
 
 def _inside(file: Path, folder: Path) -> bool:
-    return Path(os.path.abspath(file)).is_relative_to(os.path.abspath(folder))
+    return Path(_absolute(file)).is_relative_to(_absolute(folder))
 
 
 def _name(file: Path, base: Path) -> str:
-    return Path(os.path.abspath(file)).relative_to(os.path.abspath(base)).as_posix()
+    return Path(_absolute(file)).relative_to(_absolute(base)).as_posix()
+
+
+def _absolute(path: str | os.PathLike[str]) -> str:
+    """An absolute path; POSIX lets two slashes at its begin stand, which would be another root."""
+    plain = os.path.abspath(path)
+    return plain[1:] if os.sep == "/" and plain.startswith("//") else plain

@@ -150,7 +150,10 @@ def run_study(
         entries = sorted(hashed, key=lambda entry: entry.name)
     with folder.alone():
         plan = _Plan(folder, word, settings, calibrations)
-        return _work_off(entries, plan, work, progress)
+        try:
+            return _work_off(entries, plan, work, progress)
+        finally:
+            folder.sweep()  # of processes that were ended in the middle of an output
 
 
 def _work_off(

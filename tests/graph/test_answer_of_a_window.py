@@ -9,10 +9,12 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, C, E, G, L, M, S, U, V, W, X, Y
+from scipy.sparse import csr_matrix, hstack
 from small_window import (
     BIAS_LENGTH_S,
     LEVERS,
     NODES,
+    STEP_S,
     UPPER_FIRST,
     UPPER_NODES,
     small_window,
@@ -230,9 +232,15 @@ def test_only_what_is_asked_for() -> None:
     assert upper is not None and upper.pose_covariance is None
 
 
-@pytest.mark.parametrize("upper", [True, False])
-def test_a_column_is_the_derivative_of_the_data(upper: bool) -> None:
+@pytest.mark.parametrize(
+    ("upper", "bias_s"),
+    [(True, BIAS_LENGTH_S), (False, BIAS_LENGTH_S), (False, STEP_S)],  # the last: a bias for each interval
+)
+def test_a_column_is_the_derivative_of_the_data(
+    upper: bool, bias_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The graph is built anew from data that have the error: how its whitened errors move."""
+    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", bias_s)
     window = small_window(upper=upper)[0]
     window = replace(window, noise=replace(window.noise, cauchy=1e6))  # weights that stay
     best = Optimum(window)
@@ -252,6 +260,16 @@ def test_a_column_is_the_derivative_of_the_data(upper: bool) -> None:
     np.testing.assert_allclose(stated[:rows], moved[:rows], atol=0.06 * np.abs(moved[:rows]).max())
     scale = np.abs(moved[rows:]).max()
     np.testing.assert_allclose(stated[rows : rows + 84], moved[rows : rows + 84], atol=1e-6 * scale)
+
+
+def test_columns_may_begin_anywhere() -> None:
+    """Where a variable's columns lie depends on what else a window has: one more of one column here."""
+    best = Optimum(small_window(upper=False)[0])
+    jacobian = best.system.jacobian
+    for more in (1, 2):
+        moved = {key: slice(own.start + more, own.stop + more) for key, own in best.columns.items()}
+        wider = hstack([csr_matrix((jacobian.shape[0], more)), jacobian], "csr")
+        np.testing.assert_array_equal(best.errors(wider, moved), best.errors(jacobian, best.columns))
 
 
 def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.NonlinearFactorGraph:

@@ -8,11 +8,15 @@ from unittest.mock import patch
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import S, V, X
+from gtsam.symbol_shorthand import S, V, X, Y
 from scenes import arm, last_pass
+from small_window import UPPER_FIRST, UPPER_NODES, small_window
 
+import smoother.graph.build
+import smoother.graph.sampling
 import smoother.graph.solve
 from smoother.graph.build import bias_of_intervals, build
+from smoother.graph.chain import build_arm
 from smoother.graph.error_columns import node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.sampling import sample_window
@@ -32,14 +36,14 @@ class BasisPlan(DrawPlan):
     Sums over draws are then what averages over endless draws would be.
     """
 
-    places: dict[tuple[int, int], int] = field(default_factory=dict)
+    places: dict[tuple[int, int], slice] = field(default_factory=dict)
 
     def _normals(self, stream: int, number: int, width: int) -> FloatArray:
-        # no kind has more numbers
-        start = self.places.setdefault((stream, number), 24 * len(self.places))
-        assert start + width <= self.count
+        start = max((place.stop for place in self.places.values()), default=0)
+        place = self.places.setdefault((stream, number), slice(start, start + width))
+        assert place.stop - place.start == width and place.stop <= self.count
         numbers = np.zeros((self.count, width))
-        numbers[start + np.arange(width), np.arange(width)] = 1.0
+        numbers[place] = np.eye(width)
         return numbers
 
 
@@ -92,6 +96,38 @@ def test_covariances_and_those_between_times_are_those_of_gtsam(window: Window) 
         assert np.abs(correlation[:6, 6:12]).max() > 0.5  # there is something to get right
         # two eliminations of one system, as tests/graph/test_linear_system.py has it
         np.testing.assert_allclose(covariance(drawn) / scale / scale[:, None], correlation, atol=1e-5)
+
+
+def test_both_imus_and_their_biases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small window with an IMU on the upper arm and three biases of each, drawn one given the others."""
+    monkeypatch.setattr(smoother.graph.build, "BIAS_LENGTH_S", 0.18)
+    monkeypatch.setattr(smoother.graph.sampling, "_SLICE_S", 0.05)
+    window = replace(small_window()[0], considered=None)
+    graph, values = build_arm(window)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    system = LinearSystem(graph, values, node_of_variables(window))
+    biases = bias_of_intervals(window)
+    assert biases[-1] == 2
+    draws = sample_window(system, values, window, biases, basis(window), None, np.zeros((3, 3)))
+    rows = range(UPPER_FIRST, UPPER_FIRST + UPPER_NODES)
+    keys = [key for i in rows for key in (Y(i), V(i))]
+    joint = gtsam.Marginals(graph, values).jointMarginalCovariance(keys)
+    expected = np.block([[joint.at(a, b)[:3, :3] for b in keys] for a in keys])
+    assert draws.upper_rotation is not None and draws.upper_rotation.shape[2] == 3
+    drawn = np.concatenate(
+        [
+            each
+            for i in rows
+            for each in (
+                draws.upper_rotation[:, i] @ values.atPose3(Y(i)).rotation().matrix(),
+                draws.velocity[:, i],
+            )
+        ],
+        axis=1,
+    )
+    same(covariance(drawn), expected)
+    hidden = np.setdiff1d(np.arange(len(window.t)), rows)
+    assert np.isnan(draws.upper_rotation[:, hidden]).all()
 
 
 def body(draws: WindowDraws, node: int, R: FloatArray) -> FloatArray:

@@ -94,6 +94,20 @@ def test_a_damaged_length_costs_no_chunk(path: Path, length: int):
         assert container.notes
 
 
+@pytest.mark.parametrize("length", [10**5, 2**63 + 1, 2**64 - 1])
+def test_a_cut_chunk_with_damaged_sizes_is_left_out(path: Path, length: int):
+    """Its end, by the length it states, lies where no file reaches."""
+    whole = written()
+    start = places(whole, Opcode.CHUNK)[-1]
+    everything, _ = read(path, whole)
+    damaged = put(whole, start + 1, struct.pack("<Q", length))
+    damaged = put(damaged, start + HEAD.size + 16, struct.pack("<Q", 2**62))  # bytes that it holds
+    rows, container = read(path, damaged[: start + 500])
+    assert 0 < len(rows) < COUNT and rows == everything[: len(rows)]
+    (loss,) = container.losses
+    assert "left out" in loss.what and loss.stop <= start + 500
+
+
 @pytest.mark.parametrize("chunked", [True, False])
 def test_zeros_in_the_middle_cost_what_they_cover(path: Path, chunked: bool):
     whole = written(chunked=chunked)

@@ -185,3 +185,11 @@ def test_a_sound_file_that_breaks_off_before_its_samples(tmp_path: Path):
         with pytest.raises(RecordingError, match=r"a\.wav is not a WAV file that can be read"):
             read_sound(path)
             pytest.fail(name)
+
+
+def test_other_formats_that_state_too_many_pixels(tmp_path: Path):
+    """OpenCV looks at the size of those itself, and raises its own error."""
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P5 2000000000 9000 65535\n")
+    with pytest.raises(CalibrationError, match=r"a\.pgm is not an image .*larger than"):
+        read_view(path, path)

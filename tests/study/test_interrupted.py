@@ -7,6 +7,8 @@ import os
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -26,11 +28,14 @@ from studies import (
     until_stopped,
 )
 
+from smoother.errors import UnoccludeError
+from smoother.runtime.leftovers import temporary_name
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row
+from smoother.study.inputs import find_entries
 from smoother.study.job import Job, Known, run_job
 from smoother.study.ledger import Ledger
-from smoother.study.run import study_folder
+from smoother.study.run import StudySettings, run_study, study_folder
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
@@ -96,6 +101,49 @@ def die_of_broken(job: Job) -> Row:
     if job.name == BROKEN:
         os.kill(os.getpid(), signal.SIGKILL)
     return run_job(job)
+
+
+def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch):
+    """The processes are begun once more, and no oftener."""
+    import distributed
+
+    begun, start = [], distributed.LocalCluster
+
+    def fail_once(**options):
+        begun.append(options)
+        if len(begun) < 2:
+            raise RuntimeError("Nanny failed to start.")
+        return start(**options)
+
+    monkeypatch.setattr(distributed, "LocalCluster", fail_once)
+    assert [row["status"] for row in run_local(iter([job]), 1) if row is not None] == [DONE]
+    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: fail_once(times=begun.clear()))
+    with pytest.raises(UnoccludeError, match=r"could not be started: Nanny failed to start\."):
+        list(run_local(iter([job]), 1))
+
+
+def test_an_end_sweeps_what_its_workers_left(job, made, monkeypatch):
+    """They are ended in the middle of an output, and the next command may never come."""
+    folder = study_folder(Path(job.folder))
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    half = [
+        folder.stage / f"{socket.gethostname()}~{dead.pid}" / "half.mcap",
+        temporary_name(folder.rows / "row.json"),
+    ]
+
+    def work(jobs):
+        next(jobs)
+        half[0].parent.mkdir()
+        for path in half:
+            path.touch()
+        raise KeyboardInterrupt
+        yield
+
+    entries = find_entries(str(made), folder.path)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(entries, folder, StudySettings(), work, lambda *_: None)
+    assert not half[0].parent.exists() and not half[1].exists()
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from resource import RUSAGE_SELF
 
 import pytest
 
@@ -13,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from smoother.errors import UnoccludeError
 from tools.fuzz import __main__ as fuzzing
 from tools.fuzz.corpus import seeds, write_seeds
+from tools.fuzz.limits import Limits, _peak_mb
 from tools.fuzz.one import _without_arrays
 from tools.fuzz.targets import LONGEST, names, once, target
 
@@ -51,6 +53,21 @@ def test_arrays_are_compared_past_atheris():
     compare = _without_arrays(lambda *_: "traced", 0)
     assert compare(1, 2, 0, 0, False) == "traced"
     np.testing.assert_array_equal(compare(np.arange(3), 1, 4, 0, False), [False, False, True])  # ">"
+
+
+def test_an_input_that_takes_too_much_is_a_finding(monkeypatch: pytest.MonkeyPatch):
+    """Memory counts from what the process held before: what earlier inputs left there is not this one's."""
+    held: list[bytearray] = []
+    limits = Limits(lambda data: held.append(bytearray(b"1") * int(data)))
+    limits(b"10")
+    monkeypatch.setattr("tools.fuzz.limits.MOST_MB", _peak_mb(RUSAGE_SELF) - limits.resting_mb + 100.0)
+    limits(b"80000000")
+    with pytest.raises(MemoryError, match="MB for 9 bytes"):
+        limits(b"120000000")
+    limits(b"10")  # the peak stays where it was
+    monkeypatch.setattr("tools.fuzz.limits.MOST_S", -1.0)
+    with pytest.raises(TimeoutError, match="processor"):
+        limits(b"10")
 
 
 @pytest.mark.skipif(find_spec("atheris") is not None, reason="atheris is here")

@@ -15,14 +15,17 @@ import resource
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 from tools.fuzz.corpus import write_seeds
+from tools.fuzz.limits import Limits
 from tools.fuzz.targets import LONGEST, names, once
 
-#: An input may take so long on the wall, s (on the processor: `one`), and the process so much memory, MB.
-_MOST_S, _MOST_MB = 200, 2000
+#: An input may take so long on the wall, s, and the process with what atheris keeps so much memory, MB; what
+#: an input may take by itself: `limits`.
+_MOST_S, _MOST_MB = 200, 6000
 #: What libFuzzer calls its findings.
 _KINDS = ("crash-", "timeout-", "oom-", "leak-")
 
@@ -97,7 +100,7 @@ def main() -> int:
     targets = options.only or list(names())
     if options.again:
         for target in targets:
-            once(target, options.again.read_bytes())
+            Limits(partial(once, target))(options.again.read_bytes())
         return 0
     if find_spec("atheris") is None:
         print(

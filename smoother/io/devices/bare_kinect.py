@@ -70,7 +70,8 @@ class BareKinect:
             sheet = sheet_of_text(head.path, "\n".join(head.lines[:40]) + "\n")
             if sheet.layout.names or not len(sheet):
                 return False
-            return _order_of(sheet.vectors(range(_filled(sheet.layout.width, head)))) is not None
+            rows = sheet.vectors(range(sheet.layout.width))
+            return any(_order_of(each) is not None for each in (rows, _filled(rows)))
         except RecordingError:
             return False
 
@@ -83,9 +84,7 @@ class BareKinect:
             Rows do not hold so many numbers, or no arm is in them.
         """
         sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
-        rows = sheet.vectors(range(sheet.layout.width))
-        if not np.isfinite(rows[:, -1]).any():
-            rows = rows[:, :-1]
+        rows = _filled(sheet.vectors(range(sheet.layout.width)))
         order = _order_of(rows)
         if order is None:
             raise RecordingError(
@@ -113,10 +112,9 @@ class BareKinect:
         return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
 
 
-def _filled(width: int, head: FileHead) -> int:
-    """Width without the empty column that a separator at the end of the line makes."""
-    first = next((line for line in head.lines if line.strip()), "")
-    return width - 1 if first.rstrip(" ").endswith((",", ";", "\t")) else width
+def _filled(rows: FloatArray) -> FloatArray:
+    """Rows (N, width) without the empty column that a separator at the end of the line makes."""
+    return rows if np.isfinite(rows[:, -1]).any() else rows[:, :-1]
 
 
 def _order_of(rows: FloatArray) -> _Order | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from io import BytesIO
+from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import IO
 
@@ -209,7 +209,8 @@ class ChunkSource:
     ) -> list[bytes]:
         """Take down a chunk that was left out, with what its index records say it held."""
         counts: dict[str, int] = {}
-        position = record.start + record.length
+        stop = min(record.start + record.length, file.seek(0, SEEK_END))  # a damaged length exceeds the file
+        position = stop
         while True:
             file.seek(position)
             head = file.read(HEAD.size + INDEX.size)
@@ -223,7 +224,7 @@ class ChunkSource:
         if indexed and self._summary.is_sound:
             times = indexed[0].message_start_time, indexed[0].message_end_time
         first, last = times or (None, None)
-        self._log.lost(Loss(what, record.start, record.start + record.length, first, last, counts))
+        self._log.lost(Loss(what, record.start, stop, first, last, counts))
         return []
 
     def _is_twin(

@@ -116,6 +116,22 @@ def test_kinect_v2_without_header(tmp_path: Path, per_joint: int, leading: int) 
     assert (table.state["wrist_right"] == JointState.TRACKED).all()
 
 
+@pytest.mark.parametrize("end", [",", ", "])
+def test_without_header_lines_may_end_with_a_separator(tmp_path: Path, end: str) -> None:
+    rows = [[*made.kinect_v2(FRAMES)[at].ravel()] for at in range(FRAMES)]
+    path = write(tmp_path / "a.txt", rows)
+    path.write_text(path.read_text().replace("\n", f"{end}\n"))
+    (table,) = read(path, "kinect-numbers")
+    assert_allclose(table.position["wrist_right"], made.kinect_v2(FRAMES)[:, KINECT_V2.index("WristRight")])
+
+
+def test_a_table_of_one_column_is_none_of_a_kinect(tmp_path: Path) -> None:
+    """Its first line ends with a separator, and nothing would be left without that."""
+    path = tmp_path / "a.csv"
+    path.write_text(",\ne\n1,")
+    assert recognise(read_head(path)) is None
+
+
 @pytest.mark.parametrize("style", ["{}_{}", "{}.{}", "{} {}", "joint_{}_{}", "{}({})"])
 def test_kinect_v2_by_name(tmp_path: Path, style: str) -> None:
     joints = made.kinect_v2(FRAMES)
