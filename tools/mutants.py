@@ -65,7 +65,7 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             f"tests/graph/test_lag_{name}.py",
             "tests/graph/test_lag_window.py",
         )
-        for name in ("iteration", "marginalisation")
+        for name in ("gravity", "iteration", "marginalisation")
     },
     **{
         f"smoother/graph/lag_{name}.py": (

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..recording import FloatArray
 
-_DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+#: Of a variable, by its letter.
+DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
 #: Elimination goes along time; the variables of few nodes follow, and last come those of all.
 _RANK = {"x": 0, "v": 0, "s": 1, "b": 2}
 _LAST = 3
@@ -22,8 +23,8 @@ class LagIteration:
 
     Attributes
     ----------
-    values : gtsam.Values
-        After the step.
+    before, values : gtsam.Values
+        Where it was linearised, and after the step.
     step : ndarray, shape (c,)
         Of the variables that are read, in GTSAM's own coordinates.
     covariance : ndarray, shape (c, c)
@@ -32,6 +33,7 @@ class LagIteration:
         Where each of them is in both.
     """
 
+    before: gtsam.Values
     values: gtsam.Values
     step: FloatArray
     covariance: FloatArray
@@ -73,7 +75,7 @@ def iterate(
     ordering, columns, start = gtsam.Ordering(), {}, 0
     for key in asked:
         ordering.push_back(key)
-        columns[key] = slice(start, start + _DIMENSION[chr(gtsam.Symbol(key).chr())])
+        columns[key] = slice(start, start + DIMENSION[chr(gtsam.Symbol(key).chr())])
         start = columns[key].stop
     information, vector = rest.hessian(ordering)
     covariance = _inverse(information)
@@ -85,7 +87,7 @@ def iterate(
     for key, rows in columns.items():
         if not delta.exists(key):
             delta.insert(key, step[rows])
-    return LagIteration(values.retract(delta), step, covariance, columns)
+    return LagIteration(values, values.retract(delta), step, covariance, columns)
 
 
 def in_order(keys: Iterable[int], times: Mapping[int, float]) -> list[int]:

@@ -51,7 +51,7 @@ def marginalise(
     for i in range(gaussians.size()):
         gaussian = gaussians.at(i)
         if gaussian is not None:
-            rest.append(gtsam.LinearContainerFactor(gaussian, _values_of(values, gaussian.keys())))
+            rest.append(gtsam.LinearContainerFactor(gaussian, values_of(values, gaussian.keys())))
     for key in leaving:
         values.erase(key)
     return rest
@@ -65,7 +65,7 @@ def split(
     return touching, [factor for factor in factors if not keys & set(factor.keys())]
 
 
-def _values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
+def values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
     """The present values of some variables."""
     some = gtsam.Values()
     for key in keys:

@@ -12,6 +12,7 @@ from ..recording import JOINTS, FloatArray
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.shared import SharedLayout
 from .lag_factors import LagNode
+from .lag_gravity import gravity_axes
 from .lag_iteration import LagIteration
 
 
@@ -46,20 +47,19 @@ class LagReading:
         knot = [] if self.knot is None else [S(self.knot)]
         return list(dict.fromkeys([*nodes, B(self.epoch), *constant_keys(self.layout), *knot]))
 
-    def read(self, values: gtsam.Values, iteration: LagIteration, iterations: int) -> LagSolution:
+    def read(self, iteration: LagIteration, iterations: int) -> LagSolution:
         """The solution with its covariance in physical coordinates.
 
         Parameters
         ----------
-        values : gtsam.Values
-            Where the window stands.
         iteration : LagIteration
             The last one, of `keys`.
         iterations : int
             How many there were.
         """
+        values = iteration.values
         newest, settled = state_of(values, self.newest), state_of(values, self.settled)
-        physical, rows = self._physical(values, newest, settled, iteration.columns)
+        physical, rows = self._physical(iteration, newest.R, settled.R)
         return LagSolution(
             newest=newest,
             settled=settled,
@@ -74,23 +74,23 @@ class LagReading:
         )
 
     def _physical(
-        self, values: gtsam.Values, newest: NodeState, settled: NodeState, columns: dict[int, slice]
+        self, iteration: LagIteration, R_newest: FloatArray, R_settled: FloatArray
     ) -> tuple[FloatArray, dict[str, slice]]:
         """The physical quantities' change for a change of GTSAM's coordinates, and the rows of each."""
         blocks = [
-            *_state_blocks("", self.newest.number, newest.R),
-            *_state_blocks("settled_", self.settled.number, settled.R),
+            *_state_blocks("", self.newest.number, R_newest),
+            *_state_blocks("settled_", self.settled.number, R_settled),
             ("bias", B(self.epoch), np.eye(6)),
-            ("gravity", G(0), self.gravity_magnitude * values.atUnit3(G(0)).basis()),
+            ("gravity", G(0), self.gravity_magnitude * gravity_axes(iteration.before)),
             *((joint, L(JOINTS.index(joint)), np.eye(3)) for joint in self.layout.joints),
         ]
         if self.knot is not None:
             blocks.append(("shoulder", S(self.knot), np.eye(3)))
-        width = max(column.stop for column in columns.values())
-        physical, rows, start = np.zeros((sum(len(block) for *_, block in blocks), width)), {}, 0
+        height, rows, start = sum(len(block) for *_, block in blocks), {}, 0
+        physical = np.zeros((height, len(iteration.covariance)))
         for name, key, block in blocks:
             rows[name] = slice(start, start + len(block))
-            physical[rows[name], columns[key]] = block
+            physical[rows[name], iteration.columns[key]] = block
             start += len(block)
         return physical, rows
 

@@ -14,6 +14,7 @@ from ..recording import FloatArray
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from .lag_factors import LagFactors, LagNode
+from .lag_gravity import gravity_axes, have_turned, turned_with_axes
 from .lag_iteration import iterate
 from .lag_marginalisation import marginalise, split
 from .lag_reading import LagReading, bias_of, constant_keys, gravity_of, lever_of, state_of
@@ -67,6 +68,7 @@ class LagWindow:
         self._lasting: list[gtsam.NonlinearFactor] = [
             prior_factor(priors, [B(0), *constant_keys(priors.layout)])
         ]
+        self._axes = gravity_axes(self._values)
 
     @property
     def t(self) -> FloatArray:
@@ -165,8 +167,9 @@ class LagWindow:
         while change_m > SETTLED_M and iterations < ITERATIONS:
             iteration = iterate(graph, self._values, asked, times)
             self._values = iteration.values
+            graph = self._graph() if self._follow_gravity() else graph
             change_m, iterations = iteration.moved_m(X(reading.newest.number)), iterations + 1
-        solution = reading.read(self._values, iteration, iterations)
+        solution = reading.read(iteration, iterations)
         self._leave(reading.newest.t - self._length_s)
         return solution
 
@@ -182,6 +185,14 @@ class LagWindow:
         return LagReading(
             self._nodes[-1], self._nodes[settled], self._epoch, self._knot, self._layout, self._g
         )
+
+    def _follow_gravity(self) -> bool:
+        """Turn the Gaussians with the axes across gravity, where these have turned."""
+        if not have_turned(self._axes, gravity_axes(self._values)):
+            return False
+        self._lasting = turned_with_axes(self._lasting, self._values, self._axes)
+        self._axes = gravity_axes(self._values)
+        return True
 
     def _leave(self, before_s: float) -> None:
         """Marginalise the nodes before a time, with their knots and biases; the newest two stay."""

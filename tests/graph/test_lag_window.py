@@ -17,7 +17,9 @@ from smoother.window.problem import ImuIncrements, NoiseModel, Priors
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
 
 NOISE = NoiseModel(0.02, 0.003, 0.0, 0.0, 1e3, 0.01, 0.3)  # Cauchy's loss so wide that it is none
-DOWN = np.array([0.1, -0.4, -0.9]) / np.linalg.norm([0.1, -0.4, -0.9])
+#: Of a camera that is tilted, and of one that stands level: GTSAM's axes across gravity then turn on the way.
+TILTED = np.array([0.1, -0.4, -0.9]) / np.linalg.norm([0.1, -0.4, -0.9])
+LEVEL = np.array([0.0, 0.0, -1.0])
 LEVERS = {"elbow": np.array([-0.12, 0.01, 0.02]), "wrist": np.array([0.1, 0.0, -0.01])}
 #: From the elbow: the upper arm is carried along.
 UPPER_ARM = np.array([0.05, -0.25, 0.1])
@@ -28,15 +30,16 @@ SIGMA_M, DT, COUNT = 0.01, 1 / 30, 90
 class Motion:
     """A turning arm: true states, the intervals between them, noisy joints."""
 
+    down: FloatArray
     states: list[NodeState]
     increments: list[ImuIncrements]
     joints: list[dict[str, FloatArray]]
 
 
-@pytest.fixture(scope="module")
-def motion() -> Motion:
+@pytest.fixture(scope="module", params=[TILTED, LEVEL], ids=["tilted", "level"])
+def motion(request: pytest.FixtureRequest) -> Motion:
     """Specific force and rate constant in each interval; the shoulder goes along with the elbow."""
-    rng = np.random.default_rng(4)
+    rng, down = np.random.default_rng(4), request.param
     t = np.arange(COUNT) * DT
     turn = np.column_stack([0.5 * np.sin(2.0 * t), 0.6 * np.sin(2.6 * t + 1.0), 0.7 * np.sin(1.7 * t)])
     R = [Rot3.Expmap(each) for each in turn]
@@ -45,8 +48,8 @@ def motion() -> Motion:
     states, increments = [NodeState(t[0], R[0].matrix(), p[0], v[0])], []
     for k in range(1, COUNT):
         gyro = Rot3.Logmap(R[k - 1].between(R[k])) / DT
-        acc = R[k - 1].unrotate((v[k] - v[k - 1]) / DT - GRAVITY * DOWN)
-        params = gtsam.PreintegrationParams(GRAVITY * DOWN)
+        acc = R[k - 1].unrotate((v[k] - v[k - 1]) / DT - GRAVITY * down)
+        params = gtsam.PreintegrationParams(GRAVITY * down)
         pim = gtsam.PreintegratedImuMeasurements(params, gtsam.imuBias.ConstantBias())
         pim.integrateMeasurement(acc, gyro, 0.5 * DT)
         pim.integrateMeasurement(acc, gyro, 0.5 * DT)
@@ -64,13 +67,13 @@ def motion() -> Motion:
         seen = {joint: state.p + state.R @ lever for joint, lever in LEVERS.items()}
         seen["shoulder"] = seen["elbow"] + UPPER_ARM
         joints.append({joint: point + rng.normal(0.0, SIGMA_M, 3) for joint, point in seen.items()})
-    return Motion(states, increments, joints)
+    return Motion(down, states, increments, joints)
 
 
-def window(length_s: float, has_upper_arm: bool = False) -> LagWindow:
+def window(down: FloatArray, length_s: float, has_upper_arm: bool = False) -> LagWindow:
     """Lever arms known to 5 mm, gravity to a degree."""
     layout = SharedLayout(
-        tuple(joint for joint in JOINTS if joint in LEVERS), has_upper_arm, axes_across(DOWN)
+        tuple(joint for joint in JOINTS if joint in LEVERS), has_upper_arm, axes_across(down)
     )
     mean, sigma = np.zeros(layout.size), np.full(layout.size, 0.005)
     sigma[:3], sigma[3:6], sigma[layout.gravity] = 0.05, 0.005, 0.02
@@ -85,7 +88,7 @@ def followed(
     motion: Motion, length_s: float, gap: range = range(0), late: int | None = None, shoulder: bool = False
 ) -> tuple[LagWindow, list[LagSolution]]:
     """A window fed node by node, begun near the truth; nothing is seen in the gap; a frame comes late."""
-    lag, solutions = window(length_s, shoulder), []
+    lag, solutions = window(motion.down, length_s, shoulder), []
     joints = [*LEVERS, *(["shoulder"] if shoulder else [])]
     for k, state in enumerate(motion.states):
         begin = NodeState(state.t, state.R, state.p + 0.003, state.v)
@@ -161,7 +164,7 @@ def test_a_late_frame_counts_as_one_in_time(motion: Motion) -> None:
 
 
 def test_samples_that_come_late_replace_an_interval(motion: Motion) -> None:
-    lag, right = window(0.7), window(0.7)
+    lag, right = window(motion.down, 0.7), window(motion.down, 0.7)
     wrong = motion.increments[19]
     wrong = ImuIncrements(
         wrong.acc + 30.0, wrong.gyro, wrong.h, wrong.first, wrong.bias, wrong.velocity_error
@@ -182,7 +185,7 @@ def test_samples_that_come_late_replace_an_interval(motion: Motion) -> None:
 
 
 def test_the_wrist_alone_leaves_its_place_open_at_first_and_says_so(motion: Motion) -> None:
-    lag = window(0.7)
+    lag = window(motion.down, 0.7)
     lag.add(motion.states[0], None)
     unseen = lag.solve(0.0)
     lag.measure(-1, "wrist", motion.joints[0]["wrist"])
