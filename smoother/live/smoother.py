@@ -156,7 +156,7 @@ class LiveSmoother:
             load=sum(s for _, s in self._work) / max(now_s - self._work[0][0], 1e-3),
             step_ms=1e3 * step_s,
             notes=(*notes, *self._notes),
-            calibration=self._calibrations.reason,
+            calibration=self._reason,
         )
 
     @property
@@ -243,6 +243,12 @@ class LiveSmoother:
         self._succession.begin_anew()
 
     @property
+    def _reason(self) -> str:
+        """How the calibration stands, in words."""
+        is_catching_up = self._calibrations.last is not None and self._succession.follower is None
+        return self._calibrations.reason + ("; catching up with the present" if is_catching_up else "")
+
+    @property
     def _latency_s(self) -> float:
         return self._camera.delay_s - self._calibrations.offset_s
 
@@ -256,7 +262,7 @@ class LiveSmoother:
     def _answers(self, now_s: float) -> tuple[LiveEstimate | None, LiveEstimate | None]:
         follower = self._succession.follower
         if follower is None or follower.solution is None:
-            self._state = LiveState.CALIBRATING if self._calibrations.last is None else LiveState.LOST
+            self._state = LiveState.LOST if self._succession.has_followed else LiveState.CALIBRATING
             return None, None
         if now_s - self._imu.end_s > LOST_S:
             self._state = LiveState.LOST

@@ -12,8 +12,9 @@ from .frame_buffer import FrameBuffer
 from .imu_buffer import ImuBuffer
 from .skeleton_frame import SkeletonFrame
 
-#: A first follower begins so long before the present, and catches up by so many frames a step, s.
-CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 6
+#: A first follower begins so long before the present, s, and catches up by so many frames a step: ten take
+#: 13 to 17 ms of processor time, so that a step stays within 20 ms.
+CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
 #: A successor catches up beside the one at work by so many frames a step.
 SUCCESSOR_FRAMES = 4
 #: After a pause of the IMU it takes so much to begin anew, s.
@@ -38,6 +39,8 @@ class Succession:
     ----------
     follower : Follower or None
         The one at work.
+    has_followed : bool
+        There was one at work at some time.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class Succession:
         self._calibrations, self._config, self._imu, self._frames = calibrations, config, imu, frames
         self._lag_s = lag_s
         self.follower: Follower | None = None
+        self.has_followed = False
         self._successor: Follower | None = None
         self._is_waiting = False
 
@@ -65,7 +69,10 @@ class Succession:
         """Let the successor catch up, and take the place of the one at work; that one, where it did."""
         self._begin_where_visible()
         successor = self._successor
-        if successor is None or not (successor.started or self._start(successor, now_s)):
+        if successor is None:
+            return None
+        if not successor.started:
+            self._start(successor, now_s)  # work enough for a step
             return None
         if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
             self._successor = None if self.follower is not None else self._fresh()
@@ -73,6 +80,7 @@ class Succession:
         if successor.solution is None or self.ready(successor):
             return None
         before, self.follower, self._successor = self.follower, successor, None
+        self.has_followed = True
         return before
 
     def ready(self, follower: Follower) -> list[SkeletonFrame]:
@@ -89,11 +97,11 @@ class Succession:
             if self._successor is not None:
                 self._successor.start(active.window.state(0))
 
-    def _start(self, successor: Follower, now_s: float) -> bool:
-        """Begin some seconds ago; False where the streams do not suffice yet."""
+    def _start(self, successor: Follower, now_s: float) -> None:
+        """Begin some seconds ago, where the streams suffice."""
         since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
         if self._imu.end_s - since_s < FRESH_S:
-            return False
+            return
         offset_s = self._calibrations.offset_s
         state = first_state(
             self._imu.stream(since_s),
@@ -103,10 +111,8 @@ class Succession:
             self._calibrations.needed,
             max(now_s - CATCH_UP_S, since_s + 0.5 * FRESH_S),
         )
-        if state is None:
-            return False
-        successor.start(state)
-        return True
+        if state is not None:
+            successor.start(state)
 
     def _catch_up(self, successor: Follower, now_s: float) -> bool:
         """Feed some frames; False where these did not determine the motion."""
