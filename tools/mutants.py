@@ -59,7 +59,21 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         for name in ("linear_system", "solve")
     },
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
-    "smoother/graph/lag_window.py": ("tests/live/test_live_smoother.py",),
+    **{
+        f"smoother/graph/lag_{name}.py": (
+            _ALONE,
+            f"tests/graph/test_lag_{name}.py",
+            "tests/graph/test_lag_window.py",
+        )
+        for name in ("gravity", "iteration", "marginalisation")
+    },
+    **{
+        f"smoother/graph/lag_{name}.py": (
+            "tests/graph/test_lag_window.py",
+            "tests/live/test_live_smoother.py",
+        )
+        for name in ("factors", "reading", "window")
+    },
     "smoother/selfcal/clock_fit.py": (_ALONE, "tests/selfcal/test_clock_score.py"),
     "smoother/measurements/outliers.py": (
         _ALONE,

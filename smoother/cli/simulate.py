@@ -1,16 +1,12 @@
-"""`unocclude simulate`: recordings with truth. Every setting of the simulation is an option."""
+"""`unocclude simulate arm`: a recording with truth. Every setting of the simulation is an option."""
 
 from __future__ import annotations
 
-import inspect
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
-from .option_groups import with_signature
 from .options import Force, Json, Output, Seed
 from .output import check_mcap, check_outputs, print_table, say_written, write_json
 
@@ -42,38 +38,6 @@ Arms = Annotated[
         help="Both arms of one person, each with its IMU or IMUs; --side is the first.",
     ),
 ]
-
-#: Commands by name: the module that holds them, and an example of their use.
-_COMMANDS = {
-    "arm": ("simulate", "arm -o sim.mcap --preset realistic --repetitions 3 --seed 7"),
-    "clock": ("simulate_clock", "clock -o session --seed 7"),
-    "imu": ("simulate_sensor", "imu -o poses.mcap --seed 7"),
-    "magnetometer": ("simulate_sensor", "magnetometer -o turning.mcap --seed 7"),
-    "panel": ("simulate_panel", "panel -o session --poses 8 --seed 7 --mcap session.mcap"),
-    "people": ("simulate_people", "people -o people.mcap --people 2 --sensors 4 --seed 7"),
-    "strap": ("simulate_strap", "strap -o session.mcap --seed 7"),
-}
-
-
-class SimulateGroup(TyperGroup):
-    """Makes a command when it is asked for: its options are the simulation's settings, slow to read."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names of the commands."""
-        return list(_COMMANDS)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, or None."""
-        if cmd_name not in _COMMANDS:
-            return None
-        home, example = _COMMANDS[cmd_name]
-        module = import_module(f".{home}", __package__)
-        command = getattr(module, cmd_name)
-        if "settings" in inspect.signature(command).parameters:
-            command = with_settings(command, module.settings())
-        app = typer.Typer(add_completion=False, rich_markup_mode=None)
-        app.command(cmd_name, epilog=f"Example: unocclude simulate {example}")(command)
-        return typer.main.get_command(app)
 
 
 def arm(
@@ -174,59 +138,11 @@ def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force:
         temporary.write_text(calibration_text(file, path), encoding="utf-8", newline="\n")
 
 
-def with_settings(command: Any, settings: dict[str, FieldInfo]) -> Any:
-    """The command with an option for every setting of a simulation."""
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "settings"]
-    taken = {parameter.name for parameter in own}
-    fields = {name: field for name, field in settings.items() if name not in taken}
-    more = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_option(name, field))
-        for name, field in fields.items()
-    ]
-
-    def run(**values: Any) -> None:
-        command(**values)
-
-    return with_signature(run, command, own + more)
-
-
 def settings() -> dict[str, FieldInfo]:
     """Every setting of the simulation by name."""
     from ..simulation import ArmSimulation, MocapSimulation
 
     return {**ArmSimulation.model_fields, **MocapSimulation.model_fields}
-
-
-def _option(name: str, field: FieldInfo) -> Any:
-    """The option of a setting; None where it is not given."""
-    flag = "--" + name.replace("_", "-")
-    default = field.get_default()
-    text = _shown(default)
-    about = ". ".join(part for part in (field.description, f"[{text}]") if part)
-    if isinstance(default, bool):
-        return Annotated[bool | None, typer.Option(f"{flag}/--no-{flag[2:]}", help=about, show_default=False)]
-    kind: Any = str
-    if isinstance(default, int):
-        kind = int
-    elif isinstance(default, float) or (default is None and float in get_args(field.annotation)):
-        kind = float
-    metavar = "|".join(_choices(field)) or {int: "N", float: "X", str: "X,X,.."}[kind]
-    return Annotated[kind | None, typer.Option(flag, metavar=metavar, help=about, show_default=False)]
-
-
-def _choices(field: FieldInfo) -> list[str]:
-    """Values that a setting may take, where they are named."""
-    if hasattr(field.annotation, "__members__"):
-        return [str(member.value) for member in field.annotation]  # type: ignore[union-attr]
-    return [value for value in get_args(field.annotation) if isinstance(value, str)]
-
-
-def _shown(default: Any) -> str:
-    if default is None:
-        return "none"
-    if isinstance(default, tuple):
-        return ",".join(str(item) for item in default)
-    return str(default.value if hasattr(default, "value") else default).lower()
 
 
 def parsed_setting(name: str, value: Any) -> Any:

@@ -62,7 +62,7 @@ def prior_factor(priors: Priors, keys: list[int]) -> gtsam.LinearContainerFactor
     # the prior's mean is the initial value, so only its information matrix is needed
     jacobian = shared_jacobian(layout, Unit3(layout.down(mean)))
     information = jacobian.T @ np.linalg.inv(priors.shared.covariance) @ jacobian
-    factor = _gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
+    factor = gaussian_factor(keys, _blocks(layout), 0.5 * (information + information.T))
     at = gtsam.Values()
     at.insert(keys[0], gtsam.imuBias.ConstantBias(mean[:3], mean[3:6]))
     insert_constants(at, layout, mean)
@@ -136,12 +136,25 @@ def _blocks(layout: SharedLayout) -> list[slice]:
     return [layout.bias, layout.gravity, *upper_arm, *levers, *upper_imu]
 
 
-def _gaussian_factor(keys: list[int], blocks: list[slice], information: FloatArray) -> gtsam.HessianFactor:
-    """A zero-mean Gaussian over any number of variables, put together from its pairs."""
+def gaussian_factor(
+    keys: list[int], blocks: list[slice], information: FloatArray, vector: FloatArray | None = None
+) -> gtsam.HessianFactor:
+    """A Gaussian over any number of variables, put together from its pairs.
+
+    Parameters
+    ----------
+    keys : list of int
+    blocks : list of slice
+        Rows of each variable.
+    information : ndarray, shape (s, s)
+    vector : ndarray, shape (s,), optional
+        Information times the mean; zero where None.
+    """
+    vector = np.zeros(len(information)) if vector is None else vector
     pairs = gtsam.GaussianFactorGraph()
     for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
         size = rows.stop - rows.start
-        pairs.add(gtsam.HessianFactor(key, information[rows, rows], np.zeros(size), 0.0))
+        pairs.add(gtsam.HessianFactor(key, information[rows, rows], vector[rows], 0.0))
         for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
             width = columns.stop - columns.start
             pairs.add(

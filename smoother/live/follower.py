@@ -4,48 +4,31 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ..config import Config
 from ..graph.lag_window import LagWindow
-from ..linalg import interpolate
-from ..measurements.clock import constant_clock
-from ..measurements.inertial import (
-    InertialSignal,
-    equivalent_samples,
-    integrate,
-    integrate_between,
-    split_steps,
-)
-from ..measurements.segment import SegmentTraits, make_segment, without_spikes
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, JointTracks
+from ..measurements.inertial import InertialSignal
+from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
 from ..selfcal.rounds import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
 from ..window.lag_solution import LagSolution, NodeState
-from ..window.prepare import prepare
 from ..window.priors import first_priors, noise_of
-from ..window.problem import ImuIncrements, Priors
+from ..window.problem import Priors
 from ..window.shared import Gaussian
+from .frame_history import FrameHistory
 from .imu_buffer import ImuBuffer
+from .live_signal import BEFORE_S, LiveSignal, displacement, increments_between, propagated
 from .skeleton_frame import SkeletonFrame
 
 #: Nodes stay for so long after the newest, s; longer where `settled` asks for it.
 LENGTH_S = 1.2
-#: A first state is read from so much around it, s.
-AROUND_S = 3.0
-#: The signal begins so long before what is integrated, s: the spline's end has no effect there.
-BEFORE_S = 0.1
-#: ... and is read so far back at least, so that one serves a whole step, s.
-CACHED_S = 0.4
 #: A frame nearer than this to the newest node joins it, s.
 SAME_S = 0.004
 #: A gap that ends after this tells where the arm is by the camera alone, s.
 AGAIN_S = 0.2
-#: An arm's acceleration where samples are missing, m/s^2.
-MISSED_ACCELERATION = 4.0
 #: No window leads over a pause of the IMU that is longer, s.
 LONGEST_PAUSE_S = 0.3
 #: What one calibration has learnt counts for the next with so much wider sigmas.
@@ -74,8 +57,10 @@ class Follower:
     ----------
     cursor_s : float, s
         Stamp of the last frame that has a node, on the camera's clock.
-    visible_s : float, s
-        Time of the last visible frame, on the IMU's clock.
+    history : FrameHistory
+        When the camera saw the forearm.
+    signal : LiveSignal
+        The corrected IMU.
     solution : LagSolution or None
     """
 
@@ -89,23 +74,21 @@ class Follower:
         length_s: float = LENGTH_S,
         before: Follower | None = None,
     ) -> None:
-        self.model, self.offset_s, self._needed, self._imu = model, offset_s, needed, imu
+        self.model, self.offset_s, self._needed = model, offset_s, needed
         self.noise = noise_of(config, model.upper_arm_sigma_m)
         priors = first_priors(model.initial, model.estimate, config)
         if before is not None and before.solution is not None:
             priors = _with_learnt(priors, before.solution)
         self.window = LagWindow(priors, self.noise, model.joint_sigma_m, GRAVITY, length_s)
-        self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
+        self.signal, self.history = LiveSignal(imu, model), FrameHistory()
         self._forces: deque[tuple[float, FloatArray]] = deque()
-        self._signal: tuple[int, float, InertialSignal] | None = None
         self.solution: LagSolution | None = None
-        self.cursor_s = self.visible_s = -np.inf
-        self.seen: deque[tuple[float, bool]] = deque(maxlen=400)
+        self.cursor_s = -np.inf
 
     def start(self, state: NodeState) -> None:
         """Begin with a first node."""
         self.window.add(state, None)
-        self.cursor_s, self.visible_s = state.t - self.offset_s, state.t
+        self.cursor_s, self.history.visible_s = state.t - self.offset_s, state.t
 
     @property
     def started(self) -> bool:
@@ -116,17 +99,6 @@ class Follower:
     def t_s(self) -> float:
         """Time of the newest node, s."""
         return float(self.window.t[-1])
-
-    def signal(self, start_s: float) -> InertialSignal:
-        """The corrected IMU from some time on."""
-        cached = self._signal
-        if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
-            first_s = min(start_s, self._imu.end_s - CACHED_S)
-            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
-            acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
-            cached = self._imu.version, first_s, InertialSignal(replace(imu, acc=acc, gyro=gyro))
-            self._signal = cached
-        return cached[2]
 
     def feed(self, frames: Sequence[SkeletonFrame]) -> float | None:
         """Add frames in order of time, each as a node or at one.
@@ -142,14 +114,14 @@ class Follower:
             When the gap began that these frames ended; None where they ended none.
         """
         ended = None
-        signal = self.signal(self.t_s)
+        signal = self.signal.since(self.t_s)
         for frame in frames:
             t_s = frame.t_s + self.offset_s
             accepted = self.accepted(frame)
             is_visible = self.is_visible(accepted)
-            again = is_visible and t_s - self.visible_s > AGAIN_S
+            again = is_visible and t_s - self.history.visible_s > AGAIN_S
             if again and ended is None:
-                ended = self.visible_s
+                ended = self.history.visible_s
             if t_s - self.t_s > SAME_S:
                 state = self._propagated(t_s, signal)
                 if again:
@@ -157,14 +129,12 @@ class Follower:
                 self._add(state, is_visible, signal)
             self._measure(-1, frame.position - self.model.joint_bias.error_m, accepted)
             self.cursor_s = max(self.cursor_s, frame.t_s)
-            self.seen.append((t_s, is_visible))
-            if is_visible:
-                self.visible_s = max(self.visible_s, t_s)
+            self.history.add(t_s, is_visible)
         return ended
 
     def go_on(self, t_s: float) -> None:
         """Add a node without a frame."""
-        signal = self.signal(self.t_s)
+        signal = self.signal.since(self.t_s)
         self._add(self._propagated(t_s, signal), False, signal)
 
     def feed_late(self, frame: SkeletonFrame) -> bool:
@@ -176,12 +146,9 @@ class Follower:
         node = self.window.state(int(np.argmin(np.abs(t - t_s))))
         position = frame.position - self.model.joint_bias.error_m
         if abs(node.t - t_s) > 1e-6:
-            signal = self.signal(min(node.t, t_s))
-            position = position - self._shift(node, t_s, signal)
+            position = position - self._shift(node, t_s)
         self._measure(int(np.argmin(np.abs(t - t_s))), position, accepted)
-        self.seen.append((t_s, self.is_visible(accepted)))
-        if self.seen[-1][1]:
-            self.visible_s = max(self.visible_s, t_s)
+        self.history.add(t_s, self.is_visible(accepted))
         return True
 
     def integrate_again(self, since_s: float) -> None:
@@ -190,9 +157,10 @@ class Follower:
         first = max(int(np.searchsorted(t, since_s - BEFORE_S)), 1)
         if first >= len(t):
             return
-        signal = self.signal(float(t[first - 1]))
+        signal = self.signal.since(float(t[first - 1]))
         for index in range(first, len(t)):
-            self.window.set_increments(index, self._increments(signal, float(t[index - 1]), float(t[index])))
+            start_s, end_s = float(t[index - 1]), float(t[index])
+            self.window.set_increments(index, increments_between(signal, start_s, end_s, self.window.bias))
 
     def solve(self, settled_s: float) -> LagSolution:
         """Solve the window."""
@@ -201,14 +169,7 @@ class Follower:
 
     def pause_s(self) -> float:
         """Longest time without samples since the newest node, s."""
-        t = self._imu.t
-        t = t[np.searchsorted(t, self.t_s) - 1 :] if len(t) else t
-        return float(np.diff(t).max(initial=0.0))
-
-    def sees_all(self) -> bool:
-        """The forearm was visible all the time that the window covers."""
-        t = self.window.t
-        return len(t) > 5 and all(is_visible for t_s, is_visible in self.seen if t_s >= t[0])
+        return self.signal.pause_s(self.t_s)
 
     def accepted(self, frame: SkeletonFrame) -> BoolArray:
         """Which joints of a frame may take part, (5,)."""
@@ -220,12 +181,7 @@ class Follower:
 
     def _propagated(self, t_s: float, signal: InertialSignal) -> NodeState:
         """Where the IMU leads from the newest node."""
-        newest, bias, gravity = self.window.state(-1), self.window.bias, self.window.gravity
-        delta = integrate_between(signal, np.array([newest.t]), np.array([t_s]), bias)
-        dt = t_s - newest.t
-        p = newest.p + newest.v * dt + 0.5 * gravity * dt**2 + newest.R @ delta.delta_p[0]
-        v = newest.v + gravity * dt + newest.R @ delta.delta_v[0]
-        return NodeState(t_s, newest.R @ delta.delta_R[0], p, v)
+        return propagated(self.window.state(-1), t_s, signal, self.window.bias, self.window.gravity)
 
     def _by_camera(self, state: NodeState, frame: SkeletonFrame, accepted: BoolArray) -> NodeState:
         """The state where the camera's joints put the IMU."""
@@ -238,7 +194,7 @@ class Follower:
         return NodeState(state.t, state.R, np.mean(places, axis=0), state.v) if places else state
 
     def _add(self, state: NodeState, is_visible: bool, signal: InertialSignal) -> None:
-        increments = self._increments(signal, self.t_s, state.t)
+        increments = increments_between(signal, self.t_s, state.t, self.window.bias)
         dt = state.t - self.t_s
         force = state.R @ increments.acc.mean(axis=(0, 1))
         self._forces.append((state.t, force))
@@ -250,18 +206,6 @@ class Follower:
             change = float(np.hypot(std, STILL_ACCELERATION) * np.sqrt(dt * CHANGE_TIME_S))
         self.window.add(state, increments, change)
 
-    def _increments(self, signal: InertialSignal, start_s: float, end_s: float) -> ImuIncrements:
-        t, bias = np.array([start_s, end_s]), self.window.bias
-        step_t, first = split_steps(t)
-        acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
-        error = signal.velocity_error(t)
-        length_s = np.diff(signal.edges)
-        inside = (signal.edges[1:] > start_s) & (signal.edges[:-1] < end_s)
-        missing_s = float(np.maximum(length_s[inside] - 2.0 * np.median(length_s), 0.0).sum())
-        if missing_s > 0:
-            error = np.hypot(error, MISSED_ACCELERATION * missing_s)
-        return ImuIncrements(acc, gyro, h, first, bias, error)
-
     def _measure(self, index: int, position: FloatArray, accepted: BoolArray) -> None:
         """Add a frame's joints at a node."""
         for column in np.flatnonzero(accepted):
@@ -269,76 +213,15 @@ class Follower:
             if joint in ("shoulder", "strap") or joint in self.model.estimate.lever_arms:
                 self.window.measure(index, joint, position[column])
 
-    def _shift(self, node: NodeState, t_s: float, signal: InertialSignal) -> FloatArray:
+    def _shift(self, node: NodeState, t_s: float) -> FloatArray:
         """How far each joint moves from a node to a time near it, (5, 3) m."""
-        bias, gravity = self.window.bias, self.window.gravity
-        first, last = min(node.t, t_s), max(node.t, t_s)
-        delta = integrate_between(signal, np.array([first]), np.array([last]), bias)
-        dt = last - first
-        if t_s > node.t:
-            R = node.R @ delta.delta_R[0]
-            dp = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
-        else:
-            R = node.R @ delta.delta_R[0].T
-            v = node.v - gravity * dt - R @ delta.delta_v[0]
-            dp = -(v * dt + 0.5 * gravity * dt**2 + R @ delta.delta_p[0])
+        signal = self.signal.since(min(node.t, t_s))
+        R, moved = displacement(node, t_s, signal, self.window.bias, self.window.gravity)
         shift = np.zeros((len(JOINTS), 3))
         for column, joint in enumerate(JOINTS):
             if joint != "shoulder":
-                shift[column] = dp + (R - node.R) @ self.window.lever(joint)
+                shift[column] = moved + (R - node.R) @ self.window.lever(joint)
         return shift
-
-
-def first_state(
-    imu: ImuStream, frames: JointTracks, model: SelfCalibration, offset_s: float, needed: int, t_s: float
-) -> NodeState | None:
-    """A state to begin with, from what camera and IMU say around it.
-
-    Parameters
-    ----------
-    imu : ImuStream
-        Without a pause.
-    frames : JointTracks
-        On the camera's clock.
-    model : SelfCalibration
-    offset_s : float, s
-        t_imu = t_camera + offset.
-    needed : int
-        Joints of the forearm that make a frame visible.
-    t_s : float, s
-        About when, on the IMU's clock.
-
-    Returns
-    -------
-    state : NodeState or None
-        At the visible frame nearest to it; None where the camera sees too little around it.
-    """
-    samples = imu.select(np.abs(imu.t_s - t_s) < AROUND_S)
-    clock = constant_clock(offset_s)
-    rows = np.abs(frames.t_s + offset_s - t_s) < AROUND_S
-    if len(samples) < 40 or rows.sum() < 10:
-        return None
-    arm = frames.select(rows)
-    traits = SegmentTraits(model.initial.down, None, needed, False)
-    segment = make_segment(samples, samples.t_s, arm, slice(0, len(arm)), traits)
-    if segment is None:
-        return None
-    segment = model.errors.corrected(segment)
-    ready = prepare(segment, model.estimate, clock, model.joint_sigma_m, AROUND_S)
-    if ready is None:
-        return None
-    prepared, alignment = ready
-    usable = prepared.frame_node >= 0
-    usable &= prepared.accepted[:, [JOINTS.index(joint) for joint in FOREARM_JOINTS]].sum(axis=1) >= needed
-    if usable.sum() < 6:
-        return None
-    candidates = prepared.frame_t_imu[usable]
-    at = candidates[[int(np.argmin(np.abs(candidates - t_s)))]]
-    if not samples.t_s[0] < at[0] < samples.t_s[-1]:
-        return None
-    R = (alignment.at(at) * segment.attitude.at(at)).as_matrix()[0]
-    p, v = interpolate(prepared.t, prepared.start.p, at)[0], interpolate(prepared.t, prepared.start.v, at)[0]
-    return NodeState(float(at[0]), R, p, v)
 
 
 def _with_learnt(priors: Priors, solution: LagSolution) -> Priors:

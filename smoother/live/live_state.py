@@ -8,7 +8,7 @@ from enum import StrEnum
 class LiveState(StrEnum):
     """Whether there is an answer, and what it rests on."""
 
-    CALIBRATING = "calibrating"  # no answer yet, never a guess
+    CALIBRATING = "calibrating"  # no answer yet, never a guess; until the first calibration has caught up
     VISIBLE = "visible"
     GAP = "gap"  # the camera does not see the forearm: the IMU and the upper arm's length go on
     LOST = "lost"  # a stream stopped: no answer until it is back

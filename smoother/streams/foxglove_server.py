@@ -11,6 +11,7 @@ from ..errors import UnoccludeError
 from ..io.wire.schemas import schema_data
 from ..live.output import LiveOutput
 from ..measurements.visibility import Gap
+from ..runtime.extra import extra_module
 from .arrivals import FrameRows, SourceInfo
 from .live_messages import TOPICS, LiveMessage, LiveMessages
 
@@ -19,8 +20,6 @@ FOXGLOVE_PORT = 8765
 LOOPBACK = "127.0.0.1"
 #: The arm is drawn at most so often, s.
 _DRAWN_EACH_S = 0.03
-#: What the extra `live` installs.
-_HOW_TO_GET = "this needs foxglove-sdk, which is not installed; get it with `pip install unocclude[live]`"
 
 
 def foxglove_module() -> ModuleType:
@@ -29,15 +28,9 @@ def foxglove_module() -> ModuleType:
     Raises
     ------
     UnoccludeError
-        It is not installed; the sentence says how to get it.
+        It is not installed, or too old; the sentence says how to get it.
     """
-    try:
-        import foxglove
-    except ImportError as error:
-        raise UnoccludeError(_HOW_TO_GET) from error
-    if not hasattr(foxglove, "Context") or not hasattr(foxglove, "start_server"):
-        raise UnoccludeError("foxglove-sdk is too old; `pip install -U unocclude[live]`")
-    return foxglove
+    return extra_module("foxglove", "foxglove-sdk", "live", ["Context", "start_server"])
 
 
 class FoxgloveServer:

@@ -10,10 +10,9 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import UnoccludeError
+from ..runtime.extra import extra_module
 from ..runtime.printable import printable
 
-#: What the extra `live` installs.
-HOW_TO_GET = "this needs pylsl, which is not installed; get it with `pip install unocclude[live]`"
 #: Where liblsl looks for settings of the user's own.
 _SETTINGS = (
     *("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"),
@@ -32,9 +31,7 @@ def lsl_module() -> ModuleType:
         It is not installed, or it finds no library liblsl; the sentence says what to do.
     """
     try:
-        import pylsl
-    except ImportError as error:
-        raise UnoccludeError(HOW_TO_GET) from error
+        pylsl = extra_module("pylsl", "pylsl", "live")
     except (RuntimeError, OSError) as error:
         raise UnoccludeError(
             "pylsl is installed without the library liblsl; install a wheel of pylsl that brings it"

@@ -16,7 +16,7 @@ from threading import Thread
 import pytest
 from results import made
 
-from smoother.cli import view
+from smoother.cli import viewer
 from smoother.cli.run import run
 from smoother.cli.web_page import LOOPBACK, WebPage, free_port, policy
 from smoother.errors import UnoccludeError
@@ -40,7 +40,7 @@ def needs_rerun():
 
 
 def test_the_commands_bind_to_the_loopback_address(needs_rerun):
-    for arguments in (view.window(Path("a.rrd")), view.web_server(Path("a.rrd"), 1234, 5678)):
+    for arguments in (viewer.window(Path("a.rrd")), viewer.web_server(Path("a.rrd"), 1234, 5678)):
         assert arguments[arguments.index("--bind") + 1] == "127.0.0.1"
         assert Path(arguments[0]).is_file()
         assert arguments[-1] == "a.rrd"
@@ -50,7 +50,7 @@ def test_the_viewer_speaks_to_nobody_else(monkeypatch):
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
     monkeypatch.setenv("https_proxy", "http://proxy.example:3128")
     monkeypatch.delenv("CI", raising=False)
-    variables = view.environment()
+    variables = viewer.environment()
     assert variables["CI"] == "true"
     assert "FORCE_RERUN_ANALYTICS" not in variables
     ways_out = {value for name, value in variables.items() if name.lower() in ("https_proxy", "all_proxy")}
@@ -73,7 +73,7 @@ def test_a_file_is_shown_and_goes(needs_rerun, result, monkeypatch, capsys):
         file = Path(arguments[-1])
         shown.append((file, file.stat().st_size))
 
-    monkeypatch.setattr(view, "show", show)
+    monkeypatch.setattr(viewer, "show", show)
     assert run(["view", str(result)]) == 0
     assert (
         run(["view", str(result), "--web", "--web-port", str(free_port()), "--port", str(free_port())]) == 0
@@ -108,8 +108,8 @@ def test_what_a_person_gets_wrong(needs_rerun, result, tmp_path, capsys):
 
 def test_a_viewer_that_fails_says_why():
     with pytest.raises(UnoccludeError, match="no display here"):
-        view.show([sys.executable, "-c", "print('no display here'); raise SystemExit(3)"])
-    view.show([sys.executable, "-c", "print('all is well')"])
+        viewer.show([sys.executable, "-c", "print('no display here'); raise SystemExit(3)"])
+    viewer.show([sys.executable, "-c", "print('all is well')"])
 
 
 def test_the_page_lets_nothing_out():
@@ -187,4 +187,4 @@ def test_the_real_viewer_serves_the_browser_and_ends(needs_rerun, result):
         running.send_signal(signal.SIGTERM)
         running.wait(timeout=20)
         running.stdout.close()
-    view.check_ports(page, data)
+    viewer.check_ports(page, data)

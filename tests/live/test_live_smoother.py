@@ -28,6 +28,17 @@ def test_it_says_calibrating_before_it_knows_and_never_guesses(outputs):
     assert outputs[-1].state is not LiveState.CALIBRATING
 
 
+def test_no_stream_counts_as_lost_while_the_first_calibration_catches_up(outputs):
+    first = next(k for k, output in enumerate(outputs) if output.now is not None)
+    assert all(output.state is LiveState.CALIBRATING for output in outputs[:first])
+    assert all(output.state is not LiveState.LOST for output in outputs)
+    behind = [output for output in outputs[:first] if "catching up" in output.calibration]
+    assert behind[0].calibration == "calibrated from 8 s of motion; catching up with the present"
+    # 5 s of frames, ten a step of which one is new, and one step to begin with: 0.6 s
+    assert behind[-1].now_s - behind[0].now_s < 0.65
+    assert outputs[first].calibration == "calibrated from 8 s of motion"
+
+
 def test_now_is_the_present_and_as_good_as_it_says(outputs):
     visible = errors(SIMULATION, outputs, "now", lambda o: o.state is LiveState.VISIBLE)
     # seen 1.6 cm; the camera alone has 1.5 cm of noise and bias, 0.1 s ago

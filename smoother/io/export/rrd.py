@@ -13,12 +13,10 @@ from ...errors import UnoccludeError
 from ...recording import FloatArray, Truth
 from ...result import Recovery
 from ...runtime.atomic import writing
+from ...runtime.extra import extra_module
 from ..result.world import common_down, world_axes
 from .rerun_arm import RerunArm
 from .rerun_layout import views
-
-#: What the extra `view` installs.
-HOW_TO_GET = "this needs rerun-sdk, which is not installed; get it with `pip install unocclude[view]`"
 
 
 def rerun_module() -> ModuleType:
@@ -27,18 +25,9 @@ def rerun_module() -> ModuleType:
     Raises
     ------
     UnoccludeError
-        It is not installed; the sentence says how to get it.
+        It is not installed, or too old; the sentence says how to get it.
     """
-    try:
-        import rerun
-        import rerun.blueprint
-    except ImportError as error:
-        raise UnoccludeError(HOW_TO_GET) from error
-    if not hasattr(rerun, "StateChange"):
-        raise UnoccludeError(
-            f"rerun-sdk {getattr(rerun, '__version__', '')} is too old; `pip install -U unocclude[view]`"
-        )
-    return rerun
+    return extra_module("rerun", "rerun-sdk", "view", ["StateChange"], ["blueprint"])
 
 
 def check_rrd(recoveries: Sequence[Recovery]) -> None:

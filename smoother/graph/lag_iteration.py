@@ -1,0 +1,119 @@
+"""One Gauss-Newton iteration of a lag window, with the covariance of the variables that are read (GTSAM)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from ..recording import FloatArray
+
+#: Of a variable, by its letter.
+DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+#: Elimination goes along time; the variables of few nodes follow, and last come those of all.
+_RANK = {"x": 0, "v": 0, "s": 1, "b": 2}
+_LAST = 3
+
+
+@dataclass(frozen=True)
+class LagIteration:
+    """What an iteration answers.
+
+    Attributes
+    ----------
+    before, values : gtsam.Values
+        Where it was linearised, and after the step.
+    step : ndarray, shape (c,)
+        Of the variables that are read, in GTSAM's own coordinates.
+    covariance : ndarray, shape (c, c)
+        Joint, of the same.
+    columns : dict of int to slice
+        Where each of them is in both.
+    """
+
+    before: gtsam.Values
+    values: gtsam.Values
+    step: FloatArray
+    covariance: FloatArray
+    columns: dict[int, slice]
+
+    def moved_m(self, pose: int) -> float:
+        """How far the step moved a pose that is read."""
+        return float(np.linalg.norm(self.step[self.columns[pose]][3:]))
+
+
+def iterate(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, asked: Sequence[int], times: Mapping[int, float]
+) -> LagIteration:
+    """One Gauss-Newton step: eliminate all but what is read, invert what is left, and substitute back.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Where to linearise.
+    asked : sequence of int
+        Keys of the variables that are read.
+    times : mapping of int to float, s
+        Of the nodes, by their number.
+
+    Returns
+    -------
+    iteration : LagIteration
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A direction is left free.
+    """
+    others = gtsam.Ordering()
+    for key in in_order(set(values.keys()) - set(asked), times):
+        others.push_back(key)
+    net, rest = graph.linearize(values).eliminatePartialSequential(others)
+    ordering, columns, start = gtsam.Ordering(), {}, 0
+    for key in asked:
+        ordering.push_back(key)
+        columns[key] = slice(start, start + DIMENSION[chr(gtsam.Symbol(key).chr())])
+        start = columns[key].stop
+    information, vector = rest.hessian(ordering)
+    covariance = _inverse(information)
+    step = covariance @ np.ravel(vector)
+    asked_steps = gtsam.VectorValues()
+    for key, rows in columns.items():
+        asked_steps.insert(key, step[rows])
+    delta = net.optimize(asked_steps)
+    for key, rows in columns.items():
+        if not delta.exists(key):
+            delta.insert(key, step[rows])
+    return LagIteration(values, values.retract(delta), step, covariance, columns)
+
+
+def in_order(keys: Iterable[int], times: Mapping[int, float]) -> list[int]:
+    """Variables in the order of time, those that last at the end.
+
+    Parameters
+    ----------
+    keys : iterable of int
+    times : mapping of int to float, s
+        Of the nodes, by their number.
+    """
+
+    def rank(key: int) -> tuple[int, float, int]:
+        symbol = gtsam.Symbol(key)
+        letter, number = chr(symbol.chr()), symbol.index()
+        return _RANK.get(letter, _LAST), times[number] if letter in "xv" else float(number), key
+
+    return sorted(keys, key=rank)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Inverse of a positive definite matrix, scaled to unit diagonal first."""
+    diagonal = np.diag(information)
+    if not (diagonal > 0).all():
+        raise np.linalg.LinAlgError("a direction is left free")
+    scale = 1.0 / np.sqrt(diagonal)
+    factor = np.linalg.cholesky(information * scale[:, None] * scale)
+    half = np.linalg.solve(factor, np.diag(scale))
+    return np.asarray(half.T @ half)

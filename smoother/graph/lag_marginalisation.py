@@ -1,0 +1,73 @@
+"""What leaves a lag window stays as a Gaussian on what it was connected to (GTSAM).
+
+All factors that touch a variable are linearised and it is eliminated (a fixed-lag smoother; Dong-Si and
+Mourikis, ICRA 2011).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gtsam
+
+_READ: dict[str, Callable[[gtsam.Values, int], Any]] = {
+    "x": gtsam.Values.atPose3,
+    "v": gtsam.Values.atVector,
+    "b": gtsam.Values.atConstantBias,
+    "g": gtsam.Values.atUnit3,
+    "u": gtsam.Values.atDouble,
+    "l": gtsam.Values.atPoint3,
+    "s": gtsam.Values.atPoint3,
+}
+
+
+def marginalise(
+    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, leaving: Sequence[int]
+) -> list[gtsam.NonlinearFactor]:
+    """Eliminate variables.
+
+    Parameters
+    ----------
+    factors : sequence of gtsam.NonlinearFactor
+        All that touch them, and any others.
+    values : gtsam.Values
+        Where to linearise; the variables are erased from it.
+    leaving : sequence of int
+        Keys of the variables, in the order of elimination.
+
+    Returns
+    -------
+    factors : list of gtsam.NonlinearFactor
+        The others as they were, then Gaussians (`LinearContainerFactor`) on what stays.
+    """
+    touching, rest = split(factors, set(leaving))
+    graph, order = gtsam.NonlinearFactorGraph(), gtsam.Ordering()
+    for factor in touching:
+        graph.add(factor)
+    for key in leaving:
+        order.push_back(key)
+    _, gaussians = graph.linearize(values).eliminatePartialSequential(order)
+    for i in range(gaussians.size()):
+        gaussian = gaussians.at(i)
+        if gaussian is not None:
+            rest.append(gtsam.LinearContainerFactor(gaussian, values_of(values, gaussian.keys())))
+    for key in leaving:
+        values.erase(key)
+    return rest
+
+
+def split(
+    factors: Sequence[gtsam.NonlinearFactor], keys: set[int]
+) -> tuple[list[gtsam.NonlinearFactor], list[gtsam.NonlinearFactor]]:
+    """The factors that touch some variables, and those that do not."""
+    touching = [factor for factor in factors if keys & set(factor.keys())]
+    return touching, [factor for factor in factors if not keys & set(factor.keys())]
+
+
+def values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
+    """The present values of some variables."""
+    some = gtsam.Values()
+    for key in keys:
+        some.insert(key, _READ[chr(gtsam.Symbol(key).chr())](values, key))
+    return some

@@ -1,0 +1,88 @@
+"""A Gaussian on gravity means the same in whatever axes GTSAM counts its changes."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import G, L
+
+from smoother.graph.lag_gravity import gravity_axes, have_turned, turned_with_axes
+from smoother.graph.shared_prior import gaussian_factor
+
+#: Known far better to the left and right than to the front and back, and tied to a lever arm.
+SPREAD_K = np.diag([0.001, 0.0, 0.03]) ** 2
+BOUND = np.array([[0.0], [0.0], [0.015]]) @ np.array([[0.005, 0.002, -0.005]])
+
+
+def values(down: np.ndarray) -> gtsam.Values:
+    here = gtsam.Values()
+    here.insert(G(0), gtsam.Unit3(down))
+    here.insert(L(2), np.array([0.1, 0.0, 0.02]))
+    return here
+
+
+def known(at: gtsam.Values) -> gtsam.LinearContainerFactor:
+    """A joint Gaussian of gravity and a lever arm, in the axes that there are."""
+    covariance = np.zeros((5, 5))
+    to_K = gravity_axes(at)
+    covariance[:2, :2], covariance[2:, 2:] = to_K.T @ SPREAD_K @ to_K, np.eye(3) * 0.01**2
+    covariance[:2, 2:] = to_K.T @ BOUND
+    covariance[2:, :2] = covariance[:2, 2:].T
+    information = np.linalg.inv(covariance)
+    return gtsam.LinearContainerFactor(
+        gaussian_factor([G(0), L(2)], [slice(0, 2), slice(2, 5)], information), at
+    )
+
+
+def covariance_K(factors: list[gtsam.NonlinearFactor], at: gtsam.Values) -> np.ndarray:
+    """Covariance (6, 6) of down and lever arm in {K}."""
+    graph, ordering = gtsam.NonlinearFactorGraph(), gtsam.Ordering()
+    for factor in factors:
+        graph.add(factor)
+    for key in (G(0), L(2)):
+        ordering.push_back(key)
+    information, _ = graph.linearize(at).hessian(ordering)
+    to_K = np.zeros((6, 5))
+    to_K[:3, :2], to_K[3:, 2:] = gravity_axes(at), np.eye(3)
+    return np.asarray(to_K @ np.linalg.inv(information) @ to_K.T)
+
+
+BEFORE, AFTER = np.array([0.001, -1.0, 0.002]), np.array([0.002, -1.0, 0.001])
+
+
+def test_a_hair_turns_the_axes() -> None:
+    before, after = gravity_axes(values(BEFORE)), gravity_axes(values(AFTER))
+    assert have_turned(before, after) and have_turned(after, before)
+    near = gravity_axes(values(BEFORE + np.array([0.05, 0.0, 0.1])))
+    assert not have_turned(before, near) and not have_turned(before, before)
+
+
+def test_a_gaussian_turns_with_them() -> None:
+    factor, before, after = known(values(BEFORE)), values(BEFORE), values(AFTER)
+    expected = covariance_K([factor], before)
+    # without, what was known of one direction counts for the other
+    wrong = covariance_K([factor], after)
+    assert np.diag(wrong)[[0, 2]] == pytest.approx(np.diag(expected)[[2, 0]], rel=0.01)
+    (turned,) = turned_with_axes([factor], after, gravity_axes(before))
+    np.testing.assert_allclose(
+        covariance_K([turned], after), expected, atol=2e-3 * expected.max()
+    )  # down is another by 1.4 mrad
+
+
+def test_its_mean_stays_where_it_was() -> None:
+    here = values(BEFORE)
+    (turned,) = turned_with_axes([known(here)], values(AFTER), gravity_axes(here))
+    graph, at = gtsam.NonlinearFactorGraph(), values(AFTER)
+    graph.add(turned)
+    for _ in range(3):
+        at = at.retract(graph.linearize(at).optimize())
+    np.testing.assert_allclose(at.atUnit3(G(0)).point3(), here.atUnit3(G(0)).point3(), atol=1e-6)
+    np.testing.assert_allclose(at.atPoint3(L(2)), here.atPoint3(L(2)), atol=1e-9)
+
+
+def test_what_is_not_on_gravity_stays() -> None:
+    other = gtsam.PriorFactorPoint3(L(2), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 0.1))
+    here = values(BEFORE)
+    rest = turned_with_axes([other, known(here)], values(AFTER), gravity_axes(here))
+    assert rest[0] is other and len(rest) == 2

@@ -1,0 +1,142 @@
+"""When a self-calibration is asked for, and what becomes of its answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smoother.calibration import ArmCalibration
+from smoother.config import Config
+from smoother.live.calibration_job import CalibrationJob, LiveCalibration
+from smoother.live.calibrations import AGAIN_S, FIRST_S, JUMP_SIGMA_S, RETRY_S, Calibrations
+from smoother.live.calibrator import Calibrator
+from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
+from smoother.live.frame_buffer import FrameBuffer
+from smoother.live.imu_batch import ImuBatch
+from smoother.live.imu_buffer import ImuBuffer
+from smoother.live.skeleton_frame import SkeletonFrame
+from smoother.measurements.clock import constant_clock
+
+WORKED: Any = object()  # a model that nobody looks into
+
+
+@dataclass
+class AtOnce(Calibrator):
+    """Answers what it is told to, at the next question."""
+
+    answers: list[LiveCalibration] = field(default_factory=list)
+    jobs: list[CalibrationJob] = field(default_factory=list)
+    pending: bool = False
+
+    @property
+    def busy(self) -> bool:
+        return self.pending
+
+    def submit(self, job: CalibrationJob) -> None:
+        self.jobs.append(job)
+        self.pending = True
+
+    def answer(self) -> LiveCalibration | None:
+        if not self.pending:
+            return None
+        self.pending = False
+        return self.answers.pop(0)
+
+
+@dataclass
+class Session:
+    """Both streams, and what is asked second by second."""
+
+    calibrator: AtOnce
+    calibrations: Calibrations
+    imu: ImuBuffer = field(default_factory=lambda: ImuBuffer(500.0))
+    frames: FrameBuffer = field(default_factory=lambda: FrameBuffer(500.0))
+    camera: CameraClock = field(default_factory=CameraClock)
+    t_s: float = 0.0
+
+    def until(self, end_s: float) -> list[float]:
+        """Go on; the times when a calibration was asked for."""
+        asked = []
+        while self.t_s < end_s:
+            t = self.t_s + np.arange(0.0, 0.5, 0.02)
+            self.imu.add(ImuBatch(t, np.ones((25, 3)), np.zeros((25, 3))))
+            for t_s in t[::2]:
+                frame = SkeletonFrame(t_s, t_s + 0.1, np.ones((5, 3)), np.full(5, 2, np.int8))
+                for each in self.camera.take(frame)[0]:
+                    self.frames.add(each)
+            self.t_s += 0.5
+            self.calibrations.fetch()
+            count = len(self.calibrator.jobs)
+            self.calibrations.ask(self.imu, self.frames, self.camera)
+            asked += [self.t_s] * (len(self.calibrator.jobs) - count)
+        return asked
+
+
+def session(*answers: LiveCalibration) -> Session:
+    calibrator = AtOnce(list(answers))
+    given = ArmCalibration(side="right")
+    return Session(calibrator, Calibrations(calibrator, "right", given, Config(), None, None))
+
+
+def worked(offset_s: float = -0.02) -> LiveCalibration:
+    return LiveCalibration(0.0, 10.0, WORKED, constant_clock(offset_s))
+
+
+def failed() -> LiveCalibration:
+    return LiveCalibration(0.0, 10.0, reason="the arm has to move more")
+
+
+def test_the_first_comes_after_some_seconds_and_is_tried_again() -> None:
+    live = session(failed(), failed(), worked(), worked())
+    asked = live.until(FIRST_S + 3 * RETRY_S + 1.0)
+    assert asked[0] == pytest.approx(FIRST_S, abs=0.6)
+    assert np.diff(asked[:3]) == pytest.approx([RETRY_S, RETRY_S], abs=0.1)
+    # the third worked, and the next is due only after AGAIN_S
+    assert len(asked) == 3 and live.calibrations.last is not None
+    assert live.calibrations.reason == "calibrated from 10 s of motion"
+
+
+def test_what_does_not_work_is_said_and_leaves_the_last_one() -> None:
+    live = session(failed(), worked(), failed())
+    live.until(FIRST_S + 1.0)
+    assert live.calibrations.reason == "the arm has to move more" and live.calibrations.last is None
+    assert np.isnan(live.calibrations.offset_s)
+    live.until(FIRST_S + RETRY_S + 1.0)
+    last = live.calibrations.last
+    live.until(FIRST_S + RETRY_S + AGAIN_S[0] + 1.5)
+    assert live.calibrations.last is last and len(live.calibrator.jobs) == 3
+    assert live.calibrations.offset_s == pytest.approx(-0.02)
+
+
+def test_later_ones_come_farther_apart() -> None:
+    live = session(*[worked()] * 6)
+    asked = live.until(FIRST_S + sum(AGAIN_S) + AGAIN_S[-1] + 5.0)
+    assert np.diff(asked) == pytest.approx([*AGAIN_S, AGAIN_S[-1]], abs=0.6)
+
+
+def test_the_arrival_says_how_far_the_clocks_are_apart_until_a_calibration_does() -> None:
+    live = session(worked(0.3), worked())
+    live.until(FIRST_S + AGAIN_S[0] + 1.5)
+    first, second = live.calibrator.jobs
+    assert first.offset_s == pytest.approx(0.1 - USUAL_LATENCY_S, abs=1e-6)
+    assert second.offset_s == pytest.approx(0.3)
+
+
+def test_a_clock_that_jumped_is_less_certain_and_asked_for_at_once() -> None:
+    live = session(*[worked()] * 3)
+    live.until(FIRST_S + 1.0)
+    before_s = live.calibrations.clock_sigma_s
+    live.calibrations.clock_jumped()
+    assert live.calibrations.clock_sigma_s == pytest.approx(np.hypot(before_s, JUMP_SIGMA_S))
+    assert live.until(live.t_s + 0.5) == [live.t_s]
+
+
+def test_nothing_is_asked_without_both_streams() -> None:
+    live = session(worked())
+    live.calibrations.ask(live.imu, live.frames, live.camera)
+    live.imu.add(ImuBatch(np.arange(0.0, 20.0, 0.1), np.ones((200, 3)), np.zeros((200, 3))))
+    live.calibrations.ask(live.imu, live.frames, live.camera)
+    assert not live.calibrator.jobs

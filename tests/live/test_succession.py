@@ -1,0 +1,67 @@
+"""Who follows the arm: a successor catches up in small steps, and takes its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from live_play import Event, events, play, simulated
+
+from smoother.live.calibrator import InlineCalibrator
+from smoother.live.follower import Follower
+from smoother.live.live_state import LiveState
+from smoother.live.smoother import LiveSmoother
+from smoother.live.succession import CATCH_UP_FRAMES, SUCCESSOR_FRAMES
+
+ARRIVALS = events(simulated(3, 27.0, ()))
+
+
+@pytest.fixture
+def fed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Follower, int]]:
+    """How many frames each follower was fed, in order."""
+    counts: list[tuple[Follower, int]] = []
+    feed = Follower.feed
+
+    def counted(self, frames):
+        counts.append((self, len(frames)))
+        return feed(self, frames)
+
+    monkeypatch.setattr(Follower, "feed", counted)
+    return counts
+
+
+def steps(arrivals: list[Event], fed: list[tuple[Follower, int]]) -> Iterator[tuple[object, list[int]]]:
+    """Every answer, and how many frames were fed in its step."""
+    live, before = LiveSmoother("right", calibrator=InlineCalibrator(5)), 0
+    for output in play(arrivals, live):
+        yield output, [count for _, count in fed[before:]]
+        before = len(fed)
+
+
+def test_catching_up_is_spread_over_steps(fed: list[tuple[Follower, int]]) -> None:
+    outputs = list(steps(ARRIVALS, fed))
+    assert max(sum(counts) for _, counts in outputs) <= CATCH_UP_FRAMES + 2  # two that had just come
+    first = next(k for k, (output, _) in enumerate(outputs) if output.now is not None)
+    busy = [k for k, (_, counts) in enumerate(outputs) if counts]
+    calibrated = next(k for k, (output, _) in enumerate(outputs) if "catching up" in output.calibration)
+    # to find where the arm was takes a step of its own
+    assert busy[0] == calibrated + 1
+    # a second after the frames that are due it is there
+    assert first - calibrated < 30
+
+
+def test_a_successor_takes_over_without_a_break(fed: list[tuple[Follower, int]]) -> None:
+    outputs = list(steps(ARRIVALS, fed))
+    followers = list(dict.fromkeys(follower for follower, _ in fed))
+    assert len(followers) == 2, "one calibration from 8 s, one 15 s later"
+    first, second = followers
+    beside = [
+        count for k, (one, count) in enumerate(fed) if one is second and first in [f for f, _ in fed[k:]]
+    ]
+    assert beside and max(beside) <= SUCCESSOR_FRAMES
+    answers = [output for output, _ in outputs if output.now_s > 10.0]
+    assert all(output.now is not None and output.state is not LiveState.LOST for output in answers)
+    moved_m = np.linalg.norm(np.diff([output.now.position for output in answers], axis=0), axis=1)
+    # the fastest hand here moves 1.5 m/s, 5 cm in a step
+    assert moved_m.max() < 0.08
