@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .output import centimetres, percent, print_table
 
 if TYPE_CHECKING:
-    from ..evaluation.gaps import GapTable
+    from ..evaluation.gap_table import GapTable
     from ..evaluation.real_gaps import RealGaps
     from ..evaluation.sigma_factor import LengthFactor
     from ..evaluation.since_last_frame import SinceFigures
@@ -31,7 +31,7 @@ def tables_by_arm(
     recordings: Sequence[Recording], tables: Sequence[GapTable]
 ) -> dict[tuple[str, int | None], GapTable]:
     """The gaps of each side (and body), of all recordings together."""
-    from ..evaluation.gaps import pooled
+    from ..evaluation.gap_table import pooled
 
     arms = sorted({(recording.side, recording.body) for recording in recordings}, key=str)
     return {

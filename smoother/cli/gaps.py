@@ -43,7 +43,7 @@ from .strap import with_strap
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
-    from ..evaluation.gaps import GapTable
+    from ..evaluation.gap_table import GapTable
     from ..evaluation.sigma_factor import LengthFactor
     from ..recording import Recording
 
@@ -101,7 +101,8 @@ def gaps(
     been shown at that moment, by the time since the last frame. Every arm that has an IMU takes
     part, by itself and together with the others.
     """
-    from ..evaluation.gaps import evaluate_gaps, pooled
+    from ..evaluation.gap_table import pooled
+    from ..evaluation.gaps import evaluate_gaps
     from ..evaluation.real_gaps import compare_real_gaps
     from ..evaluation.sigma_factor import factor_sentences
     from ..evaluation.since_last_frame import since_last_frame

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .gaps import GapRow
+from .gap_table import GapRow
 
 
 @dataclass(frozen=True)

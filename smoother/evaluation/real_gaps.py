@@ -16,7 +16,7 @@ import numpy as np
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
 from ..recording import FloatArray, Recording
 from ..units import GRAVITY
-from .gaps import GapRow, GapTable
+from .gap_table import GapRow, GapTable
 
 #: Real gaps shorter than this are flicker, s.
 SHORTEST_S = 0.2

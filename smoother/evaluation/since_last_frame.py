@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from .gap_score import GapErrors
-from .gaps import GapTable
+from .gap_table import GapTable
 from .metrics import Figures, summarise
 
 #: Borders of the times, s; a gap's last part may be shorter.

@@ -10,7 +10,8 @@ import numpy as np
 from ..errors import RecordingError
 from ..recording import Recording
 from ..result import Recovery
-from .gaps import GapTable, evaluate_gaps
+from .gap_table import GapTable
+from .gaps import evaluate_gaps
 
 #: Gaps of these lengths are hidden, s; what lies between is read off the line through them.
 LENGTHS_S = (1.0, 3.0, 10.0)

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ..evaluation.gap_spread import GapSpread, spread_by_length
-from ..evaluation.gaps import GapTable
+from ..evaluation.gap_table import GapTable
 from .method_styles import PLAIN, STYLES, faint, line_of
 from .sheet import figure, in_cm, label, listing, tabulated, write_sheet
 from .style import dress

@@ -7,11 +7,21 @@ import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from ..evaluation.change import SessionValue, change_between
 from ..evaluation.main_measures import first_of, is_main
-from ..evaluation.quantity import interval, number, quantity, shown_unit
-from ..measures import Measure, Measures
+from ..evaluation.quantity import quantity
+from ..measures import Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
+from .measure_words import (
+    both_arms,
+    capitalised,
+    compared,
+    listed,
+    mark_of,
+    of_arm,
+    reached,
+    share,
+    with_interval,
+)
 from .sheet import Html, bullets, headed, tabulated, write_sheet
 from .terms import NO_DIAGNOSIS, explained, terms_of
 
@@ -100,7 +110,7 @@ def _sections(arms: Sequence[Measures]) -> Iterator[str]:
     yield _limits(arms)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered"]
-    if _both(arms) is not None:
+    if both_arms(arms) is not None:
         words += ["clear", "unclear", "unknown"]
     elif REACHED.keys() & set(keys):
         words += ["unknown"]
@@ -117,8 +127,8 @@ def _ranges(arms: Sequence[Measures]) -> str:
                 continue
             text = f"{quantity(low.value, 'deg')} to {quantity(high.value, 'deg')}, range"
             text += f" {quantity(whole.value, 'deg')}"
-            name = whole.name.removesuffix(", range") + _of_arm(arm, arms)
-            rows.append(Strip(name[0].upper() + name[1:], text, _mark(low), _mark(high)))
+            name = whole.name.removesuffix(", range") + of_arm(arm, arms)
+            rows.append(Strip(name[0].upper() + name[1:], text, mark_of(low), mark_of(high)))
     if not rows:
         return ""
     ends = [mark.value for row in rows for mark in (row.start, row.end)]
@@ -148,11 +158,11 @@ def _times(arms: Sequence[Measures]) -> str:
             width = 10
             starts = range(min(zones), max(zones) + 1, width)
             marks = [
-                _mark(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
+                mark_of(zones[start], f"{start}°") if start in zones else Mark(f"{start}°", 0.0)
                 for start in starts
             ]
             name = zones[min(zones)].name.partition(",")[0]
-            title = f"<h3>{escape(_capital(name.partition(' ')[0]) + _of_arm(arm, arms))}</h3>"
+            title = f"<h3>{escape(capitalised(name.partition(' ')[0]) + of_arm(arm, arms))}</h3>"
             boxes += f"<div>{title}{bars(marks, ' %', f'time by {name}')}</div>"
     caption = "Percent of the time in each ten degrees of the angle."
     drawing = f'<div class="charts narrow">{boxes}</div>'
@@ -162,37 +172,19 @@ def _times(arms: Sequence[Measures]) -> str:
 def _reach(arms: Sequence[Measures]) -> str:
     """Figure 3: what the hand reached, and the volume that it passed through."""
     rows = [
-        [words, *(Html(_reached(arm, key)) for arm in arms)]
+        [words, *(Html(reached(arm, key)) for arm in arms)]
         for key, words in REACHED.items()
         if any((row := arm.by_key.get(key)) is not None and row.is_known for arm in arms)
     ]
     volumes = [arm.by_key.get("hand_reach_hull_l") for arm in arms]
     if any(volume is not None and volume.is_known for volume in volumes):
-        known = [_with_interval(volume) if volume is not None else "–" for volume in volumes]
+        known = [with_interval(volume) if volume is not None else "–" for volume in volumes]
         rows.append(["reach volume", *known])
     if not rows:
         return ""
     caption = "Reached: at least once, in every one of the drawn motions; behind it how near the hand came."
     columns = ["goal", *(arm.arm_label for arm in arms)]
     return tabulated("Where the hand came to", caption, columns, rows)
-
-
-def _reached(arm: Measures, key: str) -> str:
-    """In words where the draws agree, and how near the hand came, as HTML."""
-    row = arm.by_key.get(key)
-    if row is None or not row.has_interval or row.low != row.high:
-        word = "cannot be said"
-    else:
-        word = "reached" if row.value >= 1 else "not reached"
-    return f"{badge(word)} {escape(_distance(arm, key))}"
-
-
-def _distance(arm: Measures, key: str) -> str:
-    """How near the hand came, where it was not there."""
-    row = arm.by_key.get(key.replace("_reached", "_distance_m"))
-    if row is None or not row.is_known or row.value <= 0:
-        return ""
-    return f"{_with_interval(row)} away"
 
 
 def _speed(arms: Sequence[Measures]) -> str:
@@ -222,11 +214,11 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
         known = [row for row in rows if row is not None]
         if not any(row.is_known for row in known):
             continue
-        marks = [_mark(row, str(1 + (row.movement or 0))) for row in known[:MOST_MOVEMENTS]]
+        marks = [mark_of(row, str(1 + (row.movement or 0))) for row in known[:MOST_MOVEMENTS]]
         session = arm.by_key.get(key)
-        words = f"{session.name}, session: {_with_interval(session)}" if session else ""
+        words = f"{session.name}, session: {with_interval(session)}" if session else ""
         most = max(most, len(known))
-        title = f"<h3>{escape(_capital(arm.arm_label))}</h3>" if len(arms) > 1 else ""
+        title = f"<h3>{escape(capitalised(arm.arm_label))}</h3>" if len(arms) > 1 else ""
         boxes += f"<div>{title}{sessions(marks, reference=False, words=words)}</div>"
     if most > MOST_MOVEMENTS:
         caption += f" The first {MOST_MOVEMENTS} of {most} movements are drawn."
@@ -237,20 +229,20 @@ def _table(arms: Sequence[Measures]) -> str:
     """The main measures; of two arms also whether one clearly has more."""
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
     keys = first_of(list(dict.fromkeys(known)), MOST_ROWS)
-    both = _both(arms)
+    both = both_arms(arms)
     rows = []
     for key in keys:
         cells: list[object] = [next(row.name for arm in arms if (row := arm.by_key.get(key)) is not None)]
         for arm in arms:
             row = arm.by_key.get(key)
-            cells.append("–" if row is None else _with_interval(row))
-        cells.append("\u00a0/\u00a0".join(_share(arm.by_key.get(key)) for arm in arms))
+            cells.append("–" if row is None else with_interval(row))
+        cells.append("\u00a0/\u00a0".join(share(arm.by_key.get(key)) for arm in arms))
         if both is not None:
-            cells.append(Html(badge(_compared(*both, key))))
+            cells.append(Html(badge(compared(*both, key))))
         rows.append(cells)
     if not rows:
         return ""
-    columns = ["measure", *(f"95 % interval{_of_arm(arm, arms)}" for arm in arms), "recovered"]
+    columns = ["measure", *(f"95 % interval{of_arm(arm, arms)}" for arm in arms), "recovered"]
     columns += ["right against left"] if both is not None else []
     return tabulated(
         "The main measures",
@@ -260,83 +252,27 @@ def _table(arms: Sequence[Measures]) -> str:
     )
 
 
-def _both(arms: Sequence[Measures]) -> tuple[Measures, Measures] | None:
-    """Left and right arm of one person, both to be trusted."""
-    by_side = {arm.side: arm for arm in arms}
-    if len(arms) != 2 or by_side.keys() != {"left", "right"} or arms[0].body != arms[1].body:
-        return None
-    if any(arm.trusted is False for arm in arms):
-        return None
-    return by_side["left"], by_side["right"]
-
-
-def _compared(left: Measures, right: Measures, key: str) -> str:
-    one, other = left.by_key.get(key), right.by_key.get(key)
-    if one is None or other is None:
-        return "cannot be said"
-    word = change_between(_value(one, "left"), _value(other, "right")).word
-    return "no clear difference" if word == "no clear change" else word
-
-
-def _value(row: Measure, side: str) -> SessionValue:
-    return SessionValue(
-        side, 0.0, row.value, row.low, row.high, row.sigma, row.recovered_share, row.n_draws, row.note
-    )
-
-
 def _limits(arms: Sequence[Measures]) -> str:
     """What limits the numbers: what is not known and why, what rests on recovered samples."""
     sentences: list[str] = []
     for arm in arms:
-        mark = _of_arm(arm, arms)
+        mark = of_arm(arm, arms)
         why: dict[str, list[str]] = {}
         for row in arm.session:
             if not row.is_known and row.note and is_main(row.key):
                 why.setdefault(row.note, []).append(row.name)
         for note, names in why.items():
-            sentences.append(f"{_listed(names)}{mark} cannot be said: {note}")
+            sentences.append(f"{listed(names)}{mark} cannot be said: {note}")
         weak = [
             row.name
             for row in arm.session
             if is_main(row.key) and row.is_known and row.recovered_share > MOSTLY_RECOVERED
         ]
         if weak:
-            sentences.append(f"More than half of {_listed(weak)}{mark} rests on recovered moments")
+            sentences.append(f"More than half of {listed(weak)}{mark} rests on recovered moments")
         sentences += arm.notes
     sentences = list(dict.fromkeys(sentences))
     if len(sentences) > MOST_LIMITS:
         more = len(sentences) - MOST_LIMITS
         sentences = [*sentences[:MOST_LIMITS], f"{more} sentences more are in --json"]
     return headed("What limits this") + (bullets(sentences) or "<p>Nothing that the recording shows.</p>")
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 2 else f"{names[0]} and {len(names) - 1} measures more"
-
-
-def _with_interval(row: Measure) -> str:
-    if not row.has_interval:
-        return quantity(row.value, row.unit)
-    if row.unit.startswith("deg"):
-        return f"{quantity(row.value, row.unit)} ({interval(row.low, row.high, row.unit)})"
-    between = f"{number(row.low, row.unit)} to {number(row.high, row.unit)}"
-    return f"{number(row.value, row.unit)} ({between})\u00a0{shown_unit(row.unit)}".rstrip()
-
-
-def _share(row: Measure | None) -> str:
-    if row is None or not math.isfinite(row.recovered_share):
-        return "–"
-    return f"{100 * row.recovered_share:.0f}\u00a0%"
-
-
-def _mark(row: Measure, name: str = "") -> Mark:
-    return Mark(name, row.value, row.low, row.high, number(row.value, row.unit))
-
-
-def _of_arm(arm: Measures, arms: Sequence[Measures]) -> str:
-    """Which arm, where there are several."""
-    return f", {arm.arm_label.replace(' arm', '')}" if len(arms) > 1 else ""
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
