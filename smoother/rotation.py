@@ -7,6 +7,8 @@ from a recording to its recovery uses SciPy's.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -154,6 +156,31 @@ class Slerp:
         step = np.clip(np.searchsorted(self._t, at) - 1, 0, len(self._rate) - 1)
         turn = (at - self._t[step])[:, None] * self._rate[step]
         return self._from[step] * Rotation.from_rotvec(turn)
+
+
+def chained(turns: FloatArray) -> FloatArray:
+    """Matrices after each of some turns in the turned axes: the identity, `turns[0]`, `turns[0] @ turns[1]` ..
+
+    Parameters
+    ----------
+    turns : ndarray, shape (n, 3, 3)
+
+    Returns
+    -------
+    R : ndarray, shape (n + 1, 3, 3)
+    """
+    width = max(math.isqrt(len(turns)), 1)  # in parts of this length, which are multiplied side by side
+    parts = np.tile(np.eye(3), (-(-len(turns) // width) * width, 1, 1))
+    parts[: len(turns)] = turns
+    parts = parts.reshape(-1, width, 3, 3)
+    for k in range(1, width):
+        parts[:, k] = parts[:, k - 1] @ parts[:, k]
+    start = np.empty((len(parts), 3, 3))
+    here = np.eye(3)
+    for number, last in enumerate(parts[:, -1]):
+        start[number], here = here, here @ last
+    after = (start[:, None] @ parts).reshape(-1, 3, 3)
+    return np.concatenate([np.eye(3)[None], after[: len(turns)]])
 
 
 def _matrix_of(quaternion: FloatArray) -> FloatArray:

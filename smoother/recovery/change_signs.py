@@ -17,7 +17,7 @@ from ..measurements.segment import without_spikes
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import FloatArray, ImuStream, Recording
 from ..result import Recovery
-from ..rotation import Rotation
+from ..rotation import Rotation, chained
 from .gyroscope_drift import gyroscope_drift
 
 #: Down before and after a moment is averaged over these times, s; both must show the jump.
@@ -121,11 +121,7 @@ def down_jumps(imu: ImuStream, gyroscope_bias: FloatArray) -> FloatArray:
     """
     t, turning = np.asarray(imu.t_s), without_spikes(imu).gyro - gyroscope_bias
     step = np.diff(t)[:, None]
-    turns = Rotation.from_rotvec(0.5 * (turning[1:] + turning[:-1]) * step).as_matrix()
-    R = np.empty((len(t), 3, 3))
-    R[0] = np.eye(3)
-    for k, turn in enumerate(turns):
-        R[k + 1] = R[k] @ turn
+    R = chained(Rotation.from_rotvec(0.5 * (turning[1:] + turning[:-1]) * step).as_matrix())
     force = np.einsum("nij,nj->ni", R, imu.acc)
     total = np.vstack([np.zeros(3), np.cumsum(0.5 * (force[1:] + force[:-1]) * step, axis=0)])
     longest = max(BEFORE_AFTER_S)

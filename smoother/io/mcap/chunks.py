@@ -39,7 +39,7 @@ _COMPRESSION = "zstd"
 #: Of zstd: level 3 takes half as long again for files that are one in a hundred smaller.
 _LEVEL = 1
 #: Threads that compress, and records that may wait for them.
-_THREADS, _AHEAD = 2, 4
+_THREADS, _AHEAD = 2, 12
 
 
 class ChunkedFile:
