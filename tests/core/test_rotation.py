@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import transform
 
-from smoother.rotation import Rotation, Slerp
+from smoother.rotation import Rotation, Slerp, chained
 
 #: Products of numbers up to one; near a half turn an angle loses half of the digits.
 ROUNDING, NEAR_PI = 1e-14, 1e-7
@@ -83,3 +83,12 @@ def test_between_two_at_a_constant_rate() -> None:
     ours = Slerp(t, Rotation.from_rotvec(vectors))(at)
     theirs = transform.Slerp(t, transform.Rotation.from_rotvec(vectors))(at)
     np.testing.assert_allclose(ours.as_matrix(), theirs.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 8, 9, 10, 40])
+def test_turns_one_after_the_other(count: int) -> None:
+    turns = Rotation.from_rotvec(ROTVECS[:count]).as_matrix() if count else np.empty((0, 3, 3))
+    expected = [np.eye(3)]
+    for turn in turns:
+        expected.append(expected[-1] @ turn)
+    np.testing.assert_allclose(chained(turns), expected, atol=1e-13)
