@@ -159,7 +159,7 @@ class Slerp:
 
 
 def chained(turns: FloatArray) -> FloatArray:
-    """Matrices after each of some turns, in the turned axes: the identity, `turns[0]`, `turns[0] @ turns[1]`..
+    """Matrices after each of some turns, in turned axes: the identity, `turns[0]`, `turns[0] @ turns[1]` ..
 
     Parameters
     ----------

@@ -9,14 +9,7 @@ import gtsam
 import numpy as np
 
 from ..recording import FloatArray, IntArray
-
-#: Dimension of a variable by the letter of its key (see `build`).
-DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
-DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
-#: The same by the letter's number, and where a key has its letter (GTSAM's `Symbol`).
-_SIZE = np.zeros(128, int)
-_SIZE[[ord(letter) for letter in DIMENSION]] = list(DIMENSION.values())
-_LETTER_BITS = 56
+from .variables import sizes_of
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,7 @@ class Jacobian:
     def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Jacobian:
         """Of a graph, linearised at values of all its variables."""
         keys = np.sort(np.array(values.keys(), dtype=np.uint64))  # the order in which GTSAM hands out columns
-        starts = np.concatenate(([0], np.cumsum(_SIZE[(keys >> np.uint64(_LETTER_BITS)).astype(int)])))
+        starts = np.concatenate(([0], np.cumsum(sizes_of(keys))))
         ends = zip(keys.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True)
         width = int(starts[-1])
         entries = graph.linearize(values).sparseJacobian_()

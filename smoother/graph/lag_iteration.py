@@ -9,9 +9,9 @@ import gtsam
 import numpy as np
 
 from ..recording import FloatArray
+from .variables import DIMENSION
 
 #: Of a variable, by its letter.
-DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
 #: Elimination goes along time; the variables of few nodes follow, and last come those of all.
 _RANK = {"x": 0, "v": 0, "s": 1, "b": 2}
 _LAST = 3

@@ -6,20 +6,11 @@ Mourikis, ICRA 2011).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import gtsam
 
-_READ: dict[str, Callable[[gtsam.Values, int], Any]] = {
-    "x": gtsam.Values.atPose3,
-    "v": gtsam.Values.atVector,
-    "b": gtsam.Values.atConstantBias,
-    "g": gtsam.Values.atUnit3,
-    "u": gtsam.Values.atDouble,
-    "l": gtsam.Values.atPoint3,
-    "s": gtsam.Values.atPoint3,
-}
+from .variables import values_of
 
 
 def marginalise(
@@ -63,11 +54,3 @@ def split(
     """The factors that touch some variables, and those that do not."""
     touching = [factor for factor in factors if keys & set(factor.keys())]
     return touching, [factor for factor in factors if not keys & set(factor.keys())]
-
-
-def values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
-    """The present values of some variables."""
-    some = gtsam.Values()
-    for key in keys:
-        some.insert(key, _READ[chr(gtsam.Symbol(key).chr())](values, key))
-    return some

@@ -11,8 +11,8 @@ from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 from ..recording import JOINTS, FloatArray
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.shared import SharedLayout
+from .gravity_axes import gravity_axes
 from .lag_factors import LagNode
-from .lag_gravity import gravity_axes
 from .lag_iteration import LagIteration
 
 

@@ -13,8 +13,8 @@ from gtsam.symbol_shorthand import B, S, V, X
 from ..recording import FloatArray
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import ImuIncrements, NoiseModel, Priors
+from .gravity_axes import gravity_axes, have_turned, turned_with_axes
 from .lag_factors import LagFactors, LagNode
-from .lag_gravity import gravity_axes, have_turned, turned_with_axes
 from .lag_iteration import iterate
 from .lag_marginalisation import marginalise, split
 from .lag_reading import LagReading, bias_of, constant_keys, gravity_of, lever_of, state_of

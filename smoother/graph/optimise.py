@@ -20,8 +20,11 @@ from ..linalg import runs
 from ..recording import FloatArray, IntArray
 from ..window.problem import Window
 from .build import upper_arm_factors
+from .gravity_axes import gravity_axes, have_turned, turned_with_axes
 
 MAX_ITERATIONS = 12
+#: At most so often the optimum is sought anew because gravity's axes have turned.
+MOST_TURNS = 3
 #: Gaps from this length on are solved in stages, s.
 LONG_S = 3.0
 #: Sigma of the upper arm's length where it is to say next to nothing, m, and on the way from there.
@@ -85,6 +88,32 @@ def optimise(
     -------
     optimum : Optimum
     """
+    return _in_axes_of_gravity(_in_stages(graph, values, window, tolerance), gravity_axes(values), tolerance)
+
+
+def _in_axes_of_gravity(optimum: Optimum, before: FloatArray, tolerance: float) -> Optimum:
+    """The optimum where the prior on gravity is written in the axes that GTSAM uses there.
+
+    Until then it was written in those `before`, (3, 2) in {K}: of where the optimiser started.
+    """
+    for _ in range(MOST_TURNS):
+        now = gravity_axes(optimum.values)
+        if not have_turned(before, now):
+            break
+        graph = gtsam.NonlinearFactorGraph(optimum.graph)
+        for i in range(graph.size()):
+            if isinstance(factor := graph.at(i), gtsam.LinearContainerFactor):
+                graph.replace(i, turned_with_axes([factor], optimum.values, before)[0])
+        again = _descend(graph, optimum.values, MAX_ITERATIONS, tolerance)
+        iterations = optimum.iterations + again.iterations
+        optimum, before = replace(again, iterations=iterations, accepted=optimum.accepted), now
+    return optimum
+
+
+def _in_stages(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, window: Window, tolerance: float
+) -> Optimum:
+    """The optimum, whatever the axes of gravity."""
     gap = _long_gap(window)
     if gap is None:
         return _descend(graph, values, MAX_ITERATIONS, tolerance)

@@ -19,9 +19,9 @@ from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.problem import Window
 from .error_columns import node_of_variables
-from .jacobian import DIMENSION
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
+from .variables import DIMENSION
 
 #: Variables of a node in the order of their random numbers, by the letter of their keys.
 _LETTERS = "xvsywe"

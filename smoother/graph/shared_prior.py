@@ -137,7 +137,11 @@ def _blocks(layout: SharedLayout) -> list[slice]:
 
 
 def gaussian_factor(
-    keys: list[int], blocks: list[slice], information: FloatArray, vector: FloatArray | None = None
+    keys: list[int],
+    blocks: list[slice],
+    information: FloatArray,
+    vector: FloatArray | None = None,
+    error: float = 0.0,
 ) -> gtsam.HessianFactor:
     """A Gaussian over any number of variables, put together from its pairs.
 
@@ -149,12 +153,15 @@ def gaussian_factor(
     information : ndarray, shape (s, s)
     vector : ndarray, shape (s,), optional
         Information times the mean; zero where None.
+    error : float
+        Half the weighted squared distance of the mean.
     """
     vector = np.zeros(len(information)) if vector is None else vector
     pairs = gtsam.GaussianFactorGraph()
     for i, (key, rows) in enumerate(zip(keys, blocks, strict=True)):
         size = rows.stop - rows.start
-        pairs.add(gtsam.HessianFactor(key, information[rows, rows], vector[rows], 0.0))
+        constant = 0.0 if i else 2.0 * error
+        pairs.add(gtsam.HessianFactor(key, information[rows, rows], vector[rows], constant))
         for other, columns in zip(keys[i + 1 :], blocks[i + 1 :], strict=True):
             width = columns.stop - columns.start
             pairs.add(

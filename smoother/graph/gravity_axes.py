@@ -13,9 +13,8 @@ import numpy as np
 from gtsam.symbol_shorthand import G
 
 from ..recording import FloatArray
-from .lag_iteration import DIMENSION
-from .lag_marginalisation import values_of
 from .shared_prior import gaussian_factor
+from .variables import DIMENSION, values_of
 
 #: Axes whose directions differ by more than this (a component) have turned; else gravity moved a little.
 TURNED = 0.5
@@ -71,5 +70,6 @@ def _turned(
     rows = blocks[keys.index(G(0))]
     whole[rows, rows] = turn
     information = whole.T @ information @ whole
-    turned = gaussian_factor(keys, blocks, 0.5 * (information + information.T), whole.T @ np.ravel(vector))
+    information = 0.5 * (information + information.T)
+    turned = gaussian_factor(keys, blocks, information, whole.T @ np.ravel(vector), factor.error(values))
     return gtsam.LinearContainerFactor(turned, values_of(values, keys))

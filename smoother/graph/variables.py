@@ -1,0 +1,47 @@
+"""The variables of the graphs by the letter of their keys (see `build` and `chain`): sizes and values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording import IntArray
+
+#: Dimension of a variable.
+DIMENSION = {"x": 6, "v": 3, "b": 6, "g": 2, "u": 1, "l": 3, "s": 3}
+DIMENSION |= {"y": 6, "w": 3, "c": 6, "e": 3, "m": 3}
+_READ: dict[str, Callable[[gtsam.Values, int], Any]] = {
+    "x": gtsam.Values.atPose3,
+    "v": gtsam.Values.atVector,
+    "b": gtsam.Values.atConstantBias,
+    "g": gtsam.Values.atUnit3,
+    "u": gtsam.Values.atDouble,
+    "l": gtsam.Values.atPoint3,
+    "s": gtsam.Values.atPoint3,
+    "y": gtsam.Values.atPose3,
+    "w": gtsam.Values.atVector,
+    "c": gtsam.Values.atConstantBias,
+    "e": gtsam.Values.atPoint3,
+    "m": gtsam.Values.atPoint3,
+}
+#: The dimension by the letter's number, and where a key has its letter (GTSAM's `Symbol`).
+_SIZE = np.zeros(128, int)
+_SIZE[[ord(letter) for letter in DIMENSION]] = list(DIMENSION.values())
+_LETTER_BITS = 56
+
+
+def sizes_of(keys: NDArray[np.uint64]) -> IntArray:
+    """Dimensions of many variables."""
+    return np.asarray(_SIZE[(keys >> np.uint64(_LETTER_BITS)).astype(int)])
+
+
+def values_of(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
+    """The present values of some variables."""
+    some = gtsam.Values()
+    for key in keys:
+        some.insert(key, _READ[chr(gtsam.Symbol(key).chr())](values, key))
+    return some
