@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -22,6 +23,7 @@ def main() -> None:
         code = 1
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
     _flush()
+    gc.freeze()  # or Python looks through all that was imported once more before it ends: 0.07 s
     sys.exit(code)
 
 
