@@ -49,10 +49,18 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             "chain",
             "error_columns",
             "imu_factors",
+            "jacobian",
             "optimise",
             "shared_prior",
+            "variables",
         )
     },
+    "smoother/graph/gravity_axes.py": (
+        _ALONE,
+        "tests/graph/test_gravity_axes.py",
+        "tests/graph/test_axes_of_gravity.py",
+        "tests/graph/test_lag_window.py",
+    ),
     "smoother/graph/clock_information.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
     **{
         f"smoother/graph/{name}.py": (*_GRAPH[1:], "tests/graph/test_sampling.py")
@@ -65,7 +73,7 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             f"tests/graph/test_lag_{name}.py",
             "tests/graph/test_lag_window.py",
         )
-        for name in ("gravity", "iteration", "marginalisation")
+        for name in ("iteration", "marginalisation")
     },
     **{
         f"smoother/graph/lag_{name}.py": (

@@ -116,7 +116,8 @@ def heading_removed(made: SimulatedArm, name: str) -> FloatArray:
     imu, truth = made.recording.imu, made.recording.truth
     assert truth is not None
     bias = made.parameters["gyroscope_bias"] + 0.001
-    R_E_A = attitude_by(name, InertialSignal(imu), imu, imu.rate_hz, bias).at(truth.t_s)
+    attitude = attitude_by(name, InertialSignal(imu), imu, imu.rate_hz, bias)
+    R_E_A = Rotation.from_matrix(attitude.at(truth.t_s).as_matrix())
     R_K_A = Rotation.from_quat(truth.quaternion, scalar_first=True)
     R_K_E = (R_K_A * R_E_A.inv()).mean()
     return np.degrees((R_K_A.inv() * R_K_E * R_E_A).magnitude())

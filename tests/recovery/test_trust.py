@@ -78,7 +78,7 @@ def test_a_sound_recording_is_usable(seed: int) -> None:
         (other_gyroscope_sign, "beside the"),
         (left_handed, "beside the"),
         (another_skeleton, "beside the"),
-        (degrees_for_radians, "possible"),
+        (degrees_for_radians, "57 times too small"),
         (wrong_frame, "gravity"),
     ],
 )

@@ -30,6 +30,7 @@ from studies import (
 
 from smoother.errors import UnoccludeError
 from smoother.runtime.leftovers import temporary_name
+from smoother.study import cluster
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row
 from smoother.study.inputs import find_entries
@@ -72,8 +73,9 @@ def kill_workers() -> list[int]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signals")
-def test_a_killed_worker(job):
+def test_a_killed_worker(job, monkeypatch):
     """Its recording is done by another process."""
+    monkeypatch.setattr(cluster, "_TICK_S", 0.02)  # a recording of some seconds is done before half a second
     rows, killed = [], []
     for row in run_local(iter([job]), 1):
         if row is not None:
@@ -147,10 +149,11 @@ def test_an_end_sweeps_what_its_workers_left(job, made, monkeypatch):
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc")
-def test_nobody_listens_to_the_network(job):
+def test_nobody_listens_to_the_network(job, monkeypatch):
     """Client and processes listen on 127.0.0.1, and only there."""
     import multiprocessing
 
+    monkeypatch.setattr(cluster, "_TICK_S", 0.02)
     opened = []
     for row in run_local(iter([job]), 1):
         if not opened and row is None:
