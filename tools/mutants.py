@@ -49,10 +49,8 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             "chain",
             "error_columns",
             "imu_factors",
-            "jacobian",
             "optimise",
             "shared_prior",
-            "variables",
         )
     },
     "smoother/graph/gravity_axes.py": (
@@ -63,9 +61,14 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
     ),
     "smoother/graph/clock_information.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
     **{
-        f"smoother/graph/{name}.py": (*_GRAPH[1:], "tests/graph/test_sampling.py")
-        for name in ("linear_system", "solve")
+        f"smoother/graph/{name}.py": (
+            *_GRAPH[1:],
+            "tests/graph/test_linear_system.py",
+            "tests/graph/test_sampling.py",
+        )
+        for name in ("jacobian", "linear_system", "solve")
     },
+    "smoother/graph/variables.py": (_ALONE, "tests/graph/test_variables.py"),
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
     **{
         f"smoother/graph/lag_{name}.py": (

@@ -22,10 +22,7 @@ _READ: dict[str, Callable[[gtsam.Values, int], Any]] = {
     "u": gtsam.Values.atDouble,
     "l": gtsam.Values.atPoint3,
     "s": gtsam.Values.atPoint3,
-    "y": gtsam.Values.atPose3,
-    "w": gtsam.Values.atVector,
     "c": gtsam.Values.atConstantBias,
-    "e": gtsam.Values.atPoint3,
     "m": gtsam.Values.atPoint3,
 }
 #: The dimension by the letter's number, and where a key has its letter (GTSAM's `Symbol`).

@@ -106,3 +106,13 @@ def test_a_free_direction_is_refused(window: Window, solved: tuple) -> None:
     freed.resize(0)
     with pytest.raises((np.linalg.LinAlgError, ValueError)):
         LinearSystem(freed, values, node_of_variables(window))
+
+
+def test_a_block_is_part_of_the_whole(system: tuple[LinearSystem, np.ndarray]) -> None:
+    jacobian = system[0].jacobian
+    whole = jacobian.toarray()
+    assert whole.shape == (len(jacobian.rhs), jacobian.width)
+    np.testing.assert_array_equal(jacobian.block(slice(9, 30), slice(4, 40)), whole[9:30, 4:40])
+    row, column, value = jacobian.entries(slice(9, 30))
+    np.testing.assert_array_equal(whole[9 + row, column], value)
+    assert len(value) == np.count_nonzero(whole[9:30])
