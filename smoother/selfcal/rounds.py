@@ -189,7 +189,13 @@ def self_calibrate(
     for _ in range(rounds):
         signals: dict[int, InertialSignal] = {}
         corrected = {number: errors.corrected(excerpts[number], signals) for number in numbers}
-        cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
+        try:
+            cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
+        except CalibrationError:
+            if numbers == everything:
+                raise
+            numbers = everything  # what can be used lies in the other half
+            continue
         windows = cut_round.windows
         solutions = list(workers.map(asked, windows))
         trajectories = cut_round.trajectories(solutions)
