@@ -10,6 +10,8 @@ from scenes import arm
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
+from smoother.errors import CalibrationError
+from smoother.measurements.segment import Segment
 from smoother.measurements.timeline import Timeline
 from smoother.runtime.pool import Pool
 from smoother.selfcal import rounds
@@ -50,3 +52,21 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (np.abs(moved_m) < 0.5 * lever.sigma_m).all(), joint
     moved_s = coarse.clock.mean_s - whole.clock.mean_s
     assert abs(moved_s) < 0.5 * whole.clock.sigma_s
+
+
+def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
+    excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
+    unusable = {excerpts[number].start_s for number in rounds._every_second(excerpts)}
+    original = rounds.prepare
+
+    def prepare(segment: Segment, *others: object) -> object:
+        return None if segment.start_s in unusable else original(segment, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rounds, "prepare", prepare)
+    with Pool(1, 0) as workers:
+        given = ArmCalibration(side=made.recording.side)
+        assert rounds.self_calibrate(excerpts, given, Config(), workers).estimate.lever_arms
+        unusable |= {excerpt.start_s for excerpt in excerpts}
+        with pytest.raises(CalibrationError, match="at no time"):
+            rounds.self_calibrate(excerpts, given, Config(), workers)
