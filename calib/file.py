@@ -32,9 +32,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError, UnoccludeError
-from smoother.recording import FloatArray
 from smoother.rotation import Rotation
 from smoother.runtime.atomic import writing
 from smoother.runtime.inputs import check_input

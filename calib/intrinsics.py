@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 #: A point nearer to the lens than this has no pixel, m.
 NEAREST_M = 0.05

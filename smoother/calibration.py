@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .recording import FloatArray
+from .array_types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .recording import FloatArray
+from .array_types import FloatArray
 
 
 def moving_mean(x: FloatArray, width: int) -> FloatArray:

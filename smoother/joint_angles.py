@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .array_types import BoolArray, FloatArray
 from .linalg import unit
-from .recording import BoolArray, FloatArray
 from .result import Recovery
 from .rotation import Rotation
 

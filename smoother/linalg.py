@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .recording import BoolArray, FloatArray, IntArray
+from .array_types import BoolArray, FloatArray, IntArray
 
 #: Of a root: a double one is halved in distance by each, others are met after a few.
 NEWTON_STEPS = 40
@@ -32,6 +32,11 @@ def interpolate(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray
     u = np.clip((at - t[right - 1]) / (t[right] - t[right - 1]), 0.0, 1.0)
     u = u.reshape(-1, *([1] * (values.ndim - 1)))
     return (1.0 - u) * values[right - 1] + u * values[right]
+
+
+def median_rate_hz(t_s: FloatArray) -> float:
+    """Median rate of increasing times (n,), Hz; nan for fewer than two."""
+    return float(1.0 / np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")
 
 
 def rotate_covariance(R: FloatArray, covariance: FloatArray) -> FloatArray:

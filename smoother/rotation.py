@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .recording import BoolArray, FloatArray, IntArray
+from .array_types import BoolArray, FloatArray, IntArray
 
 #: Below this angle its sine is taken from a series, rad.
 _SMALL_RAD = 1e-3

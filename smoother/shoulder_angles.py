@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .array_types import FloatArray, IntArray
 from .joint_angles import arm_angles, wrapped_deg
 from .linalg import rotate_covariance
-from .recording import FloatArray, IntArray
 from .result import Recovery
 from .rotation import Rotation
 

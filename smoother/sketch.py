@@ -8,8 +8,8 @@ from html import escape
 
 import numpy as np
 
+from .array_types import FloatArray
 from .linalg import runs
-from .recording import FloatArray
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 640, 170, 46, 18, 20
 #: Told apart by people who see few colours, too (Okabe and Ito).
@@ -101,6 +101,17 @@ def lines_svg(
         f' aria-label="{escape(caption)}" style="max-width:100%;font:11px sans-serif" fill="currentColor">'
         f"{''.join(parts)}</svg>"
     )
+
+
+def lines_text(lines: Sequence[str]) -> str:
+    """Lines as text, those after the first indented."""
+    return "\n  ".join(lines)
+
+
+def card_html(lines: Sequence[str], *parts: str) -> str:
+    """Lines as a paragraph, the first of them bold, and what goes below them (HTML)."""
+    first, *others = map(escape, lines)
+    return f"<p><b>{first}</b><br>{'<br>'.join(others)}</p>{''.join(parts)}"
 
 
 def even_rows(count: int) -> slice:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .recording import FloatArray
+from .array_types import FloatArray
 
 #: So many unknowns of a tridiagonal system are solved as a dense one.
 FEW_UNKNOWNS = 12

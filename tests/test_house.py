@@ -16,8 +16,7 @@ STACK = (
     ("errors",),
     (
         "recording",
-        "recording_arrays",
-        "recording_view",
+        "array_types",
         "calibration",
         "config",
         "filters",
@@ -29,7 +28,7 @@ STACK = (
     ),
     ("runtime",),
     ("measurements",),
-    ("result", "result_view", "upper_motion", "trunk_motion", "joint_angles", "shoulder_angles", "matching"),
+    ("result", "joint_angles", "shoulder_angles", "matching"),
     ("window",),
     ("graph",),
     ("selfcal",),
@@ -208,6 +207,63 @@ def test_the_rule_finds_what_it_forbids(tmp_path: Path, monkeypatch: pytest.Monk
     low = tmp_path / "smoother" / "window" / "cut.py"
     low.write_text("from ..recovery.sections import Section\nfrom ..recording import JOINTS\n")
     assert core_imports(low) == {"recovery", "recording"}
+
+
+def imported_files(path: Path) -> set[Path]:
+    """Files of the house that a file imports: in functions and for its annotations too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom):
+            continue
+        names = [alias.name for alias in node.names]
+        module, *members = absolute(path, node.level, node.module or "", names)
+        files = {file for name in members if (file := file_of(name))}
+        face = file_of(module)
+        # a package's face is used where it hands on a name itself
+        if face and (face.name != "__init__.py" or len(files) < len(members)):
+            files.add(face)
+        found |= files
+    return found - {path}
+
+
+def file_of(module: str) -> Path | None:
+    """The file of a module's full name; None where it is none of the house."""
+    place = ROOT.joinpath(*module.split("."))
+    return next((p for p in (place.with_suffix(".py"), place / "__init__.py") if p.is_file()), None)
+
+
+def circle_of(graph: dict[Path, set[Path]]) -> list[Path]:
+    """Files that import each other; empty where none do."""
+    left = dict(graph)
+    while free := [path for path, used in left.items() if not used & left.keys()]:
+        for path in free:
+            del left[path]
+    # what is left imports a circle or is in one: go down until a file comes again
+    trip: list[Path] = [min(left)] if left else []
+    while trip and trip[-1] not in trip[:-1]:
+        trip.append(min(left[trip[-1]] & left.keys()))
+    return trip[trip.index(trip[-1]) :] if trip else []
+
+
+def test_no_files_import_each_other():
+    circle = circle_of({path: imported_files(path) for path in python_files("smoother", "calib")})
+    assert not circle, " imports ".join(str(path.relative_to(ROOT)) for path in circle)
+
+
+def test_a_circle_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    folder = tmp_path / "smoother" / "io"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text("from .a import a\n")
+    (folder / "a.py").write_text("from .b import b\n")
+    (folder / "b.py").write_text("def f():\n    from . import a\n")
+    (folder / "c.py").write_text("from . import a\n")
+    paths = python_files("smoother")
+    assert circle_of({path: imported_files(path) for path in paths}) == [
+        folder / n for n in ("a.py", "b.py", "a.py")
+    ]
+    (folder / "b.py").write_text("b = 1\n")
+    assert not circle_of({path: imported_files(path) for path in paths})
 
 
 def public_names(path: Path) -> Iterator[str]:

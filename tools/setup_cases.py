@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.linalg import interpolate, unit
-from smoother.recording import JOINTS, BoolArray, CameraFrame, FloatArray, JointState, Recording
+from smoother.recording import JOINTS, CameraFrame, JointState, Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.simulation.arm import true_motion
 from smoother.simulation.camera import add_noise, film

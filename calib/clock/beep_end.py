@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import fftconvolve, find_peaks
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 #: How long before the end of all sound the direct sound may have ended, s.
 LOOK_BACK_S = 0.35

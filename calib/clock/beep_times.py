@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 from .beeps import Beep, find_beeps
 from .links import Receptions

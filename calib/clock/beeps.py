@@ -14,9 +14,9 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve, get_window
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import parabola_vertex, runs
-from smoother.recording import FloatArray
 
 from .beep_end import direct_end, fit_fall
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray, IntArray
 from smoother.errors import CalibrationError
-from smoother.recording import BoolArray, FloatArray, IntArray
 
 #: Crystals differ by some hundred parts in a million.
 SKEW_SIGMA = 5e-4

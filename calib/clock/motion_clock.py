@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
@@ -20,7 +21,7 @@ from smoother.linalg import robust_sigma
 from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
-from smoother.recording import BoolArray, FloatArray, Recording
+from smoother.recording import Recording
 from smoother.runtime.pool import Pool
 from smoother.selfcal.coarse_clock import coarse_offset
 from smoother.selfcal.rounds import self_calibrate

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray, IntArray
 from smoother.errors import CalibrationError
-from smoother.recording import BoolArray, FloatArray, IntArray
 
 from .links import SKEW_SIGMA, ClockLink, ClockNetwork, Leftover, Receptions
 from .network_start import start_values

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.recording import FloatArray, IntArray
+from smoother.array_types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from .links import ClockLink

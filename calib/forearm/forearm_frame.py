@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, LeverArm
-from smoother.recording import FloatArray
 
 #: Nearer to the elbow-wrist line than this the IMU does not tell which way the back of the hand is, m.
 NEAREST_M = 0.015

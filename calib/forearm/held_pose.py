@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma, unit
-from smoother.recording import JOINTS, BoolArray, CameraFrame, FloatArray, Recording
+from smoother.recording import JOINTS, CameraFrame, Recording
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0

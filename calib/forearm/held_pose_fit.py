@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.linalg import unit
-from smoother.recording import JOINTS, FloatArray, Recording
+from smoother.recording import JOINTS, Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
 

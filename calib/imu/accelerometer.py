@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import unit
-from smoother.recording import FloatArray
 
 from .rests import Rests
 from .sphere_coverage import axis_words, sphere_points

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 #: Shortest rest that gives the white noise, and shortest that can give what is slower, s.
 WHITE_S = 20.0

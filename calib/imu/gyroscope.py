@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 from .rests import Rests
 

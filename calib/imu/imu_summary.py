@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 from smoother.units import STANDARD_GRAVITY
 
 from ..file import CalibrationFile

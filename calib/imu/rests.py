@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.linalg import runs, unit
-from smoother.recording import BoolArray, FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 #: Stillness is judged over so long, s, and a rest lasts so long at least.
 LOOK_S = 0.5

@@ -26,8 +26,9 @@ from typing import Any
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 from ..file import CalibrationFile
 

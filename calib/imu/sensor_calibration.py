@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from smoother.recording import FloatArray, ImuStream
+from smoother.array_types import FloatArray
+from smoother.recording import ImuStream
 from smoother.units import GRAVITY
 
 from .accelerometer import AccelerometerCalibration, calibrate_accelerometer

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 #: Directions that the sphere is looked at; neighbours are some 4 degrees apart.
 _GRID = 2000

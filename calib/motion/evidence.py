@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.measurements.segment import Segment
-from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.recording import JOINTS
 from smoother.result import Recovery
 
 #: Turning about the forearm's axis is measured within so much time: the gyro's sum drifts, s.

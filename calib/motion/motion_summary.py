@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
-from smoother.recording import FloatArray
 
 from ..forearm.forearm_frame import ForearmFrame
 from ..verdict import Verdict

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smoother.array_types import FloatArray
 from smoother.linalg import robust_sigma
-from smoother.recording import FloatArray
 
 from ..intrinsics import Intrinsics
 

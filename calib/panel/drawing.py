@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 from .blobs import Blobs
 

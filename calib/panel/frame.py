@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.linalg import nearest_rotation, unit
-from smoother.recording import BoolArray, FloatArray
 
 from .definition import Panel
 

@@ -7,8 +7,8 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 from .blobs import Blobs
 from .definition import Panel

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.linalg import skew
-from smoother.recording import FloatArray
 
 from ..verdict import Verdict
 

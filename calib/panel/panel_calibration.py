@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.linalg import nearest_rotation
-from smoother.recording import FloatArray
 
 from ..intrinsics import Intrinsics
 from .blobs import Blobs, find_blobs

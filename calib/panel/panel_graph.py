@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 from .frame import Frame, kabsch
 from .plane import Plane

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma
-from smoother.recording import BoolArray, FloatArray
 
 #: A pixel farther from the plane than this many sigmas does not take part.
 OUTLIER = 3.5

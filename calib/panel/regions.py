@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.recording import BoolArray, FloatArray
+from smoother.array_types import BoolArray, FloatArray
 
 from ..intrinsics import Intrinsics
 from .blobs import Blobs

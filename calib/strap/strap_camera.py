@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 from ..intrinsics import PlacedCamera
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 from ..intrinsics import PlacedCamera
 from .strap_camera import Depth

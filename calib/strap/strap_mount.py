@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration, Length
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 from smoother.result import Recovery
 
 from ..file import CalibrationFile

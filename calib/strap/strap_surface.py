@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.linalg import unit
-from smoother.recording import FloatArray
 
 from ..intrinsics import PlacedCamera
 from .strap_camera import Depth

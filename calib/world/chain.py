@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.linalg import skew
-from smoother.recording import FloatArray
 
 from .still_pose import Rest, Turn
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.linalg import nearest_rotation, unit
-from smoother.recording import FloatArray
 
 from .chain import Attitudes, WorldPose
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from smoother.recording import CameraFrame, FloatArray, ImuStream, Recording
+from smoother.array_types import FloatArray
+from smoother.recording import CameraFrame, ImuStream, Recording
 
 from ..file import CalibrationFile
 from ..imu.sensor import sensor_of

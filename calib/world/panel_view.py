@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import skew
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 from ..file import CalibrationFile
 from ..imu.correction import corrected_streams

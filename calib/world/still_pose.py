@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 #: Samples this far from a pose's time may count to it, s.
 REACH_S = 1.0

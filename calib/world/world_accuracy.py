@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 from ..verdict import Verdict
 from .world_calibration import WorldCalibration, rotation_degrees, tilt_covariance

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import skew
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 from .chain import BIAS_M_S2, WorldPose
 from .first_guess import first_guesses

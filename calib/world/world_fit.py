@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 
 from .chain import BIAS_M_S2, Attitudes, Problem, WorldPose
 

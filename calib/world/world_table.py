@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 from ..file import CalibrationFile
 from ..protocol import Answer

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from ..array_types import FloatArray
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.alignment import lever_of
-from ..recording import JOINTS, FloatArray, Recording
+from ..recording import JOINTS, Recording
 from ..result import Estimates, Recovery
 from .scene import Path, Scene
 

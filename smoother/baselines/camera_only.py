@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.alignment import lever_of
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS
 from .scene import Path, Scene, between
 
 

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from .. import units
+from ..array_types import BoolArray, FloatArray
 from ..config import ImuNoise
 from ..linalg import skew
 from ..measurements.alignment import lever_of
 from ..measurements.inertial import InertialSignal, Preintegration
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..window.problem import States
 from ..window.trajectory import Trajectory, at_times
 from .scene import Scene

@@ -21,8 +21,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import minimize
 
+from ..array_types import FloatArray
 from ..measurements.position_process import PUBLISHED, Kernel, Measurements, log_likelihood
-from ..recording import FloatArray
 from .error_state import white_sigma
 from .kernel import Posterior
 from .scene import Path, Scene, no_answer

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
 from ..config import CameraNoise
 from ..errors import SolveError
@@ -19,7 +20,7 @@ from ..measurements.inertial import InertialSignal
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import enough_joints, joints_needed
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, ImuStream, JointState, Recording
+from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, Recording
 from ..result import Recovery
 from ..units import GRAVITY
 from .orientation import attitude_by

@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from ..array_types import FloatArray
 from ..linalg import interpolate
-from ..recording import FloatArray
 from .linear import Chain, constant_acceleration, kalman_filter
 from .scene import Path, Scene, no_answer
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from ..array_types import FloatArray
 from ..measurements.position_process import (
     FIRST,
     SECOND,
@@ -19,7 +20,6 @@ from ..measurements.position_process import (
     joint_covariance,
     mapped_covariance,
 )
-from ..recording import FloatArray
 
 
 class Posterior:

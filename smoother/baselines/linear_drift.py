@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from ..array_types import FloatArray
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..measurements.visibility import Gap
-from ..recording import FloatArray
 from .scene import Path, Scene, between
 
 #: Visible time beside the gap through which the boundary lines are fitted, s (II-K.1).

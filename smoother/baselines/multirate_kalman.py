@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .linear import Chain, FilterEstimates, constant_acceleration, kalman_filter
 from .scene import Path, Scene, no_answer
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
+from ..array_types import FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from .scene import Path, Scene, finite_rows
 
 

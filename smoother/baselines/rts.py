@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..config import ArmPrior, CameraNoise, ImuNoise
 from ..linalg import interpolate, robust_sigma, skew
 from ..measurements.inertial import InertialSignal, integrate
-from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..window.nodes import decimate, insert_nodes
 from ..window.prepare import states_from_camera
 from . import error_state as es

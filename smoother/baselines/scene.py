@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate
 from ..measurements.visibility import Gap, occluded_at
-from ..recording import JOINTS, BoolArray, FloatArray, ImuStream
+from ..recording import JOINTS, ImuStream
 
 #: The note of a path where a method has too little to begin with.
 TOO_LITTLE_SEEN = "The camera saw too little of this segment."

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray
 from ..measurements.inertial import InertialSignal, Preintegration, integrate
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS
 from ..window.nodes import decimate
 from ..window.prepare import states_from_camera
 from .error_state import TURN, P, V, joint_sigma, levers_of, orientation_at, seen_joints, turned, white_noise

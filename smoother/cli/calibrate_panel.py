@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calib.panel.images import View
     from calib.panel.panel_calibration import PanelCalibration
 
-    from ..recording import FloatArray
+    from ..array_types import FloatArray
 
 
 def panel(

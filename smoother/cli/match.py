@@ -40,7 +40,7 @@ def match(
     the upper arm of one body, on none of the limbs in view, or unknown where the motion does not settle it.
     """
     from ..io import open_recording
-    from ..io.recording.match_streams import match_file
+    from ..io.recording.match_file import match_file
     from ..matching import METHODS
 
     names = list(METHODS) if method == "all" else [method]

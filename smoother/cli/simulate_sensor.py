@@ -11,7 +11,8 @@ from .output import say, say_command
 from .simulated_file import SimulatedFile
 
 if TYPE_CHECKING:
-    from ..recording import FloatArray, ImuStream
+    from ..array_types import FloatArray
+    from ..recording import ImuStream
 
 
 @with_groups

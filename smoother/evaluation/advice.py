@@ -17,8 +17,8 @@ from calib.motion.motion_summary import (
     known_to,
 )
 
+from ..array_types import BoolArray, FloatArray
 from ..measurements.visibility import Gap
-from ..recording import BoolArray, FloatArray
 from ..result import Recovery
 from .rejected import rejected
 from .summary import GapSummary, gap_summaries

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..joint_angles import wrapped_deg
-from ..recording import FloatArray
 
 #: Half width of the limits of agreement in standard deviations.
 LIMITS = 1.96

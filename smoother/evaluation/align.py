@@ -8,7 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..recording import BoolArray, FloatArray, Truth
+from ..array_types import BoolArray, FloatArray
+from ..recording import Truth
 
 #: Samples of a reference farther apart than this are not bridged, s.
 BRIDGED_S = 0.1

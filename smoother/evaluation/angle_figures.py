@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles
 from ..linalg import unit
-from ..recording import BoolArray, FloatArray, Truth
+from ..recording import Truth
 from ..result import Recovery
 from .agreement import Agreement, agreement
 from .align import position_at

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import RecordingError, UnoccludeError
 from ..measurements.visibility import Gap
-from ..recording import FloatArray, Recording, Truth
+from ..recording import Recording, Truth
 from ..result import Recovery
 from ..runtime.pool import Pool
 from .align import truth_at

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
-from ..recording import JOINTS, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..recording import JOINTS
 from ..result import Recovery
 from .metrics import squared_sigmas
 

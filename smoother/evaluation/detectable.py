@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .agreement import CONFIDENCE, LIMITS, icc_a1
 
 #: Fewer pairs have a mean difference and nothing else.

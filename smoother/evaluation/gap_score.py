@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import robust_sigma
-from ..recording import JOINTS, BoolArray, FloatArray, Recording
+from ..recording import JOINTS, Recording
 from ..result import Recovery
 from .align import linear_at, position_at, truth_at
 from .metrics import Figures, orientation_error_deg, squared_sigmas, summarise

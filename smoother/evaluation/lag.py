@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import parabola_vertex
-from ..recording import FloatArray
 from .align import linear_at
 
 #: Lags looked at, s: up to this in coarse steps, then about the best one in finer steps.

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
@@ -14,7 +15,7 @@ from ..linalg import interpolate
 from ..live.estimate import LiveEstimate
 from ..live.imu_batch import ImuBatch
 from ..live.skeleton_frame import SkeletonFrame
-from ..recording import JOINTS, FloatArray, Recording
+from ..recording import JOINTS, Recording
 from ..result import Recovery
 
 #: Answers are asked for at this rate, Hz, and interpolated to the IMU's times.

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measures import Measure, Measures, Movement
-from ..recording import FloatArray, Truth
+from ..recording import Truth
 from ..result import Recovery
 
 #: A movement of the answer and one of the reference are the same where they share more of their time.

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray
 from ..linalg import unit
-from ..recording import FloatArray
 
 #: 95 % quantile of chi-square with three degrees of freedom: the 95 % region of a position.
 CHI2_95_3 = 7.814727903251179

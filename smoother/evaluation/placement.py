@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..measurements.visibility import accepted_samples, visible_frames
-from ..recording import BoolArray, FloatArray, Recording
+from ..recording import Recording
 
 #: Frames without the forearm up to this long do not end a visible run, s.
 FLICKER_S = 0.2

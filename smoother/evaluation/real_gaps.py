@@ -13,8 +13,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.visibility import accepted_samples, find_gaps, visible_frames
-from ..recording import FloatArray, Recording
+from ..recording import Recording
 from ..units import GRAVITY
 from .gap_table import GapRow, GapTable
 

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray, IntArray
 from ..errors import RecordingError
-from ..recording import CameraFrame, FloatArray, IntArray, Truth
+from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from .mocap.clock import MocapClock, align_clock
 from .mocap.frame import (

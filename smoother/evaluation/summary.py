@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
-from ..recording import BoolArray, FloatArray
 from ..result import Estimates, Recovery
 
 

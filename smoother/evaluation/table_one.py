@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import JOINTS, BoolArray, FloatArray, Truth
+from ..array_types import BoolArray, FloatArray
+from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .align import position_at
 from .metrics import maximum, rms

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..io.devices.head import shown
-from ..recording import FloatArray, Truth
+from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
 

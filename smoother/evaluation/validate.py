@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
 from ..measurements.visibility import Gap
-from ..recording import BoolArray, FloatArray, Truth
+from ..recording import Truth
 from ..result import Recovery
 from .agreement import Agreement
 from .align import truth_at

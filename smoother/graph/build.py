@@ -16,7 +16,8 @@ import numpy as np
 from gtsam import Pose3, Rot3, Unit3, noiseModel
 from gtsam.symbol_shorthand import L, S, U, V, X
 
-from ..recording import JOINTS, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.problem import JointMeasurements, Window
 from .imu_factors import add_increments
 from .shared_prior import add_shared

@@ -16,8 +16,9 @@ import numpy as np
 from gtsam import Pose3, Rot3
 from gtsam.symbol_shorthand import C, E, L, M, S, W, X, Y
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
-from ..recording import JOINTS, FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.problem import States, UpperRun, Window
 from ..window.solution import UpperSolution
 from .build import bias_of_intervals, build, gaussian, isotropic

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..window.problem import JointMeasurements, States, Window
 from .build import stacked_measurements
 from .error_columns import camera_rows

@@ -14,8 +14,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, E, G, S, V, W, X, Y
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import skew
-from ..recording import JOINTS, FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, ErrorEvidence
 from ..window.problem import Window
 from .jacobian import Jacobian

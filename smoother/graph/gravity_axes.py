@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import G
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .shared_prior import gaussian_factor
 from .variables import DIMENSION, values_of
 

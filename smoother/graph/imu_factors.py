@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, V, X
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from ..window.problem import ImuIncrements, NoiseModel, Window
 
 #: Error of the integration itself, m^2/s: a millimetre in a second, and intervals of some milliseconds do

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from .variables import sizes_of
 
 

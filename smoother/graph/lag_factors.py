@@ -13,7 +13,8 @@ import numpy as np
 from gtsam import Pose3, Rot3
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
-from ..recording import JOINTS, FloatArray
+from ..array_types import FloatArray
+from ..recording import JOINTS
 from ..window.lag_solution import NodeState
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from .build import isotropic, robust

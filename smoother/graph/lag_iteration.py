@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .variables import DIMENSION
 
 #: Of a variable, by its letter.

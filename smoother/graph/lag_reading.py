@@ -8,7 +8,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
-from ..recording import JOINTS, FloatArray
+from ..array_types import FloatArray
+from ..recording import JOINTS
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.shared import SharedLayout
 from .gravity_axes import gravity_axes

@@ -10,7 +10,7 @@ import numpy as np
 from gtsam import Pose3, Rot3
 from gtsam.symbol_shorthand import B, S, V, X
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import ImuIncrements, NoiseModel, Priors
 from .gravity_axes import gravity_axes, have_turned, turned_with_axes

@@ -15,8 +15,8 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import inverse
-from ..recording import FloatArray, IntArray
 from .jacobian import Jacobian
 
 #: Columns of the whitened Jacobian, of its first rows, for quantities that are not variables of the graph.

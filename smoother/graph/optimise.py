@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import runs
-from ..recording import FloatArray, IntArray
 from ..window.problem import Window
 from .build import upper_arm_factors
 from .gravity_axes import gravity_axes, have_turned, turned_with_axes

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.problem import Window

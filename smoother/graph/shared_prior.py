@@ -7,7 +7,8 @@ import numpy as np
 from gtsam import Unit3, noiseModel
 from gtsam.symbol_shorthand import B, C, G, L, M, U
 
-from ..recording import JOINTS, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.problem import Priors, Window
 from ..window.shared import SharedLayout
 

@@ -10,9 +10,10 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, G, L, M, S, U, V, X
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import SolveError
 from ..linalg import interpolate
-from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import Gaussian

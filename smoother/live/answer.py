@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import skew
-from ..recording import FOREARM_JOINTS, JOINTS, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..recovery.samples import widen_turns
 from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..measurements.visibility import joints_needed
-from ..recording import CameraFrame, FloatArray, Recording
+from ..recording import CameraFrame, Recording
 from .calibration_job import CalibrationJob, LiveCalibration
 from .calibrator import Calibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .live_state import LiveState
 
 

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..config import Config
 from ..graph.lag_window import LagWindow
 from ..measurements.inertial import InertialSignal
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
+from ..recording import FOREARM_JOINTS, JOINTS, JointState
 from ..selfcal.rounds import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION

@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.visibility import MISSING_S
-from ..recording import FloatArray
 from .live_state import LiveState
 
 #: So many frames are remembered.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import FloatArray, ImuStream
+from ..array_types import FloatArray
+from ..recording import ImuStream
 from .imu_batch import ImuBatch
 
 #: Samples older than this against the newest are not sorted in, s.

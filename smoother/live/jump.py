@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..rotation import Rotation
 from ..window.lag_solution import NodeState
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.inertial import (
     InertialSignal,
     equivalent_samples,
@@ -14,7 +15,6 @@ from ..measurements.inertial import (
     split_steps,
 )
 from ..measurements.segment import without_spikes
-from ..recording import FloatArray
 from ..selfcal.rounds import SelfCalibration
 from ..window.lag_solution import NodeState
 from ..window.problem import ImuIncrements

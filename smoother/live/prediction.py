@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import skew
 from ..measurements.inertial import InertialSignal, integrate_between
-from ..recording import FloatArray
 from ..rotation import Rotation
 from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import NoiseModel

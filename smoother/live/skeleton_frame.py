@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ from types import TracebackType
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
-from ..recording import CameraFrame, FloatArray
+from ..recording import CameraFrame
 from .calibration_job import LiveCalibration
 from .calibrations import Calibrations
 from .calibrator import BackgroundCalibrator, Calibrator

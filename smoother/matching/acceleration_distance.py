@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, independent_samples
 from .joint_likelihood import published_shifts, vertical
 

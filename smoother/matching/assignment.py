@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 
 #: A limb that an IMU cannot be on costs this.
 _NEVER = 1e6

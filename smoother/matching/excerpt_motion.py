@@ -16,10 +16,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import BoolArray, FloatArray
 from ..errors import RecordingError
 from ..linalg import unit
 from ..measurements.timestamps import split_at_pauses
-from ..recording import BoolArray, FloatArray, ImuStream
+from ..recording import ImuStream
 from ..units import GRAVITY
 from .limbs import Limb
 

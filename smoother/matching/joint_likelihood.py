@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from ..array_types import BoolArray, FloatArray
 from ..errors import UnoccludeError
 from ..measurements.position_process import Kernel, joint_covariance
-from ..recording import BoolArray, FloatArray
 from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt
 
 #: Section 5.3.2: v0 = 4.69e3 mm^2, w = 7.85 1/s^2, 8 mm, 100 mm/s^2.

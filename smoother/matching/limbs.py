@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..recording import JOINTS, BoolArray, FloatArray, JointState, JointTracks
+from ..array_types import BoolArray, FloatArray
+from ..recording import JOINTS, JointState, JointTracks
 
 #: A segment's joints: from, to; and how far along it the IMU's acceleration is taken.
 SEGMENTS = {"wrist": ("elbow", "wrist", 1.0), "upper_arm": ("shoulder", "elbow", 0.7)}

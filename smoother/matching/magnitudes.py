@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from ..units import GRAVITY
 from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, independent_samples
 

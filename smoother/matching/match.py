@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..errors import UnoccludeError
-from ..recording import BoolArray, FloatArray, ImuStream
+from ..recording import ImuStream
 from .acceleration_distance import accumulated_distance, shakeid
 from .assignment import assign, probabilities
 from .excerpt_motion import GRID_HZ, SHORTEST_S, MatchExcerpt, read_excerpts

@@ -19,8 +19,8 @@ from itertools import product
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import nearest_rotation, unit
-from ..recording import FloatArray
 from .excerpt_motion import (
     GRID_HZ,
     LOW_PASS_HZ,

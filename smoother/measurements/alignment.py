@@ -14,9 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, nearest_rotation
-from ..recording import JOINTS, BoolArray, FloatArray
+from ..recording import JOINTS
 from ..rotation import Rotation, Slerp
 from ..units import GRAVITY
 from .attitude import InertialAttitude

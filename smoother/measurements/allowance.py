@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import JOINTS, FloatArray, Recording
+from ..array_types import FloatArray
+from ..recording import JOINTS, Recording
 from .timestamps import synthetic_stamps
 from .visibility import accepted_samples, find_gaps, visible_frames
 

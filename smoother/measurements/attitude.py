@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..rotation import Rotation, Slerp
 from .inertial import InertialSignal
 

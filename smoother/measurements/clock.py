@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 #: Clock offsets are looked for up to this; before the data speak they are within the sigma, s.
 LARGEST_OFFSET_S = 0.4

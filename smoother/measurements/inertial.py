@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..recording import FloatArray, ImuStream, IntArray
+from ..array_types import FloatArray, IntArray
+from ..recording import ImuStream
 from ..rotation import Rotation
 from ..splines import cubic_spline
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
-from ..recording import BoolArray, FloatArray
 
 #: A fourth difference counts as none below this part of the joint's usual one, and of the step from sample
 #: to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it moves.

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..filters import moving_median
 from ..linalg import runs, unit
-from ..recording import JOINTS, BoolArray, FloatArray
+from ..recording import JOINTS
 from .alignment import Alignment
 from .interpolation import interpolated
 from .joint_noise import JointNoise

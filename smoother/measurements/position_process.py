@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 #: Step of the differences, s (theirs).
 STEP_S = 1.0 / 90.0

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointTracks, Recording
+from ..recording import JOINTS, CameraFrame, ImuStream, JointTracks, Recording
 from ..runtime.column import batches
 from ..runtime.store import Store
 

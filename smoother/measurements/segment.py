@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import BoolArray, FloatArray, ImuStream, JointTracks, Recording
+from ..array_types import BoolArray, FloatArray
+from ..recording import ImuStream, JointTracks, Recording
 from .attitude import InertialAttitude, inertial_attitude
 from .clock import LARGEST_OFFSET_S, Clock
 from .inertial import InertialSignal

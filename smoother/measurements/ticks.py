@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import robust_sigma
-from ..recording import FloatArray, IntArray
 
 #: Counters of devices start anew after so many seconds: 2^32 of us, ms, ns and 30 us; 2^24 of 1/32768 s;
 #: 2^16 of ms; a day.

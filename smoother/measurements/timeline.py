@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray, JointState, Recording
+from ..array_types import BoolArray, FloatArray
+from ..recording import JointState, Recording
 from .segment import SegmentTraits, traits_of
 from .timestamps import dejitter, split_at_pauses
 from .visibility import enough_joints

@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..filters import moving_mean
 from ..linalg import robust_sigma
-from ..recording import FloatArray, ImuStream
+from ..recording import ImuStream
 
 #: Rates that cameras run at, Hz, and how near to one is near, as a part of it.
 CAMERA_RATES_HZ = np.array(

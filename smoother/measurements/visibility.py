@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointTracks
+from ..array_types import BoolArray, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS, JointTracks
 
 #: Frames farther apart than this (s, and in frame periods) leave a gap although none says `occluded`.
 MISSING_S = 0.15

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..joint_angles import wrapped_deg
 from ..linalg import runs
-from ..recording import BoolArray, FloatArray
 from .figure import UNKNOWN, Figure, share_of
 
 #: Width of a zone, degrees (Kee and Karwowski's and RULA's tables are coarser; studies differ).

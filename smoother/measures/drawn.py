@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray
 from ..linalg import rotate_covariance
-from ..recording import FloatArray
 from ..result import Recovery
 from .layout import SESSION, Layout, Place
 from .motion import Motion, motion_of

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 
 
 class Figure(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .figure import UNKNOWN, Figure, share_of
 
 #: Ends nearer than this make no straight line to compare a path with, m.

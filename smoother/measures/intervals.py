@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .definitions import MeasureDefinition
 
 #: Fewer draws than this do not show the ends of a 95 % interval.

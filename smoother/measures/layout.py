@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .angles import ZONE_DEG, angle_figures, centre_of, centred, zone_figures
 from .definitions import zone_key
 from .figure import UNKNOWN, Figure, share_of

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..linalg import interpolate, runs
-from ..recording import BoolArray, FloatArray, median_rate_hz
+from ..array_types import BoolArray, FloatArray
+from ..linalg import interpolate, median_rate_hz, runs
 from ..result import Recovery
 from .settings import Smoothing
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import BoolArray, FloatArray
 from ..joint_angles import defined, recovery_angles, torso_axes
-from ..recording import BoolArray, FloatArray
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .low_pass import TimeGrid, on_grid, slope

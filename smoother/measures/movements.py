@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import runs
-from ..recording import FloatArray
 from .low_pass import TimeGrid
 from .movement import Movement
 from .settings import SegmentingMovements

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import masked_correlation
-from ..recording import FloatArray
 from .motion import Motion
 from .movement import Movement
 from .settings import MatchingRepetitions

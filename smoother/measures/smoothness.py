@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 
 #: As published (Balasubramanian et al. 2015): zero padding, highest frequency, threshold of the amplitude.
 PAD_LEVEL, CUTOFF_HZ, LEAST_AMPLITUDE = 4, 10.0, 0.05

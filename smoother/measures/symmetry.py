@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..recording import FloatArray
 from ..result import Recovery
 from .definitions import definition_of
 from .intervals import interval

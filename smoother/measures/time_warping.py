@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 
 
 def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, IntArray]:

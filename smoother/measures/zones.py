@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .figure import UNKNOWN, Figure, share_of
 from .motion import Motion
 from .settings import Reach

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.remedy import AXES, Remedy
-from ..recording import JOINTS, CameraFrame, FloatArray, JointState, Recording
+from ..recording import JOINTS, CameraFrame, JointState, Recording
 
 #: Of frames, at most so many say on which side of the camera the arm is.
 MOST_FRAMES = 20_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..rotation import Rotation
 from ..window.trajectory import mix, turn_to
 

@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..errors import CalibrationError, SolveError
 from ..measurements.clock import Clock
 from ..measurements.remedy import Remedy
 from ..measurements.segment import down_hint
 from ..measurements.timeline import Timeline
-from ..recording import FloatArray, Recording
+from ..recording import Recording
 from ..result import Recovery
 from ..selfcal.closed_form import ClosedForm, closed_form
 from ..selfcal.coarse_clock import synchronise_coarsely

@@ -11,11 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import runs, unit
 from ..measurements.rejection import Rejection
 from ..measurements.segment import without_spikes
 from ..measurements.timestamps import PAUSE_SAMPLES
-from ..recording import FloatArray, ImuStream, Recording
+from ..recording import ImuStream, Recording
 from ..result import Recovery
 from ..rotation import Rotation, chained
 from .gyroscope_drift import gyroscope_drift

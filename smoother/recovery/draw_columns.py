@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..result import Draws
 from ..runtime.store import Store
 from ..window.draw_plan import DrawPlan

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
-from ..recording import FloatArray, IntArray
 from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of

@@ -13,10 +13,10 @@ from itertools import islice
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..errors import SolveError
 from ..graph.solve import solve
 from ..measurements.outliers import reject_by_camera
-from ..recording import FloatArray, IntArray
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from ..selfcal.clock_fit import ClockScore, clock_score

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.timestamps import PAUSE_SAMPLES
-from ..recording import FloatArray, ImuStream
+from ..recording import ImuStream
 from ..result import Recovery
 from ..rotation import Rotation
 

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import robust_sigma
-from ..recording import FloatArray, JointTracks
+from ..recording import JointTracks
 
 #: A bone's length varies less than this, m, and less than this part of what is no bone: upper arms vary by
 #: 0.01 to 0.03, shoulder to wrist by 0.06 to 0.12 as the elbow bends.

@@ -16,8 +16,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import skew
-from ..recording import BoolArray, FloatArray, ImuStream
+from ..recording import ImuStream
 from ..result import Recovery
 from ..window.problem import FieldMeasurements, Window
 from ..window.shared import axes_across

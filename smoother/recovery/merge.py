@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.clock import Clock
 from ..measurements.rejection import REASONS
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, FloatArray, Recording
+from ..recording import JOINTS, Recording
 from ..result import Estimates, FrameResiduals, Recovery
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration

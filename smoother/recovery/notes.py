@@ -7,11 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..array_types import BoolArray
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.rejection import Rejection
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
-from ..recording import BoolArray, Recording
+from ..recording import Recording
 from ..result import FrameResiduals
 from ..selfcal.rounds import SelfCalibration
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance
 from ..measurements.alignment import lever_of
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
-from ..recording import JOINTS, BoolArray, FloatArray, IntArray
+from ..recording import JOINTS
 from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.cut import PreparedSegment

@@ -8,12 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..measurements.clock import Clock
 from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, make_segment
 from ..measurements.timeline import Timeline
 from ..measurements.upper_run import upper_run_samples
 from ..measurements.visibility import MISSING_S
-from ..recording import FloatArray, ImuStream, JointTracks, Recording
+from ..recording import ImuStream, JointTracks, Recording
 from ..selfcal.upper_arm import UpperArm
 from ..window.cut import KEEP_S
 

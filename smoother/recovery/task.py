@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..config import Config
 from ..measurements.alignment import Alignment
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_residual
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray, IntArray, Recording
+from ..recording import JOINTS, Recording
 from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from ..selfcal.excerpts import most_telling
 from ..selfcal.rounds import SelfCalibration, with_initial_values

@@ -11,17 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import unit
 from ..measurements.attitude import inertial_attitude
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
-from ..recording import FloatArray, ImuStream, IntArray, JointTracks, Recording, TrunkSensors
+from ..recording import ImuStream, JointTracks, Recording, TrunkSensors
 from ..result import Recovery
+from ..result.trunk_motion import TrunkMotion
 from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
-from ..trunk_motion import TrunkMotion
 from .blending import between_quaternions
 
 #: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.

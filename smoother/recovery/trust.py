@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Anatomy
 from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.rejection import Rejection
 from ..measurements.segment import spikes
-from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, FloatArray, ImuStream, Recording
+from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, ImuStream, Recording
 from ..result import Recovery
 from .change_signs import camera_pushed, skeleton_filled, strap_slipped
 from .limb_lengths import swapped_joints

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..measurements.clock import Clock
-from ..recording import FloatArray, Recording
+from ..recording import Recording
+from ..result.upper_motion import UpperMotion
 from ..runtime.store import Store
 from ..selfcal.rounds import SelfCalibration
-from ..upper_motion import UpperMotion
 from .blending import between_quaternions, blend
 from .upper_samples import UpperAnswer, humerus_axes
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
-from ..recording import FloatArray
 from ..rotation import Rotation
 from ..selfcal.rounds import SelfCalibration
 from ..window.trajectory import Trajectory

@@ -9,7 +9,7 @@ from html import escape
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .sheet import headed
 
 #: Left and right of the marks stay so much of the width, %.

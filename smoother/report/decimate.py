@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..linalg import runs
-from ..recording import BoolArray, FloatArray, IntArray
 
 #: Most points of one drawn line.
 MOST_POINTS = 4000

@@ -12,7 +12,8 @@ from calib.imu.imu_summary import magnetometer_next, magnetometer_verdict
 from calib.imu.magnetometer import MagnetometerCalibration
 from calib.imu.sphere_coverage import sphere_points
 
-from ..recording import FloatArray, ImuStream
+from ..array_types import FloatArray
+from ..recording import ImuStream
 from .imu import sphere
 from .sheet import figure, listing, tabulated, write_sheet
 from .space import cloud, shaded_cloud, space, view_of

@@ -9,9 +9,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..array_types import FloatArray
 from ..evaluation.compare import Comparison, MethodResult
 from ..measurements.visibility import Gap
-from ..recording import FloatArray, Recording
+from ..recording import Recording
 from .method_styles import line_of
 from .sheet import figure, in_cm, listing, tabulated, write_sheet
 from .style import CAMERA, SHADE, TRUTH, axis_names, dots, dress

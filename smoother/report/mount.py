@@ -10,8 +10,8 @@ from plotly.subplots import make_subplots
 
 from calib.motion.estimates import ArmEstimates
 
+from ..array_types import FloatArray
 from ..calibration import LeverArm
-from ..recording import FloatArray
 from .style import AXIS_COLOURS, JOINT_COLOURS, curve, dots, dress
 
 #: The sensor is drawn as a cube of this size, and its axes so long, cm.

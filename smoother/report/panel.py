@@ -15,7 +15,7 @@ from calib.panel.panel_accuracy import accuracy, verdict
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
 from calib.panel.panel_table import pose_cells, pose_rows, transform_values
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .sheet import figure, label, listing, picture, tabulated, write_sheet
 from .space import cloud, face, polyline, space, view_of
 from .style import AXIS_COLOURS, JOINT_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress

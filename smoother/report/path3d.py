@@ -6,7 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ..recording import BoolArray, CameraFrame, FloatArray, IntArray, Truth
+from ..array_types import BoolArray, FloatArray, IntArray
+from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
 from .space import upwards

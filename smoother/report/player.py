@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..linalg import interpolate
-from ..recording import CameraFrame, FloatArray, Truth, median_rate_hz
+from ..array_types import FloatArray
+from ..linalg import interpolate, median_rate_hz
+from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from .path3d import CHAIN, instants
 from .sheet import Html, data_block, headed

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FloatArray, Truth
+from ..array_types import FloatArray
+from ..recording import Truth
 from ..result import Recovery
 from .decimate import decimate
 

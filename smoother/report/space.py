@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..array_types import FloatArray
 from ..linalg import unit
-from ..recording import CameraFrame, FloatArray
+from ..recording import CameraFrame
 from .sheet import data_block, headed
 
 #: Largest number of the packed values, and the one that says that there is none.

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 
 from calib.strap.strap_in_image import SEARCH
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .sheet import figure, listing, picture, tabulated, write_sheet
 from .strap_summary import next_time, verdict
 from .style import JOINT_COLOURS, OCCLUDED, dots, dress

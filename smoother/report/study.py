@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .sheet import Html, figure, label, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 

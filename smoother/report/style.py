@@ -8,8 +8,9 @@ from typing import Any
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
+from ..array_types import BoolArray, FloatArray
 from ..measurements.visibility import Gap
-from ..recording import BoolArray, CameraFrame, FloatArray
+from ..recording import CameraFrame
 from .decimate import split_line
 
 #: Told apart by readers with any colour vision.

@@ -6,10 +6,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..evaluation.validate import sample_errors
 from ..joint_angles import arm_angles, elbow_flexion_sigma
 from ..linalg import unit
-from ..recording import JOINTS, BoolArray, CameraFrame, FloatArray, IntArray, Truth
+from ..recording import JOINTS, CameraFrame, Truth
 from ..result import FrameResiduals, Recovery
 from .decimate import band, decimate
 from .points import Point

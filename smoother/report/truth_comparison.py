@@ -8,10 +8,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..array_types import FloatArray
 from ..evaluation.agreement import Agreement, unwound_deg
 from ..evaluation.angle_figures import WORDS, AngleComparison
 from ..evaluation.validate import Validation, sample_errors
-from ..recording import FloatArray, Truth
+from ..recording import Truth
 from ..result import Recovery
 from .decimate import decimate
 from .sheet import in_cm, table

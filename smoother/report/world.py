@@ -12,7 +12,7 @@ from calib.world.world_accuracy import accuracy, verdict
 from calib.world.world_calibration import WorldCalibration
 from calib.world.world_table import pose_rows
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .sheet import figure, label, listing, tabulated, write_sheet
 from .space import cloud, polyline, space, view_of
 from .style import AXIS_COLOURS, OCCLUDED, TRUTH, VISIBLE, dress

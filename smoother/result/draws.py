@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..recording import FloatArray
 from ..rotation import Rotation
-
-if TYPE_CHECKING:
-    from .recovery import Recovery
 
 #: Drawn times further apart than this do not belong to one motion, s.
 APART_S = 1.0
@@ -58,23 +54,22 @@ class Draws:
             upper_rotation=None if self.upper_rotation is None else self.upper_rotation[:count],
         )
 
-    def recovery(self, recovery: Recovery, k: int) -> Recovery:
-        """A drawn motion at the recording's samples, in place of the answer.
+    def at(self, k: int, t_s: FloatArray) -> Deviation:
+        """How far a drawn motion is from the answer at other times.
 
         Between the drawn times the deviation follows a cubic spline, so that speeds are smooth.
 
         Parameters
         ----------
-        recovery : Recovery
-            That the deviations are from.
         k : int
             Number of the motion, from 0.
+        t_s : ndarray, shape (N,), s
+            On the IMU's clock, increasing.
 
         Returns
         -------
-        drawn : Recovery
-            Position, orientation, velocity and joints as drawn; its covariances are zero, all else is the
-            answer's.
+        deviation : Deviation
+            Nan where nothing was drawn within a second.
 
         Raises
         ------
@@ -83,32 +78,41 @@ class Draws:
         """
         if not 0 <= k < len(self):
             raise UnoccludeError(f"there is no drawn motion {k}: {len(self)} were drawn, numbered from 0")
-        t = recovery.t_s
-        moved, speed = _at_samples(self.t_s, self.position[k], t)
-        upper = recovery.upper
-        if upper is not None:
-            turned = upper.quaternion
-            if self.upper_rotation is not None:
-                turned = turned_by(_at_samples(self.t_s, self.upper_rotation[k], t)[0], turned)
-            upper = replace(upper, quaternion=turned, pose_covariance=_zeros(upper.pose_covariance))
-        joints = {
-            joint: position + _at_samples(self.t_s, self.joints[joint][k], t)[0]
-            if joint in self.joints
-            else position
-            for joint, position in recovery.joints.items()
-        }
-        return replace(
-            recovery,
-            position=recovery.position + moved,
-            quaternion=turned_by(_at_samples(self.t_s, self.rotation[k], t)[0], recovery.quaternion),
-            velocity=recovery.velocity + speed,
-            pose_covariance=_zeros(recovery.pose_covariance),
-            velocity_covariance=_zeros(recovery.velocity_covariance),
-            joints=joints,
-            joint_covariance={joint: _zeros(each) for joint, each in recovery.joint_covariance.items()},
-            upper=upper,
-            draws=None,
+
+        def value(drawn: FloatArray) -> FloatArray:
+            return _at_times(self.t_s, drawn[k], t_s)[0]
+
+        position, velocity = _at_times(self.t_s, self.position[k], t_s)
+        return Deviation(
+            position,
+            velocity,
+            value(self.rotation),
+            {joint: value(drawn) for joint, drawn in self.joints.items()},
+            None if self.upper_rotation is None else value(self.upper_rotation),
         )
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A drawn motion minus the answer, sample by sample.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (N, 3), m and m/s
+        Of the IMU in {K}.
+    rotation : ndarray, shape (N, 3), rad
+        In {K}: R_drawn = Exp(rotation) R_answer.
+    joints : dict of str to ndarray, shape (N, 3), m
+        By joint in {K}, those that were drawn.
+    upper_rotation : ndarray, shape (N, 3), rad, or None
+        Of an IMU on the upper arm.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    rotation: FloatArray
+    joints: dict[str, FloatArray]
+    upper_rotation: FloatArray | None
 
 
 def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:
@@ -121,7 +125,7 @@ def turned_by(rotation: FloatArray, quaternion: FloatArray) -> FloatArray:
     return turned
 
 
-def _at_samples(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _at_times(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A deviation (m, 3) and its derivative at other times (n, 3); held beyond the drawn times.
 
     Nan where nothing was drawn within a second.
@@ -143,8 +147,3 @@ def _at_samples(t: FloatArray, drawn: FloatArray, at: FloatArray) -> tuple[Float
         value[first:last], slope[first:last] = spline(inside), spline(inside, 1)
         slope[first:last][inside != at[first:last]] = 0.0
     return value, slope
-
-
-def _zeros(values: FloatArray) -> FloatArray:
-    """Zeros of that shape, which take no memory."""
-    return np.broadcast_to(np.zeros(()), values.shape)

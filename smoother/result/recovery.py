@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..errors import UnoccludeError
-from ..linalg import rotation_sigma_deg
+from ..linalg import median_rate_hz, rotation_sigma_deg
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, BoolArray, FloatArray, IntArray, JointTracks, arm_words
-from ..trunk_motion import TrunkMotion
-from ..upper_motion import UpperMotion
-from .draws import Draws
+from ..recording import JOINTS, JointTracks, arm_words
+from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text, table_html
+from .columns import arrow_table, flat_columns
+from .draws import Draws, turned_by
 from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
+from .trunk_motion import TrunkMotion
+from .upper_motion import UpperMotion
 
 if TYPE_CHECKING:
     import pandas
     import pyarrow
+
+#: More gaps than this make a page that nobody reads.
+MOST_GAPS = 20
+_VERDICT_LENGTH = 200
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,15 +130,67 @@ class Recovery:
         return len(self.t_s)
 
     def __repr__(self) -> str:
-        from ..result_view import recovery_text
-
-        return recovery_text(self)
+        return lines_text(self._lines())
 
     def _repr_html_(self) -> str:
         """The gaps as a table, and a small picture, as notebooks show it."""
-        from ..result_view import recovery_html
+        rows = [
+            (
+                f"{gap.start_s:.2f}",
+                f"{gap.length_s:.2f}",
+                "no answer" if (sigma := self._largest_sigma_m(gap)) is None else f"{100 * sigma:.1f}",
+                "one side" if gap.open_start or gap.open_end else "both sides",
+            )
+            for gap in self.gaps[:MOST_GAPS]
+        ]
+        table = (
+            table_html(("gap from, s", "length, s", "largest sigma, cm", "seen from"), rows) if rows else ""
+        )
+        more = len(self.gaps) - len(rows)
+        return card_html(
+            self._lines(), self._picture(), table, f"<p>.. and {more} gaps more</p>" if more else ""
+        )
 
-        return recovery_html(self)
+    def _lines(self) -> list[str]:
+        """Whose arm, how long, how many gaps and how sure, the joints, the verdict."""
+        side = f", {self.side} arm" if self.side else ""
+        length_s = float(self.t_s[-1] - self.t_s[0]) if len(self) else 0.0
+        lines = [
+            f"Recovery of {self.name} by {self.method}{side}: {length_s:.1f} s, {len(self)} samples"
+            f" at {median_rate_hz(self.t_s):.1f} Hz"
+        ]
+        if self.gaps:
+            sigmas = [sigma for gap in self.gaps if (sigma := self._largest_sigma_m(gap)) is not None]
+            known = f"; largest sigma {100 * max(sigmas):.1f} cm" if sigmas else "; no answer in them"
+            lengths_s = [gap.length_s for gap in self.gaps]
+            lines.append(
+                f"{len(self.gaps)} gap{'s' if len(self.gaps) > 1 else ''}, {sum(lengths_s):.1f} s occluded,"
+                f" the longest {max(lengths_s):.1f} s{known}"
+            )
+        else:
+            lines.append("no gaps")
+        lines.append(f"joints {', '.join(self.joints) or 'none'}")
+        if self.estimates.verdict:
+            lines.append(shorten(self.estimates.verdict, _VERDICT_LENGTH, placeholder=" .."))
+        return lines
+
+    def _largest_sigma_m(self, gap: Gap) -> float | None:
+        """Of the IMU's position in a gap, m; None where there is no answer."""
+        inside = slice(*np.searchsorted(self.t_s, [gap.start_s, gap.end_s]).tolist())
+        sigma = self.rows(inside).worst_sigma_m
+        return float(np.nanmax(sigma)) if np.isfinite(sigma).any() else None
+
+    def _picture(self) -> str:
+        """Position of the wrist, or of the IMU where there is none, with bands of two sigmas (SVG)."""
+        some = self.rows(even_rows(len(self)))
+        wrist = "wrist" in some.joints
+        position = some.joints["wrist"] if wrist else some.position
+        spread = some.joint_covariance["wrist"] if wrist else some.pose_covariance[:, :3, :3]
+        with np.errstate(invalid="ignore"):
+            sigma = np.sqrt(np.einsum("nii->ni", spread))
+        lines = [Line(name, about_median(position[:, k]), sigma[:, k]) for k, name in enumerate("xyz")]
+        what = f"{'wrist' if wrist else 'IMU'}, m from its median, the camera's axes, +- 2 sigma; gaps shaded"
+        return lines_svg(some.t_s, lines, [(gap.start_s, gap.end_s) for gap in self.gaps], what)
 
     def rows(self, rows: slice | IntArray) -> Recovery:
         """The recovery of some samples; frames, gaps and all else stay whole. A slice copies nothing."""
@@ -154,7 +214,7 @@ class Recovery:
         )
 
     def drawn(self, k: int) -> Recovery:
-        """A motion drawn from the posterior in place of the answer (`Draws.recovery`).
+        """A motion drawn from the posterior in place of the answer.
 
         Parameters
         ----------
@@ -164,7 +224,8 @@ class Recovery:
         Returns
         -------
         Recovery
-            At the same samples; covariances are zero.
+            Position, orientation, velocity and joints as drawn; its covariances are zero, all else is the
+            answer's.
 
         Raises
         ------
@@ -175,7 +236,25 @@ class Recovery:
             raise UnoccludeError(
                 f"{self.name}: no motions were drawn; ask `unocclude smooth` for them with --draws 64"
             )
-        return self.draws.recovery(self, k)
+        moved = self.draws.at(k, self.t_s)
+        upper = self.upper
+        if upper is not None:
+            turned = upper.quaternion
+            if moved.upper_rotation is not None:
+                turned = turned_by(moved.upper_rotation, turned)
+            upper = replace(upper, quaternion=turned, pose_covariance=_zeros(upper.pose_covariance))
+        return replace(
+            self,
+            position=self.position + moved.position,
+            quaternion=turned_by(moved.rotation, self.quaternion),
+            velocity=self.velocity + moved.velocity,
+            pose_covariance=_zeros(self.pose_covariance),
+            velocity_covariance=_zeros(self.velocity_covariance),
+            joints={joint: at + moved.joints.get(joint, 0.0) for joint, at in self.joints.items()},
+            joint_covariance={joint: _zeros(each) for joint, each in self.joint_covariance.items()},
+            upper=upper,
+            draws=None,
+        )
 
     def batches(self, overlap: int = 0) -> Iterator[Recovery]:
         """All samples, some thousand at a time (`rows`).
@@ -258,9 +337,7 @@ class Recovery:
             A row a sample; null where there is no answer. `table.schema.field(NAME).metadata` has the unit.
             `.to_pandas()` gives a pandas table where pandas is installed.
         """
-        from ..result_view import recovery_table
-
-        return recovery_table(self)
+        return arrow_table(flat_columns(self.to_arrays()))
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The same as a pandas table.
@@ -274,6 +351,9 @@ class Recovery:
             import pandas
         except ImportError as error:
             raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
-        from ..result_view import flat_columns
+        return pandas.DataFrame(flat_columns(self.to_arrays()))
 
-        return pandas.DataFrame(flat_columns(self))
+
+def _zeros(values: FloatArray) -> FloatArray:
+    """Zeros of that shape, which take no memory."""
+    return np.broadcast_to(np.zeros(()), values.shape)

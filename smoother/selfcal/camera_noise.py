@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import nonnegative_pair
 from ..measurements.joint_noise import JointNoise
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS
 from ..window.problem import Window
 from ..window.solution import Solution
 

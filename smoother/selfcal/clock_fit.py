@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..measurements.clock import LARGEST_OFFSET_S, OFFSET_SIGMA_S, Clock
-from ..recording import FloatArray, IntArray
 from ..window.problem import Window
 from ..window.solution import Solution
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..measurements.alignment import Alignment, VectorPairs, align, pairs
 from ..measurements.clock import constant_clock
 from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import Segment
 from ..measurements.timeline import Timeline
-from ..recording import FloatArray, Recording
+from ..recording import Recording
 from .excerpts import informative_excerpts
 from .mounting import find_mounting
 

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..errors import CalibrationError
 from ..filters import gaussian_smoothed
 from ..linalg import masked_correlation, peaks
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.timeline import Timeline
-from ..recording import FloatArray, ImuStream, JointTracks, Recording
+from ..recording import ImuStream, JointTracks, Recording
 from .closed_form import DIRECTION_DEG, closed_form
 from .excerpts import spread_excerpts
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray, IntArray
+from ..recording import JOINTS
 from ..window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE, STRAP_ERRORS, Considered
 from ..window.problem import Priors, Window
 from ..window.solution import Solution

@@ -9,11 +9,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..measurements.clock import LARGEST_OFFSET_S
 from ..measurements.segment import Segment, make_segment, split_into_segments
 from ..measurements.timeline import Timeline
 from ..measurements.visibility import enough_joints
-from ..recording import FloatArray, IntArray, Recording
+from ..recording import Recording
 
 #: Length of an excerpt, and of all that the self-calibration reads, s.
 EXCERPT_S = 20.0

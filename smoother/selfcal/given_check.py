@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray
+from ..recording import JOINTS
 from .excerpts import choose_excerpts
 from .mounting import find_mounting
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..recording import JOINTS, FloatArray
+from ..array_types import FloatArray
+from ..recording import JOINTS
 
 
 @dataclass(frozen=True)

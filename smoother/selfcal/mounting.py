@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, LeverArm
 from ..linalg import largest_trace, parabola_vertex
 from ..measurements.alignment import Alignment, acceleration_pairs, align, direction_pairs
 from ..measurements.clock import OFFSET_SIGMA_S
 from ..measurements.segment import Segment
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..rotation import Rotation
 from ..units import GRAVITY
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from ..window.constant_errors import SIZE
 from ..window.problem import Priors, Window
 from ..window.solution import Solution

@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
@@ -25,7 +26,7 @@ from ..measurements.inertial import InertialSignal
 from ..measurements.joint_noise import JointNoise
 from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray, IntArray
+from ..recording import JOINTS
 from ..runtime.pool import Pool
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut, cut_times

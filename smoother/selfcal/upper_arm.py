@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
@@ -19,7 +20,7 @@ from ..measurements.outliers import reject_by_camera
 from ..measurements.segment import without_spikes
 from ..measurements.timeline import Timeline
 from ..measurements.timestamps import dejitter, split_at_pauses
-from ..recording import JOINTS, FloatArray, ImuStream, JointTracks, Recording
+from ..recording import JOINTS, ImuStream, JointTracks, Recording
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from .coarse_clock import synchronise_coarsely

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, Length, LeverArm
-from ..recording import BoolArray, FloatArray, ImuStream, Recording, TrunkSensors, Truth
+from ..recording import ImuStream, Recording, TrunkSensors, Truth
 from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 
 #: Columns of a posture: girdle shift (3, m in {T}), shoulder rotation vector (3, rad), flexion, pronation.
 GIRDLE, SHOULDER, FLEXION, PRONATION = slice(0, 3), slice(3, 6), 6, 7

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import gammainc
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
-from ..recording import JOINTS, BoolArray, FloatArray, JointState, JointTracks
+from ..recording import JOINTS, JointState, JointTracks
 from .config import SensorErrors
 
 

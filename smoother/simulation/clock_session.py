@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.clock.links import Receptions
 
-from ..recording import FloatArray, Recording
+from ..array_types import FloatArray
+from ..recording import Recording
 from .arm import simulate_arm
 from .clocks import STEP_S, Clocks, beep, broadcast
 from .config import ArmSimulation

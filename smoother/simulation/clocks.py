@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 
 from calib.clock.links import ClockLink, Receptions
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 #: Bluetooth stamps count in steps of this, s.
 STEP_S = 0.3125e-3

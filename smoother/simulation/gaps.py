@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_closing, binary_opening
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
+from ..recording import FOREARM_JOINTS, JOINTS, JointState
 from .camera import Footage, correlated_noise
 from .config import ArmSimulation
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..recording import FloatArray, ImuStream
+from ..array_types import FloatArray
+from ..recording import ImuStream
 from .config import SensorErrors
 from .motion import MotionModel
 

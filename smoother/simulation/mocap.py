@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
+from ..array_types import BoolArray, FloatArray
 from ..linalg import unit
-from ..recording import BoolArray, CameraFrame, FloatArray
+from ..recording import CameraFrame
 from .arm import SimulatedArm
 from .motion import LEVEL_FROM_KINECT, ArmMotion
 from .path import PAD_S

@@ -10,7 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from ..recording import BoolArray, CameraFrame, FloatArray
+from ..array_types import BoolArray, FloatArray
+from ..recording import CameraFrame
 from ..units import GRAVITY
 from .body import BODY, FLEXION, POSTURE_SIZE, PRONATION, SHOULDER, BodyMeasures, arm_chain
 from .path import KNOT_RATE_HZ, band_noise

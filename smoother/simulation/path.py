@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 #: Knots a second of a motion; the spline between them is quintic, so C^4.
 KNOT_RATE_HZ = 100.0

@@ -15,8 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray
 from ..linalg import unit
-from ..recording import CameraFrame, FloatArray, ImuStream, JointTracks
+from ..recording import CameraFrame, ImuStream, JointTracks
 from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration
-from ..recording import CameraFrame, FloatArray, JointState, Recording
+from ..recording import CameraFrame, JointState, Recording
 from ..units import GRAVITY
 from .arm import SimulatedArm, true_motion
 from .camera import add_noise, add_outliers, deliver, exposures, film

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from ..array_types import FloatArray
 from ..linalg import unit
-from ..recording import FloatArray, ImuStream
+from ..recording import ImuStream
 from ..units import GRAVITY
 
 #: Six sides, twelve edges and eight corners: the poses in order.

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .body import FLEXION, GIRDLE, POSTURE_SIZE, PRONATION, SHOULDER
 
 # Directions in {T} (x the person's right, y up, z back): shoulder to elbow, elbow to wrist, palm; then the

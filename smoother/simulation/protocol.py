@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .body import FLEXION, GIRDLE, POSTURE_SIZE, PRONATION, SHOULDER
 from .config import ArmSimulation
 from .path import PAD_S, PlannedMovement, band_noise, follow, knot_times, ramp, wander

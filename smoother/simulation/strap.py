@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import PlacedCamera
 
+from ..array_types import FloatArray
 from ..linalg import unit
-from ..recording import FloatArray
 
 #: Brightness of skin, strap, marker, clothes and wall.
 SKIN, STRAP, MARKER, CLOTHES, WALL = 170.0, 25.0, 255.0, 80.0, 110.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import Intrinsics, PlacedCamera
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .arm import SimulatedArm
 from .strap import Arm, StrapImageNoise, render
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .path import band_noise
 from .protocol import Performance
 

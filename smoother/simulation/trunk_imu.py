@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recording import FloatArray, ImuStream
+from ..array_types import FloatArray
+from ..recording import ImuStream
 from .config import ArmSimulation
 from .inertial import ideal_imu, measure
 from .trunk import TrunkTurn

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from ..recording import FloatArray, ImuStream
+from ..array_types import FloatArray
+from ..recording import ImuStream
 from .body import BodyMeasures
 from .config import ArmSimulation
 from .inertial import ideal_imu, measure

@@ -13,6 +13,7 @@ from calib.strap.strap_camera import Depth
 from calib.strap.strap_in_image import Sighting, find_strap
 from calib.strap.strap_mount import Mounted
 
+from ..array_types import FloatArray, IntArray
 from ..errors import RecordingError
 from ..io.mcap.container import Container
 from ..io.mcap.merge import Output
@@ -23,7 +24,7 @@ from ..io.recording.carried import Carrying
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
-from ..recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
+from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.atomic import writing
 
 #: A colour image, a depth image and a skeleton frame belong together within this, s.

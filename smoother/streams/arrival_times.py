@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..array_types import IntArray
 from ..io.mcap.container import Container
 from ..io.mcap.messages import Topic
 from ..io.recording.decode import ImuDecoder, plain_decoder
 from ..io.recording.skeletons import SkeletonDecoder, skeleton_decoder
-from ..recording import IntArray
 
 #: What a Kinect and its body tracking need for a frame, where the recording does not say it, s.
 CAMERA_LATENCY_S = 0.1

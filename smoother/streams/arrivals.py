@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import JOINTS, CameraFrame, FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..recording import JOINTS, CameraFrame
 
 
 @dataclass(frozen=True)

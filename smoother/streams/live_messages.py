@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..io.mcap.merge import Output
 from ..io.recording.read import RESULT_PREFIX
 from ..io.recording.write import CAMERA
@@ -17,7 +18,7 @@ from ..io.wire.schemas import message_class
 from ..live.estimate import LiveEstimate
 from ..live.live_state import LiveState
 from ..measurements.visibility import Gap
-from ..recording import JOINTS, FloatArray, JointTracks
+from ..recording import JOINTS, JointTracks
 from ..result import Recovery
 from .arrivals import FrameRows, SourceInfo
 

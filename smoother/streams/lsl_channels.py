@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..io.devices.channel_names import find_sensors, joint_label
 from ..io.devices.joint_columns import find_joint_columns
@@ -16,7 +17,7 @@ from ..io.devices.joint_names import words_of
 from ..io.devices.physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from ..io.devices.wide_skeleton import kinect_states, share_states
 from ..io.markers.trajectories import METRES, without_origin
-from ..recording import JOINTS, CameraFrame, FloatArray, JointState
+from ..recording import JOINTS, CameraFrame, JointState
 from ..runtime.printable import printable
 
 Axes = tuple[int, int, int]

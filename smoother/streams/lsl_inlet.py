@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import FloatArray
 from ..errors import UnoccludeError
-from ..recording import FloatArray
 from ..runtime.printable import printable
 from .lsl_library import is_asked_for, listed, lsl_module
 

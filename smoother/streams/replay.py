@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..array_types import IntArray
 from ..errors import RecordingError
 from ..io.mcap.stamps import SECOND_NS, seconds
 from ..io.recording.choose import choose
 from ..io.recording.read import open_recording
 from ..io.recording.write import joints_there
-from ..recording import JOINTS, IntArray
+from ..recording import JOINTS
 from .arrival_times import LogTimes
 from .arrivals import Arrivals, FrameRows, ImuRows, SourceInfo
 

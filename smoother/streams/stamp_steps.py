@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .arrivals import FrameRows, ImuRows
 
 Rows = TypeVar("Rows", ImuRows, FrameRows)

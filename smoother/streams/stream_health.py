@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 
 #: Rates and delays are those of the last seconds.
 _RECENT_S = 5.0

@@ -133,7 +133,18 @@ class Job:
 
     def _shown(self, text: str) -> str:
         """A sentence as a row holds it: without the folders of this machine."""
-        return text if self.keep_paths else without_places(text, self)
+        return text if self.keep_paths else without_places(text, self._names())
+
+    def _names(self) -> dict[str, str]:
+        """What rows say for paths: the name in the study, "." for the study's folder, else the last name."""
+        source, calibration = Path(self.source), Path(self.calibration)
+        names = {self.source: self.name, self.folder: "."}
+        if self.calibration:
+            names |= {self.calibration: calibration.name, str(calibration.parent): ""}
+        names[str(source.parent)] = ""
+        if self.hash_names:
+            names |= {source.name: Path(self.name).name}
+        return names
 
     def lost(self, sentence: str) -> Row:
         """The row of a recording whose worker died."""

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import os
 import tempfile
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from .fingerprint import text_hash
-
-if TYPE_CHECKING:
-    from .job import Job
 
 _DAY_NS = 86_400 * 10**9
 #: Stamps before 2000 are those of a clock that does not know the date.
@@ -69,25 +65,19 @@ def relative_day(word: str, person: str, origin_ns: int) -> float | None:
     return origin_ns / _DAY_NS - shift
 
 
-def without_places(text: str, job: Job) -> str:
+def without_places(text: str, names: Mapping[str, str]) -> str:
     """A sentence without the folders and the name of this machine.
 
     Parameters
     ----------
     text : str
         May hold paths.
-    job : Job
-        Its recording is called by its name in the study, its folder by ".", other files by their last name.
+    names : mapping of str to str
+        What to say for paths that the study knows; for the temporary, own and current folder there is a word.
     """
     import socket
 
-    calibration = Path(job.calibration)
-    places = {job.source: job.name, job.folder: "."}
-    if job.calibration:
-        places |= {job.calibration: calibration.name, str(calibration.parent): ""}
-    places[str(Path(job.source).parent)] = ""
-    if job.hash_names:
-        places |= {Path(job.source).name: Path(job.name).name}
+    places = dict(names)
     for folder in (tempfile.gettempdir(), os.getcwd(), os.path.expanduser("~")):
         places.setdefault(folder, f"[{'temporary' if folder == tempfile.gettempdir() else 'own'} folder]")
     for path in sorted(places, key=len, reverse=True):  # the longest first: folders lie in folders

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recording import JOINTS, FloatArray
+from ..array_types import FloatArray
+from ..recording import JOINTS
 
 #: Rows of the vector: accelerometer (9), gyroscope (9), joints in the order of `JOINTS` (15), strap (9).
 IMU_ERRORS = slice(0, 18)

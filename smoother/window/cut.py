@@ -8,10 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
 from ..measurements.visibility import Gap, occluded_at
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from .problem import (
     ImuIncrements,
     JointMeasurements,

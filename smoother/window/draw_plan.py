@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from ..runtime.column import sampled
 from .constant_errors import Considered
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from ..recording import FloatArray
+from ..array_types import FloatArray
 from .drawn_window import WindowDraws
 from .problem import Window
 from .solution import Solution

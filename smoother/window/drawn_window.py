@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import interpolate
-from ..recording import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..recording import BoolArray, FloatArray, IntArray
+from ..array_types import BoolArray, FloatArray, IntArray
 
 #: Node spacing where the camera gives nothing, s.
 GAP_NODE_S = 0.2

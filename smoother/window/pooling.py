@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import inverse
-from ..recording import FloatArray, IntArray
 from .problem import Priors
 from .shared import Gaussian
 from .solution import Message

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..measurements.alignment import Alignment, align, lever_of, pairs
 from ..measurements.attitude import acceleration_std
 from ..measurements.clock import Clock
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
-from ..recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, IntArray
+from ..recording import FOREARM_JOINTS, JOINTS
 from ..splines import PiecewiseCubic
 from .cut import PreparedSegment
 from .nodes import GAP_NODE_S, GAP_NODE_UPPER_S, decimate, group_frames, insert_nodes

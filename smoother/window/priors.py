@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..calibration import ArmCalibration, Length, LeverArm
 from ..config import Config
 from ..linalg import robust_sigma
 from ..measurements.alignment import Alignment
 from ..measurements.segment import Segment
-from ..recording import JOINTS, FloatArray, ImuStream
+from ..recording import JOINTS, ImuStream
 from .cut import PreparedSegment
 from .problem import NoiseModel, Priors
 from .shared import Gaussian, SharedLayout, axes_across

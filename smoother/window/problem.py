@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
 from .constant_errors import Considered
 from .shared import Gaussian, SharedLayout
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..measurements.inertial import InertialSignal, integrate_between
-from ..recording import FloatArray, IntArray
 from .problem import States
 
 

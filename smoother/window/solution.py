@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..recording import BoolArray, FloatArray
+from ..array_types import BoolArray, FloatArray
 from .constant_errors import ErrorEvidence
 from .drawn_window import WindowDraws
 from .problem import States

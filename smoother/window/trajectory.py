@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate, rotate_covariance, skew
 from ..measurements.inertial import InertialSignal, integrate
-from ..recording import FloatArray, IntArray
 from ..rotation import Rotation
 from .problem import States, Window
 from .solution import Solution

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..measurements.alignment import Alignment, VectorPairs, acceleration_pairs, align, direction_pairs
@@ -14,7 +15,7 @@ from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
 from ..measurements.upper_run import UpperRunSamples
 from ..measurements.visibility import Gap, occluded_at
-from ..recording import JOINTS, BoolArray, FloatArray
+from ..recording import JOINTS
 from ..units import GRAVITY
 from .nodes import CLOSEST_S
 from .problem import States

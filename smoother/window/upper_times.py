@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..array_types import FloatArray
 from ..linalg import runs
-from ..recording import FloatArray
 from .problem import States
 from .trajectory import Trajectory, at_times
 from .upper_runs import PreparedRun

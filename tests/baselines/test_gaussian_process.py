@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
+from smoother.array_types import FloatArray
 from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements
 from smoother.baselines.kernel import Posterior, predict
 from smoother.evaluation.lag import lag_s
@@ -20,7 +21,6 @@ from smoother.measurements.position_process import (
     joint_covariance,
     log_likelihood,
 )
-from smoother.recording import FloatArray
 
 
 def on_a_grid(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, Measurements]:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
+from smoother.array_types import FloatArray
 from smoother.baselines.kalman import deviations_at_rest, kalman, low_pass, state_model
 from smoother.baselines.linear import kalman_filter
 from smoother.baselines.multirate_kalman import Events, FilterNoise, merge, multirate_kalman
 from smoother.baselines.multirate_kalman import state_model as wiener_model
 from smoother.baselines.scene import Baseline, Scene
-from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
 
 

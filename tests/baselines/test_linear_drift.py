@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from solved_arms import SolvedArm, solved_arm
 
+from smoother.array_types import FloatArray
 from smoother.baselines.inputs import scenes_of
 from smoother.baselines.linear_drift import boundary, integrated, linear_drift
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Scene
 from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 
 PEOPLE = (50, 51, 52)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
+from smoother.array_types import BoolArray
 from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman
 from smoother.baselines.multirate_kalman import multirate_kalman
@@ -15,7 +16,7 @@ from smoother.baselines.rts import rts
 from smoother.baselines.scene import Baseline, Path, Scene
 from smoother.baselines.ukf import ukf
 from smoother.measurements.visibility import find_gaps
-from smoother.recording import JOINTS, BoolArray
+from smoother.recording import JOINTS
 
 BASELINES = [kalman, multirate_kalman, gaussian_process, ukf, rts]
 every_baseline = pytest.mark.parametrize("baseline", BASELINES)

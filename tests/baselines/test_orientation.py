@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.baselines.orientation import EvenSamples, attitude_by, orientation_filter
 from smoother.baselines.orientation.comotti import (
     DIRECTION_SIGMA_RAD,
@@ -23,7 +24,7 @@ from smoother.baselines.orientation.complementary import ALPHA, MU, RATE_HZ, lev
 from smoother.baselines.orientation.samples import even_samples, start_attitude, tilted
 from smoother.baselines.registry import ORIENTATIONS
 from smoother.measurements.inertial import InertialSignal
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 G = 9.81

@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_scenes import arm, scene_of
 
+from smoother.array_types import FloatArray
 from smoother.baselines.gaussian_process import gaussian_process
 from smoother.baselines.kalman import kalman
 from smoother.baselines.multirate_kalman import multirate_kalman
 from smoother.baselines.rts import rts
 from smoother.baselines.scene import Baseline
 from smoother.baselines.ukf import ukf
-from smoother.recording import FloatArray
 
 #: NEES per degree of freedom over the arms of seeds 0 to 3 with gaps of a second: while the arm is visible,
 #: in gaps, and of the orientation where the method states its covariance. 1 is consistent, less is

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from calib.panel import panel_graph
 from calib.panel.panel_graph import PanelSolution, PoseData, _build, solve
 from calib.panel.plane import Plane
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 TURN = Rotation.from_euler("xyz", [100, 20, -40], degrees=True).as_matrix()
 ORIGIN = np.array([0.1, -0.2, 0.4])

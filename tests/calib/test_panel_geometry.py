@@ -24,8 +24,8 @@ from calib.panel.identify import (
     identify_spots,
 )
 from calib.panel.plane import fit_plane, on_plane
+from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.recording import FloatArray
 
 ANGLE = st.floats(0.0, 360.0)
 

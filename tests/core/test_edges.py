@@ -10,9 +10,10 @@ from scenes import ALONE, OVER_CONFIDENT, Scene, arm, assert_accurate, point, re
 from scipy.spatial.transform import Rotation
 
 from smoother import smooth
+from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.evaluation.validate import sample_errors
-from smoother.recording import FloatArray, JointState
+from smoother.recording import JointState
 from smoother.recovery.samples import LINEAR_RAD, widen_turns
 
 OPEN_S = 2.0

@@ -9,9 +9,9 @@ import pytest
 from made_results import recovery
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.joint_angles import arm_angles, elbow_flexion_sigma, wrapped_deg
 from smoother.linalg import unit
-from smoother.recording import FloatArray
 from smoother.result import Recovery
 
 COUNT, DRAWS = 60, 8_000

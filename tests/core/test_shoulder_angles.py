@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from smoother.calibration import ArmCalibration
 from smoother.joint_angles import wrapped_deg
 from smoother.result import Recovery
+from smoother.result.upper_motion import UpperMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, shoulder_angles
-from smoother.upper_motion import UpperMotion
 
 #: A level Kinect (x to its left, y up, z forward) before a person who looks along -z, their right at +x.
 DOWN = np.array([0.0, -1.0, 0.0])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scenes import Scene, arm, point, recovered
 
+from smoother.array_types import FloatArray
 from smoother.evaluation.validate import sample_errors
-from smoother.recording import FloatArray
 
 SEEDS = range(6)
 #: The seeds are fixed, so nothing scatters: what is left is room for changes of the method that are meant.

@@ -21,9 +21,10 @@ from scenes import (
 )
 
 from smoother import smooth
+from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.measurements.visibility import MISSING_FRAMES, MISSING_S
-from smoother.recording import FOREARM_JOINTS, JOINTS, BoolArray, FloatArray, JointState
+from smoother.recording import FOREARM_JOINTS, JOINTS, JointState
 
 
 def test_gaps_are_recovered(white_arm: Scene) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from smoother.array_types import FloatArray
 from smoother.evaluation import coverage
 from smoother.evaluation.coverage import LEVELS, StatedAndActual, _evenly, camera_residuals, stated_and_actual
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 
 
 def made(squared: FloatArray, sigma_m: FloatArray | None = None) -> StatedAndActual:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from smoother.array_types import FloatArray
 from smoother.evaluation.sigma_factor import (
     ENOUGH_GAPS,
     factor_sentences,
@@ -13,7 +14,6 @@ from smoother.evaluation.sigma_factor import (
     length_factors,
     needed_factors,
 )
-from smoother.recording import FloatArray
 
 
 def spread(rng: np.random.Generator, count: int) -> FloatArray:

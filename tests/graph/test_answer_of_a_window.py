@@ -22,6 +22,7 @@ from small_window import (
 import smoother.graph.build
 import smoother.graph.optimise
 import smoother.graph.solve
+from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals
 from smoother.graph.chain import build_arm
@@ -30,7 +31,7 @@ from smoother.graph.error_columns import constant_error_columns, evidence, node_
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_jacobian, shared_keys
 from smoother.graph.solve import TIGHTEN, solve
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS
 from smoother.window.problem import States, Window
 from smoother.window.solution import Solution

@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 from small_window import BIAS_LENGTH_S, GRAVITY_M_S2, LEVERS, UPPER_FIRST, UPPER_NODES, small_window
 
 import smoother.graph.build
+from smoother.array_types import FloatArray
 from smoother.graph.build import bias_of_intervals, stacked_measurements
 from smoother.graph.chain import FOREARM_TIE_M, TISSUE_S, _tissue, build_arm
 from smoother.graph.imu_factors import DENSITY_STEP, INTEGRATION_VARIANCE
 from smoother.graph.shared_prior import add_shared
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.window.problem import ImuIncrements, JointMeasurements, NoiseModel, Window
 
 ELBOW, SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")

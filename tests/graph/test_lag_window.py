@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from gtsam import Rot3
 
+from smoother.array_types import FloatArray
 from smoother.graph.lag_window import LagWindow
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.units import GRAVITY
 from smoother.window.lag_solution import LagSolution, NodeState
 from smoother.window.problem import ImuIncrements, NoiseModel, Priors

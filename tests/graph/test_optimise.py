@@ -11,9 +11,10 @@ from scenes import Job, arm, blind, jobs
 
 import smoother.graph.optimise
 from smoother import Recovery
+from smoother.array_types import FloatArray
 from smoother.graph.build import build
 from smoother.graph.optimise import LONG_S, explained, optimise
-from smoother.recording import FloatArray, Recording
+from smoother.recording import Recording
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import Window
 

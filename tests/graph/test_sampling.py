@@ -15,13 +15,13 @@ from small_window import UPPER_FIRST, UPPER_NODES, small_window
 import smoother.graph.build
 import smoother.graph.sampling
 import smoother.graph.solve
+from smoother.array_types import FloatArray
 from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.chain import build_arm
 from smoother.graph.error_columns import node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.sampling import sample_window
 from smoother.graph.solve import solve
-from smoother.recording import FloatArray
 from smoother.window.draw_plan import DrawPlan
 from smoother.window.drawn_window import WindowDraws
 from smoother.window.problem import Window

@@ -13,11 +13,11 @@ from slow_window import Answer, SlowWindow
 
 import smoother.graph.solve
 import smoother.window.nodes
+from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals
 from smoother.graph.imu_factors import DENSITY_STEP
 from smoother.graph.solve import solve
-from smoother.recording import FloatArray
 from smoother.simulation import SimulatedArm
 from smoother.window.problem import Window
 from smoother.window.solution import Solution

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smoother.recording import FloatArray, ImuStream
+from smoother.array_types import FloatArray
+from smoother.recording import ImuStream
 
 G = 9.81
 

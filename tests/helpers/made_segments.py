@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 from curve import G
 
+from smoother.array_types import FloatArray
 from smoother.measurements.attitude import InertialAttitude
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.segment import Segment
-from smoother.recording import JOINTS, FloatArray, ImuStream
+from smoother.recording import JOINTS, ImuStream
 from smoother.rotation import Rotation
 
 ELBOW, WRIST, HAND, STRAP = (JOINTS.index(joint) for joint in ("elbow", "wrist", "hand", "strap"))

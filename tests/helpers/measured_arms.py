@@ -7,8 +7,8 @@ from dataclasses import replace
 import made_results
 import numpy as np
 
+from smoother.array_types import FloatArray
 from smoother.measurements.visibility import Gap
-from smoother.recording import FloatArray
 from smoother.result import Draws, Estimates, Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 

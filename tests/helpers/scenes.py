@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import smoother.graph.solve
 from smoother import Config, Recovery, smooth
+from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
 from smoother.graph.solve import Settled
-from smoother.recording import BoolArray, FloatArray, Recording
+from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Window
 from smoother.window.solution import Solution

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from smoother.array_types import FloatArray
 from smoother.baselines.scene import Path, Scene
 from smoother.measurements.visibility import accepted_samples, find_gaps, visible_frames
-from smoother.recording import FOREARM_JOINTS, JOINTS, FloatArray
+from smoother.recording import FOREARM_JOINTS, JOINTS
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 NO_GAPS: tuple[float, ...] = ()

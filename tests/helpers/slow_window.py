@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 from smoother.window.problem import States, Window
 
 #: Position's own integration noise, m^2/s (the one number that the graph does not get from a window).

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 from smoother.window.constant_errors import SIZE, Considered
 from smoother.window.problem import (
     FieldMeasurements,

@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 
 from smoother import Config, Recovery, smooth
-from smoother.recording import BoolArray, FloatArray, Recording
+from smoother.array_types import BoolArray, FloatArray
+from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})

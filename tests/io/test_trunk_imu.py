@@ -25,7 +25,7 @@ from smoother.io.recording.choose import role
 from smoother.io.recording.streams import ImuSamples
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, ImuStream, Recording, TrunkSensors
-from smoother.trunk_motion import TrunkMotion
+from smoother.result.trunk_motion import TrunkMotion
 
 
 def with_trunk(side: str = "right") -> Recording:

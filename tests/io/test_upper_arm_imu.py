@@ -26,7 +26,7 @@ from smoother.io.recording.choose import choose
 from smoother.io.recording.streams import RecordingFile
 from smoother.recording import ImuStream, Recording
 from smoother.result import Recovery
-from smoother.upper_motion import UpperMotion
+from smoother.result.upper_motion import UpperMotion
 
 
 def with_upper(name: str = "/imu/upper_arm_right", side: str = "right") -> Recording:

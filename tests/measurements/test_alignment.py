@@ -8,6 +8,7 @@ from curve import Curve, G
 from scenes import point
 from scipy.spatial import transform
 
+from smoother.array_types import FloatArray
 from smoother.measurements.alignment import (
     FILTER_SIGMA_RAD,
     VectorPairs,
@@ -17,7 +18,7 @@ from smoother.measurements.alignment import (
 )
 from smoother.measurements.attitude import InertialAttitude, inertial_attitude
 from smoother.measurements.inertial import InertialSignal
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 from smoother.window.prepare import states_from_camera
 

@@ -9,6 +9,7 @@ from curve import Curve, angle_rad
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.measurements.inertial import (
     STEP_S,
     InertialSignal,
@@ -17,7 +18,7 @@ from smoother.measurements.inertial import (
     integrate,
     split_steps,
 )
-from smoother.recording import FloatArray, ImuStream
+from smoother.recording import ImuStream
 
 NO_BIAS = np.zeros(6)
 

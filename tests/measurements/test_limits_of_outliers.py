@@ -10,6 +10,7 @@ import pytest
 from made_segments import ELBOW, FOREARM_M, HAND, WRIST, forearm, still_imu, with_position
 from made_segments import STRAP as STRAP_COLUMN
 
+from smoother.array_types import FloatArray
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.joint_noise import JointNoise
@@ -22,7 +23,7 @@ from smoother.measurements.outliers import (
 )
 from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 
 X = np.array([1.0, 0.0, 0.0])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from made_segments import ELBOW, HAND, WRIST, forearm, still_imu, with_position
 from made_segments import STRAP as STRAP_COLUMN
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
 from smoother.measurements.joint_noise import JointNoise
@@ -21,7 +22,7 @@ from smoother.measurements.outliers import (
 )
 from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
-from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 
 TURNING = np.array([0.0, 0.0, 0.5])

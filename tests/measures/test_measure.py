@@ -16,8 +16,8 @@ from smoother.measures.definitions import MeasureDefinition, definition_of
 from smoother.measures.intervals import interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Recovery
+from smoother.result.upper_motion import UpperMotion
 from smoother.runtime.plain_values import plain
-from smoother.upper_motion import UpperMotion
 
 
 @pytest.fixture(scope="module")

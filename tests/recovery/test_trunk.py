@@ -12,10 +12,10 @@ from smoother.linalg import unit
 from smoother.recording import TrunkSensors
 from smoother.recovery.trunk import with_trunk
 from smoother.result import Recovery
+from smoother.result.upper_motion import UpperMotion
 from smoother.runtime.store import Store
 from smoother.shoulder_angles import trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
-from smoother.upper_motion import UpperMotion
 
 
 def simulated(preset: str = "realistic", seed: int = 21, **changes: object) -> SimulatedArm:

@@ -10,9 +10,10 @@ from scenes import ALONE, Scene, arm
 from scipy.stats import multivariate_normal
 
 from calib.motion.several_recordings import MotionCalibration, calibrate_motion
+from smoother.array_types import FloatArray
 from smoother.measurements.clock import OFFSET_SIGMA_S, Clock
 from smoother.measurements.timestamps import synthetic_stamps
-from smoother.recording import FloatArray, Recording
+from smoother.recording import Recording
 from smoother.selfcal.clock_fit import SYNTHETIC_SIGMA_S, _likeliest, _local_level
 from smoother.simulation import SimulatedArm
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import multivariate_normal
 from small_window import NODES, small_window
 
+from smoother.array_types import FloatArray
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock
-from smoother.recording import FloatArray
 from smoother.selfcal import clock_fit
 from smoother.selfcal.clock_fit import (
     ClockScore,

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from smoother import Config, Recovery, smooth
+from smoother.array_types import FloatArray
 from smoother.config import Windows
 from smoother.errors import SolveError
 from smoother.measurements.clock import Clock
-from smoother.recording import FloatArray, Recording
+from smoother.recording import Recording
 from smoother.selfcal.coarse_clock import coarse_clock, synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 

@@ -11,11 +11,12 @@ import pytest
 from scenes import ALONE, arm
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.timeline import Timeline
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.runtime.pool import Pool
 from smoother.selfcal.error_estimate import FEWEST_SAMPLES, JOINT_M, ConstantErrors, _told
 from smoother.selfcal.excerpts import informative_excerpts

@@ -10,11 +10,12 @@ from curve import G
 from scenes import arm
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.measurements.clock import LARGEST_OFFSET_S
 from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
-from smoother.recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording
+from smoother.recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from smoother.selfcal.mounting import (
     CHUNK_S,
     DIRECTION_SIGMA_RAD,

@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.measurements.inertial import STEP_S, InertialSignal
 from smoother.measurements.visibility import Gap
-from smoother.recording import JOINTS, FloatArray
+from smoother.recording import JOINTS
 from smoother.window.cut import (
     FREE_RAD,
     KEEP_S,

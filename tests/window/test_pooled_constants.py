@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 from smoother.window.pooling import (
     SLOW_WALK,
     _between_window_variance,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from smoother.recording import FloatArray
+from smoother.array_types import FloatArray
 from smoother.window.pooling import (
     SLOW_WALK,
     _between_window_variance,

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scenes import arm
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.measurements.clock import Clock, constant_clock
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.measurements.visibility import Gap, enough_joints
-from smoother.recording import JOINTS, BoolArray, FloatArray
+from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 from smoother.simulation import SimulatedArm
 from smoother.window.cut import PreparedSegment

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scenes import arm, last_pass, plain, recovered
 
 import smoother.window.nodes
+from smoother.array_types import FloatArray
 from smoother.graph.build import stacked_measurements
 from smoother.graph.solve import solve
 from smoother.measurements.inertial import InertialSignal
-from smoother.recording import FloatArray
 from smoother.window.nodes import FINE_S, GROUPED_S, group_frames
 from smoother.window.problem import JointMeasurements, States, Window
 from smoother.window.propagate import propagate

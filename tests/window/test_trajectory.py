@@ -10,8 +10,8 @@ from curve import Curve, G, angle_rad
 from scenes import arm, last_pass
 from scipy.spatial.transform import Rotation
 
+from smoother.array_types import FloatArray
 from smoother.measurements.inertial import InertialSignal, integrate
-from smoother.recording import FloatArray
 from smoother.window.problem import States, Window
 from smoother.window.solution import Solution
 from smoother.window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose, merge_windows

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from smoother.array_types import BoolArray, FloatArray
 from smoother.evaluation.validate import sample_errors
 from smoother.io import read_recovery
-from smoother.recording import BoolArray, FloatArray, Truth
+from smoother.recording import Truth
 from smoother.result import Recovery
 
 from .recordings import read_truth

@@ -38,9 +38,9 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from smoother.array_types import FloatArray
 from smoother.baselines.scene import Path, Scene
 from smoother.linalg import interpolate, rotate_covariance
-from smoother.recording import FloatArray
 
 from .plain_graphs import Frames, examples, examples_by_frame, frames_of, same_job
 

@@ -11,12 +11,13 @@ from gtsam import Pose3, Rot3, Unit3, noiseModel
 from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 from scipy.spatial.transform import Rotation, Slerp
 
+from smoother.array_types import FloatArray
 from smoother.baselines.scene import Scene
 from smoother.config import ArmPrior, CameraNoise, ImuNoise
 from smoother.linalg import interpolate
 from smoother.measurements.alignment import lever_of
 from smoother.measurements.inertial import InertialSignal
-from smoother.recording import FOREARM_JOINTS, JOINTS, FloatArray
+from smoother.recording import FOREARM_JOINTS, JOINTS
 from smoother.units import GRAVITY
 from smoother.window.prepare import states_from_camera
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from smoother import read_recording, smooth
-from smoother.recording import FloatArray, Recording
+from smoother.array_types import FloatArray
+from smoother.recording import Recording
 from smoother.result import Recovery
 
 HERE = Path(__file__).parents[2]

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from smoother import smooth
-from smoother.recording import FloatArray, Recording
+from smoother.array_types import FloatArray
+from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 

@@ -11,9 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 
+from ...array_types import FloatArray
 from ...measurements.attitude import InertialAttitude
 from ...measurements.inertial import InertialSignal
-from ...recording import FloatArray, ImuStream
+from ...recording import ImuStream
 from ...rotation import Rotation
 from .samples import EvenSamples, even_samples
 

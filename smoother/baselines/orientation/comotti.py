@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...linalg import unit
-from ...recording import FloatArray
 from ...units import GRAVITY
 from .samples import EvenSamples, start_attitude
 

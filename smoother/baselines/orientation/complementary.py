@@ -13,8 +13,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...linalg import unit
-from ...recording import FloatArray
 from .samples import EvenSamples, start_attitude
 
 #: Part of the gyroscope in a blend, at the rate it was published for, Hz (eq 3.16).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from .samples import EvenSamples, start_attitude
 
 #: The published gain for gyroscope and accelerometer, rad/s (report of 2010, section 6).

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...linalg import unit
 from ...measurements.inertial import InertialSignal
-from ...recording import FloatArray, ImuStream
+from ...recording import ImuStream
 
 #: The start's tilt is averaged over so much time, s.
 START_S = 4.0

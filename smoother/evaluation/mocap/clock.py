@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...linalg import masked_correlation, nearest_rotation, robust_sigma
-from ...recording import FloatArray
 from ...result import Recovery
 from ..align import orientation_at, position_at
 from .motion import MocapMotion

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...linalg import runs
-from ...recording import FloatArray
 from ..align import STAMP_S
 
 #: What is hidden for longer stays unknown, s.

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray, IntArray
 from ...errors import CalibrationError, RecordingError
 from ...linalg import nearest_rotation
-from ...recording import CameraFrame, FloatArray, IntArray
+from ...recording import CameraFrame
 from ...result import Recovery
 from ..align import orientation_at, position_at
 from .clock import MocapClock, summed_covariance

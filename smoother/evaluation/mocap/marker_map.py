@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 
 #: Joints that a map may name.

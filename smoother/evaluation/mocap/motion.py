@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...io.markers.trajectories import Markers
-from ...recording import FloatArray, Truth
+from ...recording import Truth
 from ..align import BRIDGED_S
 from .fill import LONGEST_S, fill_on_plate
 from .marker_map import MarkerMap, find_markers

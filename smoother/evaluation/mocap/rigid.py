@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...linalg import nearest_rotation
-from ...recording import BoolArray, FloatArray, IntArray
 
 #: A marker this far off its place on the body is mistaken (swapped, or a ghost), m.
 MISTAKEN_M = 0.005

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from .assumed_units import acceleration_unit, time_unit, turning_unit, unit_by_size
 from .imu_checks import holds_gravity, with_settled_unit
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said

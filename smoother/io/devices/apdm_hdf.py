@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.native import ends_the_process
 from .head import shown
 from .imu_checks import size_notes

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...recording import CameraFrame, FloatArray
+from ...array_types import FloatArray
+from ...recording import CameraFrame
 from .joint_names import JointName
 
 #: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...units import GRAVITY
 from .physical_units import TIME
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...units import STANDARD_GRAVITY
 from .head import amount
 from .protocol import FileHead, ImuTable

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FloatArray, IntArray, JointState
+from ...array_types import FloatArray, IntArray
+from ...recording import JointState
 from .protocol import SkeletonTable
 
 #: Body numbers above this do not fit a recording: they are counted from 0 instead.

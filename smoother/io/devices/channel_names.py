@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from .imu_checks import turn_scale
 from .joint_names import words_of
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit

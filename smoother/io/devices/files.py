@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray, median_rate_hz
+from ...linalg import median_rate_hz
 from ..recording.stream_names import named_side, role
 from ..recording.streams import ImuSamples, RecordingFile
 from .file_reader import FileReader

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from ...units import STANDARD_GRAVITY
 from .guess import Guess, is_numeric, named
 from .guess_units import RATES_HZ, accelerometer_unit, gyroscope_unit, time_unit

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from ...units import STANDARD_GRAVITY
 from .protocol import ImuTable
 

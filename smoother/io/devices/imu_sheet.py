@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
-from ...recording import FloatArray, IntArray
 from .head import shown
 from .imu_checks import size_notes
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit

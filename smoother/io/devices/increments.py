@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 
 
 def acceleration_of(velocity_increment: FloatArray, rate_hz: float) -> FloatArray:

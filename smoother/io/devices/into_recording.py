@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import JOINTS, FloatArray, JointState
+from ...recording import JOINTS, JointState
 from ..mcap.stamps import nanoseconds
 from ..recording.clean import clean_arm, clean_imu
 from ..recording.joint_rows import JointRows

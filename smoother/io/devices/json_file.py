@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 from .head import decode
 

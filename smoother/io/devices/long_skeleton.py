@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import CameraFrame, FloatArray
+from ...recording import CameraFrame
 from .joint_columns import column_named, plain_words, time_unit_of
 from .joint_names import AZURE, BLAZEPOSE, KINECT_V2, joint_name
 from .mediapipe import landmarks_in_metres

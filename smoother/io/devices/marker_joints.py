@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import CameraFrame, FloatArray, JointState
+from ...recording import CameraFrame, JointState
 from ..markers.trajectories import Markers
 from .arm_lengths import axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
 from .head import shown

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import CameraFrame, FloatArray
+from ...recording import CameraFrame
 from .arm_lengths import unit_by_arm
 from .joint_columns import find_joint_columns
 from .joint_names import words_of

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray
 from ...errors import RecordingError
-from ...linalg import interpolate
+from ...linalg import interpolate, median_rate_hz
 from ...measurements.timestamps import PAUSE_S, PAUSE_SAMPLES
-from ...recording import BoolArray, FloatArray, median_rate_hz
 from .head import amount
 from .imu_checks import turn_notes, with_settled_unit
 from .protocol import ImuTable

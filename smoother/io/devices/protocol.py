@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import CameraFrame, FloatArray
+from ...array_types import FloatArray
+from ...recording import CameraFrame
 
 
 @dataclass

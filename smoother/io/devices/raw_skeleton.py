@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import CameraFrame, FloatArray
+from ...recording import CameraFrame
 from ..markers.trajectories import METRES, without_origin
 from .arm_lengths import LARGEST, axis_words, down_of, frame_of, half_arm, unit_by_arm, up_axis
 from .body_rows import SCALE_NAMES, BodyRows, time_unit, tracked_where_finite, without_position

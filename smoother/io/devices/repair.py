@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
-from ...recording import BoolArray, FloatArray, IntArray
 from ..recording.clean import increasing
 from .head import amount
 from .protocol import ImuTable, SkeletonTable

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, seconds, specific_force, units_said
 from .protocol import ImuTable
 from .sheet import Sheet

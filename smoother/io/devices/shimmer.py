@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from .imu_sheet import (
     Columns,
     ImuSheetFormat,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 
 #: Streams that share less than this, s, or less than this part of the shorter one, share no clock.
 SHARED_S, SHARED_PART = 1.0, 0.05

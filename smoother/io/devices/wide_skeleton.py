@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FloatArray, JointState
+from ...array_types import FloatArray
+from ...recording import JointState
 from .joint_columns import JointColumns, find_joint_columns
 from .protocol import FileHead
 from .raw_skeleton import RawSkeleton

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...linalg import unit
-from ...recording import FloatArray
 from ...result import Recovery
 
 #: As many samples say as much as all.

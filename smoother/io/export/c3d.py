@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import FloatArray
 from ...runtime.atomic import writing
 from ...runtime.leftovers import locked
 from .trc import blank

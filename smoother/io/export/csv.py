@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...joint_angles import elbow_flexion_sigma, recovery_angles
-from ...recording import FloatArray
 from ...result import Recovery
+from ...result.trunk_motion import TrunkMotion
+from ...result.upper_motion import UpperMotion
 from ...runtime.atomic import writing
 from ...shoulder_angles import shoulder_angles, trunk_angles
-from ...trunk_motion import TrunkMotion
-from ...upper_motion import UpperMotion
 from ..mcap.stamps import nanoseconds
 from ..result.usable import usable
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
-from ...recording import BoolArray, FloatArray
 from ...result import Recovery
 
 #: Stamps this near to a constant step count as constant, s.

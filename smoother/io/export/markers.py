@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
-from ...recording import JOINTS, BoolArray, FloatArray, JointState
+from ...recording import JOINTS, JointState
 from ...result import Recovery
 from ..result.usable import usable
 from .c3d import C3dContent

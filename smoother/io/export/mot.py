@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import defined, recovery_angles, wrapped_deg
-from ...recording import BoolArray, FloatArray
 from ...result import Recovery
 from ...runtime.atomic import writing
 from .grid import Grid, at_grid, constant_step, nearest, unbroken

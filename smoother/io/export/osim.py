@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from ...runtime.atomic import writing
 from .arm_measures import ArmMeasures
 

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import FloatArray, Truth
+from ...recording import Truth
 from ...result import Recovery
 
 #: The formats, and for which of them axes and rate may be chosen.

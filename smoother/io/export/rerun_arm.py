@@ -7,17 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...joint_angles import elbow_flexion_sigma, recovery_angles
-from ...recording import (
-    JOINTS,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    JointState,
-    JointTracks,
-    Truth,
-    median_rate_hz,
-)
+from ...linalg import median_rate_hz
+from ...recording import JOINTS, JointState, JointTracks, Truth
 from ...result import Recovery
 from ...result.frame_residuals import BATCH_ROWS
 from ..result.drawing import CAMERA, CHAIN, GUESSED, RECOVERED, VISIBLE, Color

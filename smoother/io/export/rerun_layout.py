@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from .rerun_arm import TIMELINE, RerunArm, middle_and_radius
 
 #: How far back the trail reaches, s.

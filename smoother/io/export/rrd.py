@@ -9,8 +9,9 @@ from types import ModuleType
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import FloatArray, Truth
+from ...recording import Truth
 from ...result import Recovery
 from ...runtime.atomic import writing
 from ...runtime.extra import extra_module

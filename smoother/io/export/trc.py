@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 from ...runtime.atomic import writing
 
 #: Millimetres in the file, with so many decimals: a nanometre.

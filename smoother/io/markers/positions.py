@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 from ..plain.table import read_table
 from .files import MARKER_FORMATS, read_markers

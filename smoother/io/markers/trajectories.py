@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ..devices.head import shown
 
 #: Metres in a unit, by the names that files use.

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 from ..devices.head import shown
 from .trajectories import Markers, metres_in, told_apart, without_origin

@@ -10,7 +10,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from ..wire.protobuf_encode import HEAD_BYTES
 from .messages import ChunkMessages
 from .records import HEAD, MESSAGE

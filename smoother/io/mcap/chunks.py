@@ -30,7 +30,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from .records import CHUNK, HEAD, INDEX, MAGIC
 
 _CHUNK_BYTES = 1 << 20

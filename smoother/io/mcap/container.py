@@ -17,8 +17,8 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from ...array_types import IntArray
 from ...errors import RecordingError
-from ...recording import IntArray
 from ...runtime.inputs import check_input
 from .chunk_source import ChunkSource
 from .definitions import Definitions

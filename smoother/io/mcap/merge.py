@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from ..wire.schemas import schema_data
 from .batch import Batch
 from .batch import Encoded as Encoded

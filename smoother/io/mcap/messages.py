@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from .losses import plain_name
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from ..wire.layout import cut_out
 
 #: An MCAP file begins and ends with these bytes.

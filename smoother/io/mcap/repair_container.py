@@ -13,8 +13,8 @@ from typing import IO, Any
 
 import numpy as np
 
+from ...array_types import IntArray
 from ...errors import RecordingError
-from ...recording import IntArray
 from ...runtime.atomic import writing
 from ...runtime.printable import printable
 from .container import Container

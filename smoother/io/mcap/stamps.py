@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from ...runtime.column import batches
 from ...runtime.store import Store
 from ..wire.layout import Block, MessageLayout

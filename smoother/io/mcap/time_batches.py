@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...recording import FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from .merge import END, SLICE
 from .stamps import nanoseconds
 

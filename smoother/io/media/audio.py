@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 from ..mcap.container import Container
 from ..mcap.messages import McapMessage, Topic

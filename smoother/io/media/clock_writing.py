@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.clock.links import Receptions
 
-from ...recording import FloatArray, Recording
+from ...array_types import FloatArray
+from ...recording import Recording
 from ..plain.clock_times import COLUMNS
 from ..recording.write import write_recording
 from .panel_writing import writing_folder

@@ -11,8 +11,8 @@ import numpy as np
 from calib.intrinsics import Intrinsics
 from calib.panel.images import View, view
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..mcap.stamps import SECOND_NS, ros_stamps

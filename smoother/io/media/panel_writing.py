@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from calib.file import to_toml
 from calib.intrinsics import Intrinsics
 
+from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...recording import FloatArray, ImuStream
+from ...recording import ImuStream
 from ...runtime.atomic import check_output, umask, writing
 from ...runtime.leftovers import locked_folder, sweep, temporary_name
 from ..mcap.merge import Outgoing, Output

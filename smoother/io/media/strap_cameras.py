@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics, PlacedCamera
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ..mcap.container import Container
 from ..mcap.messages import Topic
 from ..wire.schemas import parsed

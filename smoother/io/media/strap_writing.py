@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from calib.intrinsics import PlacedCamera
 
-from ...recording import FloatArray, IntArray, Recording
+from ...array_types import FloatArray, IntArray
+from ...recording import Recording
 from ...runtime.atomic import writing
 from ..mcap.merge import Outgoing, Output
 from ..mcap.stamps import nanoseconds

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks, Recording, Truth
+from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
 from ...runtime.inputs import check_input
 from ...runtime.native import ends_the_process
 from ...units import STANDARD_GRAVITY

@@ -10,9 +10,10 @@ from typing import Annotated, Unpack
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import FloatArray, IntArray, JointState, Recording
+from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside
 from ..devices.head import shown
 from ..devices.into_recording import add_imu, add_skeleton, times_of

@@ -6,8 +6,9 @@ import os
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray, ImuStream
+from ...recording import ImuStream
 from .table import read_table, vectors
 
 _MAGNETOMETER = ("mx", "my", "mz")

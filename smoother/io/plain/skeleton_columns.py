@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray, JointState
+from ...recording import JointState
 from ..devices.body_rows import BodyRows
 from ..devices.head import shown
 from ..devices.joint_names import joint_name

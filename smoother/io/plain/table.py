@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...recording import FloatArray
 from ...runtime.inputs import check_input
 from ..devices.head import shown
 from ..devices.sheet_rows import ROWS_BEFORE, is_cut_number

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from ...runtime.column import batches
 from ...runtime.store import Store
 from .streams import ArmFrames, ImuSamples, RecordingFile

@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...linalg import runs
-from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ...recording import JOINTS, JointState
 from ...runtime.column import batches
 from ...runtime.store import Store
 from .streams import ArmFrames

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from ...runtime.column import Column, batches, sampled
 from ...runtime.store import Store
 from ..mcap.messages import Topic, TopicMessages

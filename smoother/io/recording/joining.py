@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import JOINTS, FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
+from ...recording import JOINTS
 from ...runtime.column import batches
 from ...runtime.store import Store
 from .streams import FieldSamples, ImuSamples, RecordingFile

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, CameraFrame, FloatArray, IntArray, JointState
+from ...array_types import FloatArray, IntArray
+from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.column import Column, batches
 from ...runtime.store import Store
 from .streams import ArmFrames

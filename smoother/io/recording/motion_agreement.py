@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import JOINTS, FloatArray, ImuStream, IntArray, JointState, JointTracks
+from ...array_types import FloatArray, IntArray
+from ...recording import JOINTS, ImuStream, JointState, JointTracks
 from ...runtime.column import batches
 from ...selfcal.coarse_clock import shifted_agreement
 from .streams import ArmFrames, ImuSamples

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording import BoolArray, IntArray
+from ...array_types import BoolArray, IntArray
 from ...runtime.store import Store
 from .clean import kept
 from .streams import ArmFrames, FieldSamples, ImuSamples, PoseSamples, RecordingFile

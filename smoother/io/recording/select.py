@@ -8,8 +8,9 @@ from typing import Unpack
 
 import numpy as np
 
+from ...array_types import IntArray
 from ...errors import RecordingError
-from ...recording import ImuStream, IntArray, JointTracks, Recording, Truth, arm_words
+from ...recording import ImuStream, JointTracks, Recording, Truth, arm_words
 from ...runtime.store import Store
 from ..mcap.stamps import SECOND_NS, seconds
 from .choose import choose

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, CameraFrame, IntArray, JointState
+from ...array_types import IntArray
+from ...recording import JOINTS, CameraFrame, JointState
 from ...runtime.column import Column
 from ...runtime.store import Store
 from ..mcap.messages import Topic, TopicMessages

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.visibility import enough_joints
-from ...recording import BoolArray, CameraFrame, FloatArray, IntArray, JointState
+from ...recording import CameraFrame, JointState
 
 
 @dataclass

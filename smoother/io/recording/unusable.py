@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...linalg import runs
-from ...recording import BoolArray, FloatArray, IntArray
 from ...runtime.column import batches
 from ...units import STANDARD_GRAVITY
 

@@ -9,17 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray, IntArray
 from ...linalg import runs
-from ...recording import (
-    JOINTS,
-    CameraFrame,
-    FloatArray,
-    ImuStream,
-    IntArray,
-    JointState,
-    JointTracks,
-    Recording,
-)
+from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, BoolArray, FloatArray, IntArray
+from ...array_types import BoolArray, FloatArray, IntArray
+from ...recording import JOINTS
 from ..wire import protobuf_encode as wire
 from .drawing import CHAIN, RECOVERED, VISIBLE
 

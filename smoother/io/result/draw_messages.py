@@ -8,7 +8,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from ...recording import FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from ...result import Draws
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
+from ...recording import JOINTS
 from ..wire import protobuf_encode as wire
 
 Color = tuple[float, float, float, float]

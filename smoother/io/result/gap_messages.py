@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ...array_types import IntArray
 from ...measurements.visibility import Gap
-from ...recording import IntArray
 from ..wire.schemas import message_class
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from ...result import Recovery
 from ...rotation import Rotation
 from ..wire import protobuf_encode as wire

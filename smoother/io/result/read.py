@@ -10,13 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.rejection import Reason
-from ...recording import JOINTS, FloatArray, IntArray, JointTracks
+from ...recording import JOINTS, JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
+from ...result.trunk_motion import TrunkMotion
+from ...result.upper_motion import UpperMotion
 from ...rotation import Rotation
-from ...trunk_motion import TrunkMotion
-from ...upper_motion import UpperMotion
 from ..mcap.container import Container
 from ..mcap.losses import plain_name
 from ..mcap.messages import Topic

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, IntArray
+from ...array_types import IntArray
+from ...recording import JOINTS
 from ...result import FrameResiduals
 from ..wire import protobuf_encode as wire
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, BoolArray, FloatArray, IntArray, JointState
+from ...array_types import BoolArray, FloatArray, IntArray
+from ...recording import JOINTS, JointState
 from ...result import FrameResiduals, Recovery
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import JOINTS, IntArray, JointTracks
+from ...array_types import IntArray
+from ...recording import JOINTS, JointTracks
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import seconds
 from ..recording.decode import proto_grouper

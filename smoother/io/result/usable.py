@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...recording import BoolArray
+from ...array_types import BoolArray
 from ...result import Recovery
 
 

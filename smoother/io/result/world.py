@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ...array_types import FloatArray
 from ...joint_angles import torso_axes
-from ...recording import FloatArray
 from ...result import Recovery
 from ...rotation import Rotation
 from ..wire import protobuf_encode as wire

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 
 Block = NDArray[np.uint8]
 #: What a walk over a message that is cut off or not of its schema may raise.

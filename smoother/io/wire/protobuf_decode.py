@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording import IntArray
+from ...array_types import IntArray
 from .layout import Block, MessageLayout
 
 #: Times in nanoseconds end in the year 2262.

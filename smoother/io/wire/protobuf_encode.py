@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import IntArray
+from ...array_types import IntArray
 
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 #: Widths of padded varints: any 64-bit number, any 32-bit number, a flag or small enum.

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...recording import FloatArray, ImuStream
+from ...array_types import FloatArray
+from ...recording import ImuStream
 from ...units import GRAVITY
 from ..config import SensorErrors
 from ..inertial import ideal_imu, measure

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording import FloatArray
+from ...array_types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...array_types import FloatArray
 from ...linalg import unit
-from ...recording import FloatArray
 from .config import PanelSimulation
 from .lens import RenderLens
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...recording import BoolArray, FloatArray
+from ...array_types import BoolArray, FloatArray
 from .lens import RenderLens
 from .scene import Hits, PanelScene
 

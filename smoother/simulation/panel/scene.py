@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array_types import BoolArray, FloatArray
 from ...linalg import unit
-from ...recording import BoolArray, FloatArray
 from ...runtime.open3d_loader import load_open3d
 from .config import PanelSimulation
 from .placing import FLOOR_M, panel_corners

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...recording import FloatArray, ImuStream
+from ...array_types import FloatArray
+from ...recording import ImuStream
 from .config import PanelSimulation
 from .inertial import Held, imu_stream
 from .lens import RenderLens

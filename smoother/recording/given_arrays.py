@@ -7,8 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import RecordingError
-from .recording import JOINTS, CameraFrame, FloatArray, ImuStream, JointState, JointTracks
+from ..array_types import FloatArray
+from ..errors import RecordingError
+from .camera_frame import CameraFrame
+from .imu_stream import ImuStream
+from .joint_tracks import JOINTS, JointState, JointTracks
 
 
 def times_of(values: FloatArray, what: str, name: str) -> FloatArray:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .linalg import rotation_sigma_deg
-from .recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..linalg import rotation_sigma_deg
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from .linalg import rotation_sigma_deg
-from .recording import FloatArray, IntArray
+from ..array_types import FloatArray, IntArray
+from ..linalg import rotation_sigma_deg
 
 
 @dataclass(frozen=True)

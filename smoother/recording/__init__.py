@@ -1,0 +1,27 @@
+"""What a recording holds: one arm seen by a depth camera, and the IMU on its forearm.
+
+All values are SI. Times are float seconds after `Recording.origin_ns`; the camera's stamps and the
+IMU's stamps keep their own clocks (t_imu = t_camera + offset). Frames: `{K}` is the camera,
+`{A}` the forearm IMU; `R_K_A` maps a vector from A to K.
+"""
+
+from __future__ import annotations
+
+from .camera_frame import CameraFrame
+from .imu_stream import ImuStream
+from .joint_tracks import FOREARM_JOINTS, JOINTS, JointState, JointTracks
+from .recording import Recording, TrunkSensors, arm_words
+from .truth import Truth
+
+__all__ = [
+    "FOREARM_JOINTS",
+    "JOINTS",
+    "CameraFrame",
+    "ImuStream",
+    "JointState",
+    "JointTracks",
+    "Recording",
+    "TrunkSensors",
+    "Truth",
+    "arm_words",
+]

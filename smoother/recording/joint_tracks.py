@@ -1,0 +1,89 @@
+"""The joints of an arm as a depth camera saw them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import BoolArray, FloatArray
+from ..linalg import median_rate_hz
+
+#: Joints of one arm, in the order of every joint axis. `strap` is the IMU's own position.
+JOINTS = ("shoulder", "elbow", "wrist", "hand", "strap")
+#: The joints that ride on the forearm's rigid body.
+FOREARM_JOINTS = ("elbow", "wrist", "hand", "strap")
+
+
+class JointState(IntEnum):
+    """What the camera says of a joint in a frame (Kinect SDK's three tracking states)."""
+
+    NOT_TRACKED = 0
+    INFERRED = 1
+    TRACKED = 2
+
+
+@dataclass(frozen=True)
+class JointTracks:
+    """The joints of one arm as the camera saw them, on the camera's clock.
+
+    Attributes
+    ----------
+    name : str
+        Where it came from (a topic, a file).
+    t_s : ndarray, shape (F,), s
+        Frame times after the recording's origin.
+    position : ndarray, shape (F, 5, 3), m
+        In {K}, joints in the order of `JOINTS`; nan where there is none.
+    state : ndarray of int8, shape (F, 5)
+        `JointState` values.
+    """
+
+    name: str
+    t_s: FloatArray
+    position: FloatArray
+    state: NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Median frame rate, Hz (nan for fewer than two frames)."""
+        return median_rate_hz(self.t_s)
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        """Joints that were tracked at least once."""
+        tracked = (self.state == JointState.TRACKED).any(axis=0)
+        return tuple(joint for joint, is_tracked in zip(JOINTS, tracked, strict=True) if is_tracked)
+
+    def joint(self, name: str) -> FloatArray:
+        """Positions (F, 3) of a joint, m in {K}, whatever its state."""
+        return self.position[:, JOINTS.index(name)]
+
+    def tracked(self, name: str) -> BoolArray:
+        """(F,) True where the joint is tracked and its position finite."""
+        index = JOINTS.index(name)
+        finite = np.isfinite(self.position[:, index]).all(axis=1)
+        return (self.state[:, index] == JointState.TRACKED) & finite
+
+    @property
+    def forearm_tracked(self) -> BoolArray:
+        """(F,) frames in which a joint of the forearm is tracked."""
+        columns = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+        return np.asarray((self.state[:, columns] == JointState.TRACKED).any(axis=1))
+
+    def select(self, rows: BoolArray | slice) -> JointTracks:
+        """The same tracks with some of the frames only."""
+        return JointTracks(self.name, self.t_s[rows], self.position[rows], self.state[rows])
+
+    def hide(self, hidden: BoolArray, joints: tuple[str, ...] = FOREARM_JOINTS) -> JointTracks:
+        """A copy in which the joints are not tracked, and have no position, in the hidden frames (F,)."""
+        position, state = self.position.copy(), self.state.copy()
+        for index in (JOINTS.index(joint) for joint in joints):
+            position[hidden, index] = np.nan
+            state[hidden, index] = JointState.NOT_TRACKED
+        return JointTracks(self.name, self.t_s, position, state)

@@ -1,0 +1,205 @@
+"""One arm seen by a depth camera, the IMU on its forearm, and what else was recorded with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import FloatArray
+from ..errors import RecordingError
+from ..linalg import runs
+from ..sketch import Line, about_median, card_html, even_rows, lines_svg, lines_text
+from .camera_frame import CameraFrame
+from .given_arrays import camera_frame_of, check_imu, direction_of, imu_of, joints_of, times_of
+from .imu_stream import ImuStream
+from .joint_tracks import JointTracks
+from .truth import Truth
+
+
+def arm_words(side: str, body: int | None) -> str:
+    """Which arm, in words: "right arm of body 2"; without a side "arm"."""
+    return f"{side + ' ' if side else ''}arm{'' if body is None else f' of body {body}'}"
+
+
+@dataclass(frozen=True)
+class TrunkSensors:
+    """An IMU on the trunk, and what the camera sees of the trunk besides the arm's own shoulder.
+
+    Attributes
+    ----------
+    imu : ImuStream
+        On the breastbone or the back, on a clock of its own, in its own axes {D}.
+    other_arm : JointTracks, optional
+        The other arm, whose shoulder counts; None where the skeleton has none.
+    """
+
+    imu: ImuStream
+    other_arm: JointTracks | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class Recording:
+    """One arm, the IMU on its forearm, and what else was recorded with them.
+
+    Attributes
+    ----------
+    imu : ImuStream
+        The forearm IMU.
+    arm : JointTracks
+        The camera's joints of that arm.
+    side : str
+        "left", "right", or "" where the recording does not say (`strap` alone).
+    camera_frame : CameraFrame, optional
+        The convention of the camera's axes.
+    gravity_hint : ndarray, shape (3,), optional
+        Direction of down in {K}, good to some degrees.
+    base_imu : ImuStream, optional
+        An IMU fixed to the camera.
+    truth : Truth, optional
+        Reference motion, used by validation only.
+    origin_ns : int, ns
+        What the times count from (0 or a Unix time).
+    name : str
+        What to call the recording in messages (its file's name).
+    notes : tuple of str
+        What was dropped or decided on reading, one sentence each.
+    gravity_sigma_rad : float, rad, optional
+        How well `gravity_hint` is known, an axis; to some degrees where None.
+    upper_imu : ImuStream, optional
+        An IMU on the same arm's upper arm, on a clock of its own, in its own axes {B}.
+    body : int, optional
+        The camera's number of the person, where several are told apart.
+    trunk : TrunkSensors, optional
+        An IMU on the same person's trunk.
+    undone : tuple of str
+        Mistakes of the set-up that were undone in it, as options: "--mirror x".
+    """
+
+    imu: ImuStream
+    arm: JointTracks
+    side: str = ""
+    camera_frame: CameraFrame | None = None
+    gravity_hint: FloatArray | None = None
+    base_imu: ImuStream | None = None
+    truth: Truth | None = None
+    origin_ns: int = 0
+    name: str = "recording"
+    notes: tuple[str, ...] = ()
+    gravity_sigma_rad: float | None = None
+    upper_imu: ImuStream | None = None
+    body: int | None = None
+    trunk: TrunkSensors | None = None
+    undone: tuple[str, ...] = ()
+
+    @property
+    def arm_label(self) -> str:
+        """Which arm, in words: "right arm of body 2"; without a side "arm"."""
+        return arm_words(self.side, self.body)
+
+    def __repr__(self) -> str:
+        return lines_text(self._lines())
+
+    def _repr_html_(self) -> str:
+        """What was recorded, and a small picture of what the camera saw, as notebooks show it."""
+        arm = self.arm
+        joint = next((name for name in ("wrist", "hand", "strap", "elbow") if name in arm.present), None)
+        if joint is None:
+            return card_html(self._lines())
+        some = arm.select(even_rows(len(arm)))
+        position = np.where(some.tracked(joint)[:, None], some.joint(joint), np.nan)
+        lines = [Line(axis, about_median(position[:, k])) for k, axis in enumerate("xyz")]
+        hidden = [(arm.t_s[run.start], arm.t_s[run.stop - 1]) for run in runs(~arm.forearm_tracked)]
+        caption = f"{joint} as tracked, m from its median, the camera's axes; forearm not tracked: shaded"
+        return card_html(self._lines(), lines_svg(some.t_s, lines, hidden, caption))
+
+    def _lines(self) -> list[str]:
+        """Whose arm, how long, the streams, the joints, what else there is."""
+        imu, arm = self.imu, self.arm
+        length_s = float(imu.t_s[-1] - imu.t_s[0]) if len(imu) else 0.0
+        side = f", {self.side} arm" if self.side else ""
+        share = 100 * arm.forearm_tracked.mean() if len(arm) else 0.0
+        more = {
+            "a magnetometer": imu.mag is not None,
+            "an IMU on the upper arm": self.upper_imu is not None,
+            "one on the trunk": self.trunk is not None,
+            "an IMU on the camera": self.base_imu is not None,
+            "truth": self.truth is not None,
+        }
+        lines = [
+            f"Recording {self.name}{side}: {length_s:.1f} s",
+            f"IMU {imu.name}: {len(imu)} samples at {imu.rate_hz:.1f} Hz",
+            f"camera {arm.name}: {len(arm)} frames at {arm.rate_hz:.1f} Hz, forearm tracked in {share:.0f} %",
+            f"joints {', '.join(arm.present) or 'none'}",
+        ]
+        if any(more.values()):
+            lines.append(f"with {', '.join(name for name, is_there in more.items() if is_there)}")
+        return lines
+
+    @classmethod
+    def from_arrays(
+        cls,
+        imu_t_s: FloatArray,
+        acc: FloatArray,
+        gyro: FloatArray,
+        frame_t_s: FloatArray,
+        joints: Mapping[str, FloatArray],
+        *,
+        states: Mapping[str, NDArray] | None = None,
+        mag: FloatArray | None = None,
+        side: str = "",
+        camera_frame: CameraFrame | str | None = None,
+        gravity_hint: FloatArray | None = None,
+        truth: Truth | None = None,
+        name: str = "recording",
+        upper_imu: ImuStream | None = None,
+    ) -> Recording:
+        """Build a recording from arrays, in SI units.
+
+        Parameters
+        ----------
+        imu_t_s : array_like, shape (N,), s
+            The IMU's stamps, increasing, on its own clock: centres of the intervals that samples average.
+        acc : array_like, shape (N, 3), m/s^2
+            Specific force in the sensor's axes (at rest about +9.81 upwards).
+        gyro : array_like, shape (N, 3), rad/s
+            Angular velocity in the sensor's axes.
+        frame_t_s : array_like, shape (F,), s
+            The camera's stamps, increasing, on its own clock.
+        joints : mapping of str to array_like, shape (F, 3), m
+            Positions in the camera's frame by name (shoulder, elbow, wrist, hand, strap); nan where the
+            camera has none.
+        states : mapping of str to array_like of int, shape (F,), optional
+            `JointState` values by joint; without them a joint is tracked where its position is finite.
+        mag : array_like, shape (N, 3), optional
+            Magnetic field.
+        side : str
+            "left", "right" or "".
+        camera_frame : CameraFrame or str, optional
+            "kinect", "optical" or "zup".
+        gravity_hint : array_like, shape (3,), optional
+            Direction of down in the camera's frame.
+        truth : Truth, optional
+            Reference motion, for validation.
+        name : str
+            For messages.
+        upper_imu : ImuStream, optional
+            The samples of an IMU on the upper arm.
+
+        Raises
+        ------
+        RecordingError
+            A shape does not fit, a joint has another name, times do not increase, or samples are not finite.
+        """
+        t, frame_t = times_of(imu_t_s, "imu_t_s", name), times_of(frame_t_s, "frame_t_s", name)
+        if side not in ("", "left", "right"):
+            raise RecordingError(f"{name}: the side is left or right, not {side}")
+        frame = camera_frame_of(camera_frame, name)
+        imu = imu_of(t, acc, gyro, mag, name)
+        arm = joints_of(frame_t, joints, states or {}, name)
+        hint = None if gravity_hint is None else direction_of(gravity_hint, name)
+        if upper_imu is not None:
+            check_imu(upper_imu, "the upper arm's ", name)
+        return cls(imu, arm, side, frame, hint, truth=truth, name=name, upper_imu=upper_imu)
