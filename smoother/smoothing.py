@@ -24,6 +24,7 @@ from .recovery.task import Task
 from .recovery.trunk import with_trunk
 from .recovery.trust import judged
 from .result import Recovery
+from .runtime.blas_threads import one_blas_thread
 from .runtime.pool import Pool
 from .runtime.store import Store
 from .selfcal.coarse_clock import synchronise_coarsely
@@ -38,6 +39,7 @@ Progress = Callable[[float, str], None]
 Answer = TypeVar("Answer")
 
 
+@one_blas_thread()
 def smooth(
     recording: Recording,
     calibration: ArmCalibration | None = None,
@@ -53,8 +55,8 @@ def smooth(
 
     The recording is worked on in sections of about a minute, side by side in processes: each is solved once
     alone for what all sections share (of long recordings a part of it), then again with what the others know
-    of that. The answer does not
-    depend on the number of processes.
+    of that. The answer depends neither on the
+    number of processes nor on the threads that NumPy may use.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -32,8 +33,8 @@ QUICK = (
     "-c",
     "import smoother.runtime.pool as pool; pool.WORTH_FRAMES = 10; from smoother.cli import main; main()",
 )
-#: A command may take so long, s.
-LONGEST_S = 1200
+#: A command may take so long, s; one that waits for something that never comes takes longer.
+LONGEST_S = 600
 #: Mounts what it is told, runs the command, lists OUT and copies what is there for all to see.
 SHELL = 'eval "$MOUNTS"; "$@"; code=$?; ls -AR "$OUT" > "$LISTING"; cp -r "$OUT" "$COPY"; exit $code'
 
@@ -84,13 +85,13 @@ def run_words(
     out.mkdir(exist_ok=True)
     listing, copy = folder / "listing", folder / "copy"
     space = ["unshare", "-rm"] if mounts else []
-    ended = subprocess.run(
+    program = subprocess.Popen(
         [*space, "sh", "-c", SHELL, "sh", *command, *words],
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        timeout=LONGEST_S,
-        check=False,
+        start_new_session=True,
         env={
             **os.environ,
             "OMP_NUM_THREADS": "1",
@@ -101,8 +102,20 @@ def run_words(
             **(environment or {}),
         },
     )
-    files = [line for line in listing.read_text().splitlines() if line and not line.endswith(":")]
-    return Ended(ended.returncode, ended.stdout, ended.stderr, files)
+    printed, said = ended_in_time(program)
+    listed = listing.read_text().splitlines() if listing.exists() else []
+    files = [line for line in listed if line and not line.endswith(":")]
+    return Ended(program.returncode, printed, said, files)
+
+
+def ended_in_time(program: subprocess.Popen[str]) -> tuple[str, str]:
+    """What a program in a session of its own printed; it and all it started are killed after `LONGEST_S`."""
+    try:
+        return program.communicate(timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        os.killpg(program.pid, signal.SIGKILL)
+        printed, said = program.communicate()
+        return printed, f"{said}\nkilled: it did not end within {LONGEST_S} s"
 
 
 def end_of(ended: Ended, wrong: str, allowed: Sequence[str] = ()) -> End:
@@ -191,9 +204,9 @@ def two_at_once(what: str, words: Sequence[str], shop: Path, folder: Path, motio
     """The same command twice at the same time (`what`: "twice"): both right, or one that says why not."""
     (folder / "out").mkdir()
     arguments = [*COMMAND, *(word.replace("OUT", f"{folder}/out") for word in words)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     programs = [subprocess.Popen(arguments, **pipes) for _ in range(2)]  # type: ignore[call-overload]
-    printed = [program.communicate(timeout=LONGEST_S) for program in programs]
+    printed = [ended_in_time(program) for program in programs]
     shutil.copytree(folder / "out", folder / "copy")
     files = [path.name for path in (folder / "out").rglob("*")]
     outputs = [path for path in (folder / "copy").rglob("*.*") if not path.name.startswith(".")]

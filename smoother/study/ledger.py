@@ -20,6 +20,7 @@ from .fingerprint import file_hash
 from .folder import StudyFolder
 from .job import Known
 from .privacy import place_of
+from .row_files import rows_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -178,17 +179,21 @@ class Ledger:
         if not files:
             return schema().empty_table()
         try:
-            return _table(files, columns)
+            return rows_table(files, columns)
+        except MemoryError:  # says nothing of the files
+            raise
         except (pa.ArrowException, OSError):
             sound = [file for file in files if self._is_sound(file)]
-            return _table(sound, columns) if sound else schema().empty_table()
+            return rows_table(sound, columns) if sound else schema().empty_table()
 
     def _is_sound(self, file: str) -> bool:
         """Whether a file of results can be read; else it is put aside, and its recordings are redone."""
         import pyarrow as pa
 
         try:
-            _table([file], None)
+            rows_table([file])
+        except MemoryError:
+            raise
         except (pa.ArrowException, OSError):
             aside = self._folder.mark.parent / "damaged"
             aside.mkdir(exist_ok=True)
@@ -238,13 +243,6 @@ class Ledger:
         if not output.is_file() or output.stat().st_size != row["output_bytes"]:
             return False
         return file_hash(output) == row["output_hash"]
-
-
-def _table(files: list[str], columns: Iterable[str] | None) -> pa.Table:
-    from pyarrow import dataset
-
-    results = dataset.dataset(files, schema=schema(), format="parquet")
-    return results.to_table(columns=None if columns is None else list(columns))
 
 
 def _left(path: Path) -> dict[str, Any] | None:

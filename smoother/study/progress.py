@@ -12,9 +12,10 @@ from ..errors import UnoccludeError
 from ..evaluation.change import SessionValue, change_between, together, without_like_movements
 from ..evaluation.main_measures import BY_MOVEMENT, is_main
 from ..evaluation.series import PersonProgress, Series
-from .columns import DONE, Row, schema
+from .columns import DONE, Row
 from .folder import StudyFolder
 from .privacy import hashed_name
+from .row_files import rows_table
 from .sessions import Attendance, by_folders, in_order, read_sessions
 
 _READ = (
@@ -45,7 +46,6 @@ def read_rows(folder: Path) -> list[Row]:
         It is no study, or its results cannot be read.
     """
     import pyarrow as pa
-    from pyarrow import dataset
 
     study = StudyFolder(folder)
     files = sorted(str(path) for path in study.results.glob("*.parquet"))
@@ -54,7 +54,9 @@ def read_rows(folder: Path) -> list[Row]:
             f"{folder} is no study with results; name the folder that `unocclude batch` wrote"
         )
     try:
-        table = dataset.dataset(files, schema=schema(), format="parquet").to_table(columns=list(_READ))
+        table = rows_table(files, _READ)
+    except MemoryError:
+        raise
     except (pa.ArrowException, OSError) as error:
         raise UnoccludeError(
             f"{folder}: a file of its results cannot be read; the same `unocclude batch` puts it aside"

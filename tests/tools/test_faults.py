@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import time
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from tools import fault_surroundings
 from tools.fault_cases import Workshop, all_cases
 from tools.fault_surroundings import can_mount
 from tools.faults import ENDS, run_all, table
@@ -54,3 +57,19 @@ def test_the_list_of_faults_is_whole(tmp_path: Path):
     if can_mount():
         wanted = "disk for outputs full|disk for temporary files full|a folder that cannot be written to"
         assert set(wanted.split("|")) <= faults
+
+
+def test_a_command_that_never_ends_is_killed_with_its_children(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(fault_surroundings, "LONGEST_S", 1)
+    began = time.monotonic()
+    program = subprocess.Popen(
+        ["sh", "-c", "sleep 600; true"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    printed, said = fault_surroundings.ended_in_time(program)
+    assert not printed and "did not end within 1 s" in said and program.returncode == -9
+    assert time.monotonic() - began < 60
+    assert fault_surroundings.end_of(fault_surroundings.Ended(-9, "", said, []), "")[0] == "UNEXPECTED"
