@@ -10,8 +10,13 @@ from ..errors import UnoccludeError
 LEAST_BYTES = 300 << 20
 
 
-def check_allowance() -> None:
-    """Refuse where this process may use less memory than solving needs before it has read anything.
+def check_allowance(least_bytes: int = LEAST_BYTES) -> None:
+    """Refuse where this process may use less memory than its work needs before it has read anything.
+
+    Parameters
+    ----------
+    least_bytes : int
+        What it needs.
 
     Raises
     ------
@@ -23,8 +28,8 @@ def check_allowance() -> None:
     import resource
 
     allowed, _ = resource.getrlimit(resource.RLIMIT_DATA)
-    if allowed != resource.RLIM_INFINITY and allowed < LEAST_BYTES:
+    if allowed != resource.RLIM_INFINITY and allowed < least_bytes:
         raise UnoccludeError(
-            f"memory is limited to {allowed >> 20} MB a process here (ulimit -d); a recovery needs"
-            f" {LEAST_BYTES >> 20} MB: raise the limit."
+            f"memory is limited to {allowed >> 20} MB a process here (ulimit -d); this needs"
+            f" {least_bytes >> 20} MB: raise the limit."
         )

@@ -35,6 +35,8 @@ _LOOK_S = 5.0
 #: Ends the key of a second try.
 _AGAIN = "again"
 _SAME_COMMAND = "the same command continues"
+#: Memory of the scheduler's process, and of its threads for each worker: with less they never answer.
+_SCHEDULER_BYTES, _NANNY_BYTES = 380 << 20, 25 << 20
 #: How Dask works on one machine.
 _LOCAL = {
     # the client tries again, without others beside
@@ -68,7 +70,7 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
     first = list(islice(jobs, processes or os.cpu_count() or 1))
     if not first:
         return
-    check_allowance()
+    check_allowance(_SCHEDULER_BYTES + len(first) * _NANNY_BYTES)
     import dask.config
     from distributed import Client
 

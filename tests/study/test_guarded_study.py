@@ -60,16 +60,17 @@ def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_p
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the memory as Linux does")
-def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path):
+@pytest.mark.parametrize("megabytes", [150, 340])
+def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path, megabytes: int):
     """Its processes would start and never answer: it says so before."""
     program = (
-        "import resource; resource.setrlimit(resource.RLIMIT_DATA, (150 << 20,) * 2);"
+        f"import resource; resource.setrlimit(resource.RLIMIT_DATA, ({megabytes} << 20,) * 2);"
         "from smoother.cli import main; main()"
     )
     words = [sys.executable, "-c", program, "batch", str(recordings), "-o", str(tmp_path / "out")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1 and "150 MB a process here (ulimit -d)" in done.stderr
+    assert done.stderr.count("\n") == 1 and f"{megabytes} MB a process here (ulimit -d)" in done.stderr
 
 
 def test_it_is_known_again_without_its_path(job: Job):
