@@ -77,8 +77,8 @@ def _clock(timeline: Timeline, clock: Clock) -> list[str]:
         )
     if abs(clock.mean_s) > LARGEST_OFFSET_S:
         notes.append(
-            f"the camera's clock and the IMU's are {abs(clock.mean_s):.2f} s apart; that was found from the"
-            " motion: look whether the answer follows the camera"
+            f"the camera's clock and the IMU's are {abs(clock.mean_s):.2f} s apart: look whether the answer"
+            " follows the camera"
         )
     if clock.drift_s > DRIFT_S:
         notes.append(f"the camera's clock drifts by {1e3 * clock.drift_s:.0f} ms over the recording")

@@ -90,6 +90,7 @@ def judged(
         *_rate(recording.imu, TOO_SLOW_HZ),
         *_zeros(recording.imu),
         *_clipped(recording.imu, PLATEAU_SHARE),
+        *_mirror_image(recording),
         *strap_slipped(recording.imu, _gyroscope_bias(recovery), recovery),
         *swapped_joints(recording.arm),
         *misfits,
@@ -122,6 +123,16 @@ def input_faults(recording: Recording) -> Iterator[str]:
     yield from _rate(recording.imu, SLOW_HZ)
     yield from _zeros(recording.imu)
     yield from _clipped(recording.imu, 0.0)
+
+
+def _mirror_image(recording: Recording) -> Iterator[str]:
+    """Two remedies of one sign: together they make the motion its mirror image, which fits as well."""
+    mirrored = next((option for option in recording.undone if option.startswith("--mirror ")), None)
+    if mirrored and "--negate accelerometer" in recording.undone:
+        yield (
+            f"{mirrored} and --negate accelerometer mend the same sign, and together they mirror the whole"
+            " motion, which nothing in a recording shows: give one of the two, or neither"
+        )
 
 
 def _gyroscope_bias(recovery: Recovery) -> FloatArray:

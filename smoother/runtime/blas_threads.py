@@ -10,6 +10,8 @@ from typing import Any
 
 from .pool import THREADS
 
+#: Commands and worker processes start so; what the environment says later, NumPy does not hear.
+_ONE_FROM_THE_START = any(os.environ.get(name) == "1" for name in THREADS)
 _lock = Lock()
 _inside = 0
 _limits: Any = None
@@ -23,7 +25,7 @@ def one_blas_thread() -> Iterator[None]:
     that the answer would differ from the command's in its last digits.
     """
     global _inside, _limits
-    if any(os.environ.get(name) == "1" for name in THREADS):
+    if _ONE_FROM_THE_START:
         yield
         return
     from threadpoolctl import threadpool_limits

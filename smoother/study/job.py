@@ -22,7 +22,7 @@ from .fingerprint import Fingerprint, file_hash, row_id, text_hash
 from .folder import StudyFolder
 from .limits import Limits, TimeUp, limited
 from .measured import measured_arms
-from .privacy import person_of, place_of, relative_day, without_places
+from .privacy import person_of, place_of, relative_day, state_of, without_places
 
 #: The recording was done before, by its content; there is nothing to add to the results.
 SAME = "same"
@@ -167,7 +167,11 @@ def run_job(job: Job) -> Row:
     try:
         _check_machine(job, folder)
         about = os.stat(job.source)
-        before = {"input_bytes": about.st_size, "input_mtime_ns": about.st_mtime_ns}
+        before = {
+            "input_bytes": about.st_size,
+            "input_mtime_ns": about.st_mtime_ns if job.keep_paths else None,
+            "input_state": state_of(job.word, about.st_size, about.st_mtime_ns),
+        }
         check_output_place(job, folder)
         input_hash = file_hash(job.source)
         if same := _same(job, folder, input_hash):

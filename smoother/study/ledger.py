@@ -19,7 +19,7 @@ from .columns import COLUMNS, DONE, FAILED, Row, schema
 from .fingerprint import file_hash
 from .folder import StudyFolder
 from .job import Known
-from .privacy import place_of
+from .privacy import place_of, state_of
 from .row_files import rows_table
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ _LOOKED_UP = (
     *("id", "recording", "status", "retry", "input", "input_place", "input_bytes"),
     *(
         "input_mtime_ns",
+        "input_state",
         "config_hash",
         "calibration_hash",
         "version",
@@ -54,8 +55,7 @@ class _Past:
     retry: bool
     input: str
     input_place: str
-    input_bytes: int | None
-    input_mtime_ns: int | None
+    input_state: str
     output_hash: str
     output_bytes: int | None
     output_mtime_ns: int | None
@@ -121,7 +121,7 @@ class Ledger:
         place = place_of(self._word, source)
         for each in reversed(past):
             here = source == each.input or place == each.input_place
-            if here and (each.input_bytes, each.input_mtime_ns) == (about.st_size, about.st_mtime_ns):
+            if here and each.input_state == state_of(self._word, about.st_size, about.st_mtime_ns):
                 if not each.done or self._untouched(name, each):
                     return each.row_id, known
                 break
@@ -214,8 +214,7 @@ class Ledger:
             retry=bool(row.get("retry")),
             input=row["input"] or "",
             input_place=row.get("input_place") or "",
-            input_bytes=row.get("input_bytes"),
-            input_mtime_ns=row.get("input_mtime_ns"),
+            input_state=self._input_state(row),
             output_hash=row.get("output_hash") or "",
             output_bytes=row.get("output_bytes"),
             output_mtime_ns=row.get("output_mtime_ns"),
@@ -223,6 +222,13 @@ class Ledger:
         name = row["recording"]
         others = [each for each in self._past.get(name, ()) if each.row_id != past.row_id]
         self._past[name] = (*others, past)
+
+    def _input_state(self, row: Row) -> str:
+        """Of the recording when it was read; rows of earlier versions hold its time of change instead."""
+        if state := row.get("input_state"):
+            return str(state)
+        size, mtime_ns = row.get("input_bytes"), row.get("input_mtime_ns")
+        return "" if size is None or mtime_ns is None else state_of(self._word, size, mtime_ns)
 
     def _adopt(self, finished: dict[str, datetime]) -> None:
         """Take the rows that workers left when a run was cut off before it wrote them."""

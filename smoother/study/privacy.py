@@ -20,6 +20,14 @@ def place_of(word: str, source: str) -> str:
     return text_hash("place", word, source)[:32]
 
 
+def state_of(word: str, size_bytes: int, mtime_ns: int) -> str:
+    """A file's size and time of change as a hash with the study's word as its key: equal, but not read.
+
+    The time of change is that of the recording, mostly, which `relative_day` hides.
+    """
+    return text_hash("state", word, str(size_bytes), str(mtime_ns))[:32]
+
+
 def hashed_name(word: str, name: str) -> str:
     """A recording's name as hashes with the study's word as their key, a hash a folder: layout stays.
 

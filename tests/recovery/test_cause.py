@@ -108,6 +108,16 @@ def test_an_option_that_is_not_needed_is_to_be_left_out(sound: Recording, needle
     assert likeliest_cause(mended) is None
 
 
+def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) -> None:
+    """They make a sound motion its mirror image, half a metre off, and camera and IMU agree on it."""
+    both = Remedy(mirror="x", negate=("accelerometer",))
+    mirrored = smooth(both.applied(sound), processes=1)
+    assert mirrored.estimates.trusted is False and len(mirrored.estimates.reasons) == 1
+    assert "--mirror x and --negate accelerometer" in mirrored.estimates.reasons[0]
+    truly = both.applied(both.applied(sound))  # it was sound, and is again; but that only we know
+    assert smooth(replace(truly, undone=()), processes=1).estimates.trusted
+
+
 def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
     bent = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder",)))
     assert not list(swapped_joints(bent.arm))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from smoother.runtime import blas_threads
 from smoother.runtime.blas_threads import one_blas_thread
 from smoother.runtime.pool import THREADS
 
@@ -21,7 +22,7 @@ print(hashlib.sha256(smooth(read_recording({path!r})).position.tobytes()).hexdig
 """
 
 
-def blas_threads() -> set[int]:
+def threads_now() -> set[int]:
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
 
@@ -42,17 +43,16 @@ def test_a_notebook_gives_the_bytes_of_the_command():
 
 
 def test_the_limit_ends_with_the_last_one_inside(monkeypatch: pytest.MonkeyPatch):
-    for name in THREADS:
-        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(blas_threads, "_ONE_FROM_THE_START", False)
     first, second = one_blas_thread(), one_blas_thread()
     with threadpool_limits(2, user_api="blas"):
-        before = blas_threads()
+        before = threads_now()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
-        assert blas_threads() == {1}
+        assert threads_now() == {1}
         second.__exit__(None, None, None)
-        assert blas_threads() == before
+        assert threads_now() == before
         with pytest.raises(ValueError), one_blas_thread():
             raise ValueError
-        assert blas_threads() == before
+        assert threads_now() == before

@@ -52,6 +52,8 @@ def test_rows_tell_nothing_of_the_machine(in_here: None, recordings: Path, tmp_p
     for text in (json.dumps(rows, default=str), figures.read_text()):
         assert BROKEN in text and NAMES[0] in text
         assert str(tmp_path) not in text and os.sep + "tmp" not in text
+        changed = [str((recordings / name).stat().st_mtime_ns) for name in (*NAMES, BROKEN)]
+        assert not any(time_ns in text for time_ns in changed)  # the day of the recording, mostly
     kept = tmp_path / "kept"
     assert batch(recordings, "-o", kept, "--processes", 1, "--keep-paths", "--json", figures, "--force") == 1
     listed = json.loads(figures.read_text())
@@ -73,9 +75,15 @@ def test_too_little_memory_for_any_process(recordings: Path, tmp_path: Path, meg
     assert done.stderr.count("\n") == 1 and f"{megabytes} MB a process here (ulimit -d)" in done.stderr
 
 
-def test_it_is_known_again_without_its_path(job: Job):
+@pytest.mark.parametrize("earlier", [False, True])
+def test_it_is_known_again_without_its_path(job: Job, earlier: bool):
+    """A row of an earlier version has the time of change itself."""
     row = run_job(job)
     folder = study_folder(Path(job.folder))
+    if earlier:
+        (left,) = folder.rows.glob("*.json")
+        of_then = json.loads(left.read_text()) | {"input_mtime_ns": Path(job.source).stat().st_mtime_ns}
+        left.write_text(json.dumps({name: value for name, value in of_then.items() if name != "input_state"}))
     settings = (job.config_hash, "", job.version)
     ledger = Ledger(folder)
     assert ledger.find(job.name, job.source, settings)[0] == row["id"]
