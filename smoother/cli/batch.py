@@ -40,6 +40,9 @@ TIME_LIMIT_MINUTES = 720.0
 #: Motions that are drawn for the intervals of measures.
 USUAL_DRAWS = 64
 _REPORT = "--report"
+#: What the first lines of a study's page, and of its figures, hold.
+_PAGE_MARKS = b'content="unocclude', b"<title>Study</title>"
+_FIGURES_MARKS = b'"recordings"', b'"done_before"'
 
 
 class BatchCommand(TyperCommand):
@@ -141,6 +144,7 @@ def batch(
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then.
     """
+    from ..runtime.atomic import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
     from ..study.inputs import find_entries
@@ -171,9 +175,11 @@ def batch(
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
-    # what an earlier run of the same study wrote is renewed
     inputs = [calibration_file, config_file, *(Path(entry.path) for entry in entries if page or json_file)]
     check_outputs(True, [None if inside else page, json_file], inputs)
+    for path in (page, json_file):
+        if path is not None and path.is_file() and not _is_of_a_study(path):
+            check_output(path, force)  # what an earlier run wrote is renewed, nobody else's file
     work = (
         partial(run_local, processes=processes or 0)
         if scheduler is None
@@ -204,6 +210,13 @@ def batch(
     say_written(folder.path, page, json_file)
     if figures["failed"]:
         raise typer.Exit(1)
+
+
+def _is_of_a_study(path: Path) -> bool:
+    """Whether a file begins as the page or the figures of a study do."""
+    with open(path, "rb") as file:
+        start = file.read(1000)
+    return all(mark in start for mark in _PAGE_MARKS) or all(mark in start for mark in _FIGURES_MARKS)
 
 
 def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def print_session(figures: dict[str, Any]) -> None:
     say(
         f"{figures['seconds']:.1f} s: visible {state['visible']:.1f} s, {figures['gaps']} gaps of"
         f" {state['gap']:.1f} s, the longest {figures['longest_gap_s']:.1f} s; calibrating"
-        f" {state['calibrating']:.1f} s, a stream lost {state['lost']:.1f} s"
+        f" {state['calibrating']:.1f} s, the IMU lost {state['lost']:.1f} s"
     )
     for name, stream in (("IMU", figures["imu"]), ("camera", figures["skeleton"])):
         words = f"{stream['count']} came, {stream['missing']} missing, {stream['late']} late"

@@ -51,7 +51,7 @@ def print_losses(report: RepairReport) -> None:
     ]
     print_table(f"{report.source}: messages", ("topic", "written", "missing by its own count"), rows)
     if not report.losses:
-        say("nothing damaged was met" if not report.notes else "no message is lost")
+        say("no message before the end is lost" if report.notes else "nothing damaged was met")
         return
     start = min((loss.first_ns for loss in report.losses if loss.first_ns is not None), default=0)
     lines = [

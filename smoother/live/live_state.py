@@ -11,4 +11,4 @@ class LiveState(StrEnum):
     CALIBRATING = "calibrating"  # no answer yet, never a guess; until the first calibration has caught up
     VISIBLE = "visible"
     GAP = "gap"  # the camera does not see the forearm: the IMU and the upper arm's length go on
-    LOST = "lost"  # a stream stopped: no answer until it is back
+    LOST = "lost"  # the IMU stopped, or there is too much to catch up with: no answer until then

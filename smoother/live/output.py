@@ -55,7 +55,7 @@ class LiveOutput:
     state : LiveState
         At the present.
     now : LiveEstimate or None
-        Predicted to the present; None while calibrating, or with a stream lost.
+        Predicted to the present; None while calibrating, or with the IMU lost.
     settled : LiveEstimate or None
         `lag_s` before the present; None as above, and until there is so much of an answer.
     clock_offset_s, clock_sigma_s : float, s

@@ -134,3 +134,18 @@ def test_wrong_use(made, tmp_path, capsys):
         assert said in err and err.count("\n") == 1
     assert not (tmp_path / "o").exists()
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.txt"]
+
+
+def test_a_page_that_somebody_else_wrote_is_kept(recordings, tmp_path, capsys):
+    for name in (*NAMES[1:], BROKEN):
+        (recordings / name).unlink()
+    page, figures = tmp_path / "mine.html", tmp_path / "mine.json"
+    words = [recordings, "-o", tmp_path / "out", "--processes", 1, "--report", page, "--json", figures]
+    for mine in (page, figures):
+        mine.write_text("mine")
+        assert batch(*words) == 1
+        assert f"{mine} exists already" in capsys.readouterr().err and mine.read_text() == "mine"
+        mine.unlink()
+    assert batch(*words) == 0
+    assert batch(*words) == 0, "what the study wrote itself is renewed"
+    assert json.loads(figures.read_text())["done_before"] == 1
