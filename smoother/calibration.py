@@ -124,8 +124,9 @@ class ArmCalibration:
 
     @property
     def forearm_direction(self) -> FloatArray | None:
-        """Unit vector elbow to wrist in {A}, (3,); None without both lever arms."""
+        """Unit vector elbow to wrist in {A}, (3,); None where one is unknown, or both are one point."""
         if "elbow" not in self.lever_arms or "wrist" not in self.lever_arms:
             return None
         along = self.lever_arms["wrist"].position_m - self.lever_arms["elbow"].position_m
-        return along / np.linalg.norm(along)
+        length_m = np.linalg.norm(along)
+        return along / length_m if length_m > 0.0 else None

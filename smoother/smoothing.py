@@ -142,7 +142,8 @@ def smooth(
     recovery = with_sigma_factors(recovery, given.sigma_factors)
     report(1.0, "done")
     # 8. A verdict, and the likeliest cause where it is not to be trusted.
-    recovery = judged(recovery, recording, config.arm.anatomy, misfits, model.open_questions, clock)
+    questions = model.open_questions
+    recovery = judged(recovery, recording, config.arm.anatomy, misfits, questions, clock, coarse_clock)
     return with_cause(recovery, recording, given, clock)
 
 

@@ -139,6 +139,11 @@ def acceleration_pairs(
     pairs : AccelerationPairs
         Of no vectors where frames are too few or too far apart.
     """
+    none = np.zeros((0, 3))
+    inside_signal = (t >= signal.start_s) & (t <= signal.end_s)
+    if np.count_nonzero(inside_signal) < FEWEST_FRAMES:
+        return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
+    t, point = t[inside_signal], point[inside_signal]
     step = 0.01
     grid = np.arange(max(signal.start_s, t[0] - 0.1), min(signal.end_s, t[-1] + 0.1), step)
     force = signal.mean(grid[:-1], grid[1:])[:, :3]
@@ -151,7 +156,6 @@ def acceleration_pairs(
     centre = np.arange(t[0] + half, t[-1] - half, 0.5 * half)
     lo, hi = np.searchsorted(t, [centre - half, centre + half])
     if not len(centre) or (hi - lo).max() < FEWEST_FRAMES:
-        none = np.zeros((0, 3))
         return AccelerationPairs(np.zeros(0), none, none, np.zeros((0, 3, 3)), np.zeros(0))
     # every parabola as one row of indices, short ones filled up and masked
     index = np.minimum(lo[:, None] + np.arange((hi - lo).max()), len(t) - 1)
@@ -214,6 +218,7 @@ def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatA
     Parameters
     ----------
     pairs : list of VectorPairs
+        Without any, gravity's rough direction alone decides.
     start_s, end_s : float, s
         What the alignment covers, on the IMU's clock.
     down_K : ndarray, shape (3,)
@@ -225,6 +230,8 @@ def align(pairs: list[VectorPairs], start_s: float, end_s: float, down_K: FloatA
         Every `ALIGN_STEP_S`.
     """
     t = np.arange(start_s, max(end_s, start_s + 1e-3), ALIGN_STEP_S)
+    none = np.zeros((0, 3))
+    pairs = [*pairs, VectorPairs(np.zeros(0), none, none, np.zeros(0))]
     times = np.concatenate([pair.t for pair in pairs])
     in_K = np.vstack([pair.in_K for pair in pairs])
     in_E = np.vstack([pair.in_E for pair in pairs])

@@ -58,6 +58,7 @@ def joints_of(
         state[np.isfinite(position[:, column]).all(axis=1), column] = JointState.TRACKED
     for joint, values in states.items():
         state[:, JOINTS.index(joint)] = _rows(values, (len(t),), f"the state of {joint}", name)
+    state[~np.isfinite(position).all(axis=2)] = JointState.NOT_TRACKED
     return JointTracks("camera", t, position, state)
 
 

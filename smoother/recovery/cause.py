@@ -109,8 +109,8 @@ def likeliest_cause(
     `recording` and `given` as in `selfcal.closed_form.closed_form`; `measured` is the clock by which the
     camera's stamps were moved, where one was given.
     """
-    for sentence in swapped_joints(recording.arm):
-        return _undone_by(sentence, (Remedy(swap=("elbow", "wrist")),), recording.undone)
+    for swapped in swapped_joints(recording.arm):
+        return _undone_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.undone)
     recording = informative_recording(recording, Timeline.of(recording))
     hint = down_hint(recording)
     down = hint if hint.any() else None

@@ -15,7 +15,7 @@ from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.shared import SharedLayout
 from ..window.trajectory import Trajectory
-from .samples import LINEAR_RAD, UNKNOWN_LEVER_M, UNKNOWN_RAD, SectionAnswer, wide_turns
+from .samples import LINEAR_RAD, SectionAnswer, unknown_mounting, wide_turns
 
 #: Names of the columns of joints begin so.
 JOINT = "joint_"
@@ -96,9 +96,10 @@ def sample_draws(
             if joint in levers:
                 columns[JOINT + joint] += np.einsum("nij,kj->kni", R, levers[joint])
     # 5. A sensor whose mounting the motion did not show.
-    if model.mounting_unknown:
-        columns["position"] = p + np.einsum("nij,kj->kni", R, UNKNOWN_LEVER_M * plan.once("mounting", 3))
-        columns["rotation"] = r + np.einsum("nij,kj->kni", R, UNKNOWN_RAD * plan.once("mounting turn", 3))
+    place_m, turn_rad = unknown_mounting(model)
+    if place_m or turn_rad:
+        columns["position"] = p + np.einsum("nij,kj->kni", R, place_m * plan.once("mounting", 3))
+        columns["rotation"] = r + np.einsum("nij,kj->kni", R, turn_rad * plan.once("mounting turn", 3))
     if drawn.upper_rotation is not None and trajectory.upper is not None:
         columns["upper_rotation"] = _upper(drawn.upper_rotation, trajectory.upper, t)
     return SectionDraws(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +17,33 @@ BONE_SIGMA_M, BONE_PART = 0.05, 0.4
 FEWEST_FRAMES, MOST_FRAMES = 50, 20_000
 #: A hand is some 0.08 m from the wrist and 0.3 m from the elbow.
 NEARER = 0.6
+#: From the elbow the hand is 1.24 times as far as the wrist in the median of 670 arms of a Kinect v1, 1.02
+#: times at least.
+HAND_NEARER = 0.93
 
-SWAPPED = (
-    "elbow and wrist seem swapped: from the shoulder the wrist keeps its distance, and the elbow does not"
+
+class SwappedJoints(NamedTuple):
+    """Two joints whose names seem exchanged, and what shows it, in words."""
+
+    joints: tuple[str, str]
+    sentence: str
+
+
+SWAPPED = SwappedJoints(
+    ("elbow", "wrist"),
+    "elbow and wrist seem swapped: from the shoulder the wrist keeps its distance, and the elbow does not",
 )
-HAND_AT_ELBOW = "elbow and wrist seem swapped: the hand is nearer to the elbow than to the wrist"
+HAND_AT_ELBOW = SwappedJoints(
+    ("elbow", "wrist"), "elbow and wrist seem swapped: the hand is nearer to the elbow than to the wrist"
+)
+HAND_BEFORE_WRIST = SwappedJoints(
+    ("wrist", "hand"), "wrist and hand seem swapped: the hand is nearer to the elbow than the wrist is"
+)
 
 
-def swapped_joints(arm: JointTracks) -> Iterator[str]:
-    """A sentence where the joint called wrist is as far from the shoulder as only an elbow is, or the hand at
-    the one called elbow.
+def swapped_joints(arm: JointTracks) -> Iterator[SwappedJoints]:
+    """Where the joint called wrist is as far from the shoulder as only an elbow is, or the hand at the one
+    called elbow, or between elbow and wrist.
 
     Parameters
     ----------
@@ -39,6 +57,8 @@ def swapped_joints(arm: JointTracks) -> Iterator[str]:
         yield SWAPPED
     elif _middle(to_elbow_m) < NEARER * _middle(to_wrist_m):
         yield HAND_AT_ELBOW
+    elif _middle(to_elbow_m) < HAND_NEARER * _middle(_distances(arm, "elbow", "wrist")):
+        yield HAND_BEFORE_WRIST
 
 
 def _distances(arm: JointTracks, first: str, second: str) -> FloatArray:

@@ -97,8 +97,8 @@ def sample_section(
     # a clock that is off by a moment moves the whole path along itself
     pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
     joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}
-    if model.mounting_unknown:  # joints that are seen are known all the same
-        pose += np.diag([UNKNOWN_LEVER_M**2] * 3 + [UNKNOWN_RAD**2] * 3)
+    place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
+    pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
     frame_t = segment.frame_t_imu(clock)
     own = slice(*np.searchsorted(frame_t, [segment.core_start_s, segment.core_end_s]).tolist())
     position = segment.position[own] + model.joint_bias.error_m  # as the camera said it
@@ -118,10 +118,22 @@ def sample_section(
         ),
         frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
         residual=frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
-        used=segment.accepted[own],
+        used=segment.accepted[own] & _located(calibration),
         reason=segment.reason[own],
         gravity=trajectory.gravity.mean(axis=0),
     )
+
+
+def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:
+    """Standard deviations that the mounting adds to the IMU's pose, m and rad an axis; mostly zero."""
+    if model.mounting_unknown:
+        return UNKNOWN_LEVER_M, UNKNOWN_RAD
+    return (0.0 if np.isnan(model.interrupted_s) else UNKNOWN_LEVER_M), 0.0
+
+
+def _located(calibration: ArmCalibration) -> BoolArray:
+    """(5,) joints that take part: of the others nobody knows where they are on the arm."""
+    return np.array([joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS])
 
 
 def widen_turns(pose_covariance: FloatArray) -> FloatArray:

@@ -15,13 +15,22 @@ import numpy as np
 from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Anatomy
-from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.rejection import Rejection
-from ..measurements.segment import spikes
-from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, ImuStream, Recording
+from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, Recording
 from ..result import Recovery
 from .change_signs import camera_pushed, skeleton_filled, strap_slipped
+from .imu_signs import (
+    PLATEAU_SHARE,
+    SLOW_HZ,
+    TOO_SLOW_HZ,
+    clipped,
+    input_faults,
+    paused_in_gaps,
+    rate,
+    spikes,
+    zeros,
+)
 from .limb_lengths import swapped_joints
 
 #: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
@@ -45,17 +54,9 @@ JOINT_SIGMA_M = 0.05
 REJECTED_SHARE = 0.30
 #: A measured clock is contradicted where the motion moves it by so many of its sigmas, and by so much, s.
 MEASURED_SIGMAS, MEASURED_S = 4.0, 0.01
-#: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
-TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
-#: A range's end is a plateau: so many samples of an axis at its largest value, so many of them in a row.
-PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
-#: Where a larger share of the samples stands at a range's end, the IMU missed too much.
-PLATEAU_SHARE = 0.02
 #: Elbow to "wrist" against the upper arm, and in m, from here on: the wrist is likely to be the hand
 #: (Kinect v1: 0.79 to 0.99 to the wrist, 0.94 to 1.23 to the hand).
 HAND_RATIO, HAND_M = 1.02, 0.32
-#: So many samples in a row without any force are no measurement.
-SILENT_SAMPLES = 3
 #: Of frames, at most so many are looked at.
 MOST_FRAMES = 20_000
 
@@ -67,6 +68,7 @@ def judged(
     misfits: tuple[str, ...] = (),
     open_questions: tuple[str, ...] = (),
     measured: Clock | None = None,
+    moved: Clock | None = None,
 ) -> Recovery:
     """The recovery with a verdict among its estimates.
 
@@ -84,30 +86,33 @@ def judged(
         What self-calibration took with little margin.
     measured : Clock, optional
         That was given.
+    moved : Clock, optional
+        By which the camera's stamps were moved before the fine search.
     """
     reasons = (
         # what is wrong with the input comes before what follows of it
-        *_rate(recording.imu, TOO_SLOW_HZ),
-        *_zeros(recording.imu),
-        *_clipped(recording.imu, PLATEAU_SHARE),
+        *rate(recording.imu, TOO_SLOW_HZ),
+        *zeros(recording.imu),
+        *clipped(recording.imu, PLATEAU_SHARE),
         *_mirror_image(recording),
         *strap_slipped(recording.imu, _gyroscope_bias(recovery), recovery),
-        *swapped_joints(recording.arm),
+        *(swapped.sentence for swapped in swapped_joints(recording.arm)),
         *misfits,
         *_measured_clock(recovery, measured),
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
-        *_clock(recovery, recording),
+        *_clock(recovery, moved),
         *_camera(recovery, FAR_M),
     )
     cautions = (
         *open_questions,
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
         *_camera(recovery, NEAR_M),
-        *_rate(recording.imu, SLOW_HZ),
+        *rate(recording.imu, SLOW_HZ),
         *_hand_as_wrist(recovery.calibration, anatomy),
-        *_clipped(recording.imu, 0.0),
-        *_spikes(recording.imu),
+        *clipped(recording.imu, 0.0),
+        *spikes(recording.imu),
+        *paused_in_gaps(recording),
         *camera_pushed(recovery, recording),
         *skeleton_filled(recovery),
     )
@@ -116,13 +121,6 @@ def judged(
     cautions = tuple(caution for caution in cautions if caution not in reasons)
     estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
     return replace(recovery, estimates=estimates)
-
-
-def input_faults(recording: Recording) -> Iterator[str]:
-    """What makes the IMU's samples worth little, whatever the set-up: a sentence each."""
-    yield from _rate(recording.imu, SLOW_HZ)
-    yield from _zeros(recording.imu)
-    yield from _clipped(recording.imu, 0.0)
 
 
 def _mirror_image(recording: Recording) -> Iterator[str]:
@@ -217,10 +215,13 @@ def _fitting_frame(gravity: FloatArray, recording: Recording) -> str:
     return ""
 
 
-def _clock(recovery: Recovery, recording: Recording) -> Iterator[str]:
-    """An offset that stopped at the end of the fine search."""
-    stopped = abs(abs(recovery.clock_offset_s) - LARGEST_OFFSET_S) < 0.01 * LARGEST_OFFSET_S
-    if stopped and len(recording.arm):
+def _clock(recovery: Recovery, moved: Clock | None) -> Iterator[str]:
+    """An offset that stopped at the end of the fine search, which begins where the stamps were moved to."""
+    if not len(recovery.arm):
+        return
+    camera_t = recovery.arm.t_s - recovery.clock_offset_s
+    fine_s = recovery.clock_offset_s - (0.0 if moved is None else float(moved.at(camera_t).mean()))
+    if abs(abs(fine_s) - LARGEST_OFFSET_S) < 0.01 * LARGEST_OFFSET_S:
         yield (
             f"the clocks' offset stopped at the search's limit of {1e3 * LARGEST_OFFSET_S:.0f} ms: they are"
             " likely to be farther apart"
@@ -262,52 +263,3 @@ def _camera(recovery: Recovery, far_m: float) -> Iterator[str]:
     if tracked.sum() > 20 and rejected.sum() > REJECTED_SHARE * tracked.sum():
         share = 100.0 * rejected.sum() / tracked.sum()
         yield f"{share:.0f} % of what the camera tracked contradicts the IMU"
-
-
-def _rate(imu: ImuStream, least_hz: float) -> Iterator[str]:
-    if imu.rate_hz < least_hz:
-        yield f"the IMU has {imu.rate_hz:.0f} samples a second, where 40 are needed and 80 are better"
-
-
-def _zeros(imu: ImuStream) -> Iterator[str]:
-    """Samples without any force: a sensor that falls freely is a sensor that sends nothing."""
-    silent = [
-        rows
-        for rows in runs(np.asarray(~np.asarray(imu.acc).any(axis=1)))
-        if rows.stop - rows.start >= SILENT_SAMPLES
-    ]
-    if silent:
-        count, first_s = sum(rows.stop - rows.start for rows in silent), float(imu.t_s[silent[0].start])
-        yield f"the IMU sends zeros ({count} samples, from {first_s:.1f} s on): take them out"
-
-
-def _clipped(imu: ImuStream, least_share: float) -> Iterator[str]:
-    """Plateaus at the end of a sensor's range, where a larger share of the samples stands on them."""
-    for name, values, unit in (("accelerometer", imu.acc, "m/s^2"), ("gyroscope", imu.gyro, "rad/s")):
-        limits, at_end = [], np.zeros(len(imu), dtype=bool)
-        for axis in np.asarray(values).T:
-            for limit in _plateaus(axis):
-                limits.append(limit)
-                at_end |= np.abs(axis) == limit
-        if limits and at_end.mean() > least_share:
-            share = f" in {100 * at_end.mean():.0f} % of its samples" if least_share else ""
-            what = "set a wider range" if least_share else "fast movement is less certain"
-            yield f"the {name} was clipped at about {max(limits):.0f} {unit}{share}: {what}"
-
-
-def _spikes(imu: ImuStream) -> Iterator[str]:
-    count = int(np.count_nonzero(spikes(np.asarray(imu.gyro))))
-    if count:
-        samples, were = ("1 sample", "was") if count == 1 else (f"{count} samples", "were")
-        yield f"{samples} of the gyroscope jumped away and back and {were} replaced"
-
-
-def _plateaus(axis: FloatArray) -> list[float]:
-    """Sizes of the largest and the smallest value of an axis (N,), where the sensor stood at it."""
-    return [
-        abs(float(end))
-        for end in (axis.max(initial=0.0), axis.min(initial=0.0))
-        if np.count_nonzero(axis == end) >= PLATEAU_SAMPLES
-        and max((row.stop - row.start for row in runs(axis == end)), default=0) >= PLATEAU_IN_A_ROW
-        and end != 0.0
-    ]

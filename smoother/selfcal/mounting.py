@@ -97,7 +97,8 @@ def _both(segment: Segment) -> BoolArray:
     """Frames of the part looked at in which elbow and wrist are accepted, thinned out."""
     elbow, wrist = JOINTS.index("elbow"), JOINTS.index("wrist")
     inside = (segment.frame_t_camera >= segment.start_s) & (segment.frame_t_camera <= segment.end_s)
-    rows = inside & segment.accepted[:, elbow] & segment.accepted[:, wrist]
+    apart = (segment.position[:, elbow] != segment.position[:, wrist]).any(axis=1)
+    rows = inside & apart & segment.accepted[:, elbow] & segment.accepted[:, wrist]
     cell = np.floor(segment.frame_t_camera * DIRECTION_RATE_HZ).astype(int)
     first = np.concatenate(([True], np.diff(cell) > 0))
     return rows & first if len(rows) > 200 else rows

@@ -56,7 +56,9 @@ def prepare(
     """
     frame_t_imu = segment.frame_t_imu(clock)
     inside = (frame_t_imu >= segment.start_s) & (frame_t_imu <= segment.end_s)
-    accepted = segment.accepted & inside[:, None]
+    # a joint whose place on the arm nobody knows says nothing of the IMU
+    located = [joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS]
+    accepted = segment.accepted & inside[:, None] & np.array(located)
     measured = enough_joints(accepted, 1)
     if measured.sum() < 2:
         return None

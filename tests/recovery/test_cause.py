@@ -121,8 +121,19 @@ def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) ->
 def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
     bent = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder",)))
     assert not list(swapped_joints(bent.arm))
-    (sentence,) = swapped_joints(Remedy(swap=("elbow", "wrist")).applied(bent).arm)
-    assert "the hand is nearer to the elbow" in sentence
+    (swapped,) = swapped_joints(Remedy(swap=("elbow", "wrist")).applied(bent).arm)
+    assert "the hand is nearer to the elbow than to the wrist" in swapped.sentence
+
+
+def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) -> None:
+    needless = Remedy(swap=("wrist", "hand"))
+    synchronised, _ = synchronise_coarsely(sound)
+    cause = likeliest_cause(replace(needless.applied(synchronised), undone=()))
+    assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap wrist,hand"]
+    assert cause.sentence.startswith("wrist and hand seem swapped")
+    recovery = smooth(needless.applied(sound), processes=1)
+    assert recovery.estimates.trusted is False
+    assert recovery.estimates.reasons[0].endswith("run again without --swap wrist,hand")
 
 
 def test_a_refusal_names_its_cause(sound: Recording) -> None:
