@@ -18,6 +18,7 @@ from calib.motion.motion_summary import (
 )
 
 from ..array_types import BoolArray, FloatArray
+from ..measurements.timestamps import pauses
 from ..measurements.visibility import Gap
 from ..result import Recovery
 from .rejected import rejected
@@ -67,6 +68,7 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
         *_towards_the_camera(recovery),
         *_camera(recovery, estimates),
         *_rates(recovery),
+        *_pauses(recovery),
     ]
     return sentences or [NOTHING]
 
@@ -286,6 +288,19 @@ def _share(recovery: Recovery, counts: Iterable[int]) -> float:
     batches = recovery.residuals.batches()
     tracked = sum(int(np.count_nonzero(batch.used | (batch.reason != 0))) for batch in batches)
     return sum(counts) / max(tracked, 1)
+
+
+def _pauses(recovery: Recovery) -> list[str]:
+    """Times without samples of the IMU: nothing is recovered in them."""
+    after = pauses(recovery.t_s)
+    pauses_s = recovery.t_s[after] - recovery.t_s[after - 1]
+    if not len(pauses_s):
+        return []
+    times = "once" if len(pauses_s) == 1 else f"{len(pauses_s)} times"
+    return [
+        f"The IMU paused {times}, for {pauses_s.sum():.1f} s in all, and nothing is recovered there: look"
+        " after its battery, and keep its receiver near."
+    ]
 
 
 def _rates(recovery: Recovery) -> list[str]:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..array_types import FloatArray
+from ..array_types import FloatArray, IntArray
 from ..filters import moving_mean
 from ..linalg import robust_sigma
 from ..recording import ImuStream
@@ -27,11 +27,16 @@ JITTER_AVERAGE_S = 4.0
 JITTER_FEWEST = 50
 
 
+def pauses(t_s: FloatArray) -> IntArray:
+    """Numbers of the samples before which an IMU paused, at increasing stamps (N,) s."""
+    dt = np.diff(t_s)
+    pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
+    return np.flatnonzero(dt > pause_s) + 1
+
+
 def split_at_pauses(imu: ImuStream) -> list[slice]:
     """The segments of the IMU stream, between its pauses, in order."""
-    dt = np.diff(imu.t_s)
-    pause_s = max(PAUSE_S, PAUSE_SAMPLES * float(np.median(dt))) if len(dt) else PAUSE_S
-    cuts = np.flatnonzero(dt > pause_s) + 1
+    cuts = pauses(imu.t_s)
     edges = [0, *cuts.tolist(), len(imu.t_s)]
     return [slice(a, b) for a, b in pairwise(edges)]
 

@@ -21,7 +21,7 @@ PLATEAU_SAMPLES, PLATEAU_IN_A_ROW = 12, 3
 PLATEAU_SHARE = 0.02
 #: So many samples in a row without any force are no measurement.
 SILENT_SAMPLES = 3
-#: A pause of the IMU this long, s, in which no frame shows the forearm, left something unseen.
+#: So much of a gap, s, within a pause of the IMU is motion that nothing measured.
 UNSEEN_S = 0.3
 
 
@@ -59,12 +59,11 @@ def paused_in_gaps(recording: Recording) -> Iterator[str]:
     """Pauses of the IMU while the camera did not see the forearm: nothing at all was measured then."""
     timeline = Timeline.of(recording)
     t, frame_t = recording.imu.t_s, recording.arm.t_s
-    pauses = [(float(t[a.stop - 1]), float(t[b.start])) for a, b in pairwise(timeline.segments)]
     unseen = []
-    for start_s, end_s in pauses:
-        inside = (frame_t >= start_s) & (frame_t <= end_s)
-        if end_s - start_s > UNSEEN_S and not timeline.visible[inside].any():
-            unseen.append((start_s, end_s))
+    for before, after in pairwise(timeline.segments):
+        inside = (frame_t > t[before.stop - 1]) & (frame_t < t[after.start])
+        hidden = [(frame_t[run.start], frame_t[run.stop - 1]) for run in runs(inside & ~timeline.visible)]
+        unseen += [(start_s, end_s) for start_s, end_s in hidden if end_s - start_s > UNSEEN_S]
     if unseen:
         times = ", ".join(f"{start_s:.1f} to {end_s:.1f} s" for start_s, end_s in unseen[:3])
         more = f" and {len(unseen) - 3} times more" if len(unseen) > 3 else ""

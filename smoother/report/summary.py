@@ -8,6 +8,7 @@ from ..evaluation.coverage import camera_residuals
 from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
+from ..measurements.timestamps import pauses
 from ..result import Recovery
 
 #: A gap that is less certain than this needs care, m (one standard deviation).
@@ -44,7 +45,10 @@ def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
     text = f"The recording lasts {duration:.1f} s. The camera lost the forearm {times}"
     text = f"{text}, for {sum(lengths):.1f} s in all"
-    return f"{text}; the longest gap lasts {max(lengths):.1f} s." if len(gaps) > 1 else f"{text}."
+    if len(gaps) > 1:
+        text = f"{text}; the longest gap lasts {max(lengths):.1f} s"
+    paused = len(pauses(recovery.t_s)) > 0
+    return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
 
 
 def _how_well(recovery: Recovery, gaps: list[GapSummary]) -> str:
