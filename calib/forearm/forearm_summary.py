@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from smoother.calibration import Length
+from smoother.calibration import ArmCalibration, Length
 
 from ..file import CalibrationFile
 from ..protocol import Answer
@@ -125,8 +125,11 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
     answer : Answer
         Its table holds the arm, and under `forearm` what an arm has no key for.
     """
-    arm, measures, rows = calibration.calibration, calibration.measured.lengths, compare(calibration)
+    rows = compare(calibration)
+    arm, measures = without_wrong_axes(calibration.calibration, rows), calibration.measured.lengths
     sentences, left_open = verdict(calibration, rows), open_questions(calibration)
+    if arm.R_F_A is None and calibration.calibration.R_F_A is not None:
+        left_open.append("R_F_A is left open: pose and motion contradict each other in it")
     sigma_deg = {
         "direction": float(np.degrees(calibration.direction_sigma_rad)),
         "roll": float(np.degrees(calibration.roll_sigma_rad)),
@@ -177,6 +180,12 @@ def forearm_answer(calibration: ForearmCalibration) -> Answer:
             "not_determined": left_open,
         },
     )
+
+
+def without_wrong_axes(arm: ArmCalibration, rows: list[Compared]) -> ArmCalibration:
+    """The arm without the forearm's axes where the motion has them otherwise: one of both is wrong."""
+    wrong = any(row.name in ("direction", "roll") and not row.agrees for row in rows)
+    return replace(arm, R_F_A=None) if wrong else arm
 
 
 def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:

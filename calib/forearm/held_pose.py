@@ -10,13 +10,18 @@ from scipy.ndimage import uniform_filter1d
 from smoother.array_types import BoolArray, FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma, unit
-from smoother.recording import JOINTS, CameraFrame, Recording
+from smoother.recording import JOINTS, CameraFrame, ImuStream, Recording
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0
 #: The sensor turns no faster than this while a pose is held, rad/s, averaged over this time, s.
 STILL_RAD_S = 0.2
 STILL_S = 0.25
+#: A pose that was named is refused above this, rad/s (rms): simulated poses that are held reach 0.13.
+MOVING_RAD_S = np.radians(30.0)
+#: The gyroscope's bias is its median over this share of the recording, the quietest; what is larger than the
+#: second is no bias, rad/s.
+QUIET_SHARE, LARGEST_BIAS_RAD_S = 0.3, np.radians(30.0)
 #: The forearm points up within this angle; neither part of the arm points this near to the camera.
 UPRIGHT_RAD = np.radians(45.0)
 NEAR_RAY_RAD = np.radians(50.0)
@@ -81,7 +86,7 @@ def find_held_pose(
     Raises
     ------
     CalibrationError
-        No such pose, or the arm is not visible in the stretch given.
+        No such pose, or the arm is not visible between the times given, or moves there.
     """
     t = recording.arm.t_s
     seen = np.all([recording.arm.tracked(joint) for joint in _NEEDED], axis=0)
@@ -94,7 +99,14 @@ def find_held_pose(
                 " tracked together in"
                 f" {int(inside.sum())} frames; {FEWEST_FRAMES} are needed"
             )
-        return _pose(recording, inside, offset_s, "given")
+        pose = _pose(recording, inside, offset_s, "given")
+        if pose.turning_rad_s > MOVING_RAD_S:
+            raise CalibrationError(
+                f"{recording.name}: between {from_s:g} and {to_s:g} s the sensor turns by"
+                f" {np.degrees(pose.turning_rad_s):.0f} degrees/s, so no pose is held there; name times in"
+                " which the arm is still, with --from and --to, or leave them out to have the pose found"
+            )
+        return pose
     good = inside & _held(recording, offset_s)
     runs = [run for run in _runs(t, good) if t[run[1]] - t[run[0]] >= SHORTEST_S]
     if not runs:
@@ -135,11 +147,26 @@ def _held(recording: Recording, offset_s: float) -> BoolArray:
 
 
 def _turning(recording: Recording, t: FloatArray) -> FloatArray:
-    """(F,) rms angular velocity of the sensor about each time, rad/s, its median bias apart."""
+    """(F,) rms angular velocity of the sensor about each time, rad/s, less the gyroscope's bias."""
     imu = recording.imu
     width = max(int(STILL_S * imu.rate_hz), 1)
-    square = uniform_filter1d(np.sum(imu.gyro**2, axis=1), width, mode="nearest")
+    square = uniform_filter1d(np.sum((imu.gyro - _bias(imu)) ** 2, axis=1), width, mode="nearest")
     return np.sqrt(np.interp(t, imu.t_s, square))
+
+
+def _bias(imu: ImuStream) -> FloatArray:
+    """(3,) what the gyroscope shows in the recording's quietest part, rad/s; zero if no bias is so large.
+
+    Quiet is where the angular velocity varies least, whatever it is about.
+    """
+    gyro = np.asarray(imu.gyro)
+    width = max(int(SHORTEST_S * imu.rate_hz), 1)
+    if len(gyro) < width:
+        return np.zeros(3)
+    mean = uniform_filter1d(gyro, width, axis=0, mode="nearest")
+    varies = uniform_filter1d(np.sum((gyro - mean) ** 2, axis=1), width, mode="nearest")
+    bias = np.median(gyro[varies <= np.quantile(varies, QUIET_SHARE)], axis=0)
+    return bias if np.linalg.norm(bias) < LARGEST_BIAS_RAD_S else np.zeros(3)
 
 
 def _runs(t: FloatArray, good: BoolArray) -> list[tuple[int, int]]:

@@ -123,7 +123,7 @@ def batch(
             metavar="N",
             min=0,
             max=1000,
-            help="With --measures: motions to draw for the intervals; 64, 0 = no intervals.",
+            help="With --measures: motions to draw for the intervals, 20 at least; 64, 0 = no intervals.",
         ),
     ] = None,
     hash_names: Annotated[
@@ -144,6 +144,7 @@ def batch(
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
     One failing recording does not stop the others; the exit code is 1 then.
     """
+    from ..measures.intervals import FEWEST_DRAWS
     from ..runtime.atomic import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
@@ -157,6 +158,11 @@ def batch(
         raise typer.BadParameter("--processes is for this machine; with --scheduler the workers decide")
     if draws is not None and not measures:
         raise typer.BadParameter("--draws is for the intervals of the measures; give --measures too")
+    if draws and draws < FEWEST_DRAWS:
+        raise typer.BadParameter(
+            f"--draws {draws} are too few for the intervals of the measures: {FEWEST_DRAWS} are needed, 64"
+            " are usual, 0 = no intervals"
+        )
     if hash_names and keep_paths:
         raise typer.BadParameter("--keep-paths shows the names that --hash-names hides; give one of them")
     folder = study_folder(output)

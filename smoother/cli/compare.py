@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import UnoccludeError
 from .comparison_tables import print_comparison
 from .load import load_arms
@@ -66,7 +65,7 @@ def compare(
             "--methods", metavar="M,M,..", help=f"Methods to compare, or all: {', '.join(METHODS)}."
         ),
     ] = "all",
-    orientation: Orientation = DEFAULT_ORIENTATION,
+    orientation: Orientation = None,
     boundary_s: BoundaryS = None,
     calibration_file: Calibration = None,
     markers: Annotated[
@@ -98,9 +97,9 @@ def compare(
     from .config_file import read_config, with_processes
 
     names = choose(methods)
-    settings = baseline_settings(names, orientation, boundary_s)
     if live:
         names = [*names, *LIVE_METHODS]
+    settings = baseline_settings(names, orientation, boundary_s)
     remedy, swap_sides = set_up.remedy()
     inputs = [recording_file, truth_file, calibration_file, markers, config_file]
     check_outputs(force, [report, json_file], inputs)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..baselines.registry import DEFAULT_ORIENTATION
 from ..errors import CalibrationError
 from .gap_tables import gap_figures, print_factors, print_gaps, print_since, tables_by_arm
 from .load import load_arms
@@ -61,7 +60,7 @@ def gaps(
         str,
         typer.Option("--methods", metavar="M,M,..", help=f"Methods to try, or all: {', '.join(METHODS)}."),
     ] = "graph",
-    orientation: Orientation = DEFAULT_ORIENTATION,
+    orientation: Orientation = None,
     boundary_s: BoundaryS = None,
     calibration_file: Calibration = None,
     config_file: ConfigFile = None,
@@ -111,9 +110,9 @@ def gaps(
 
     lengths_s = parse_lengths(lengths)
     names = choose(methods)
-    settings = baseline_settings(names, orientation, boundary_s)
     if live:
         names = [*names, *LIVE_METHODS]
+    settings = baseline_settings(names, orientation, boundary_s)
     remedy, swap_sides = set_up.remedy()
     if keep_in is not None and GRAPH not in names:
         raise typer.BadParameter(f"--keep-in keeps what {GRAPH} needs; add it to --methods")

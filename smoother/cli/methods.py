@@ -72,7 +72,9 @@ class BaselineSettings:
         return {key: value for key, value in self.options.items() if key in known}
 
 
-def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float | None) -> BaselineSettings:
+def baseline_settings(
+    names: Sequence[str], orientation: str | None, boundary_s: float | None
+) -> BaselineSettings:
     """Check what was set for the baselines among the chosen methods.
 
     Raises
@@ -80,8 +82,15 @@ def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float 
     typer.BadParameter
         A value is out of range, or nothing that was chosen knows the option.
     """
-    if orientation not in ORIENTATIONS:
+    if orientation is None:
+        orientation = DEFAULT_ORIENTATION
+    elif orientation not in ORIENTATIONS:
         raise typer.BadParameter(f"--orientation is one of {', '.join(ORIENTATIONS)}, not '{orientation}'")
+    elif not any(_needs_orientation(name) for name in names):
+        raise typer.BadParameter(
+            "--orientation belongs to the methods that need a filter's orientation, such as rts; no such"
+            f" method was chosen, but {', '.join(names)}"
+        )
     if boundary_s is None:
         return BaselineSettings(orientation)
     if not 0.05 <= boundary_s <= 10.0:
@@ -90,6 +99,11 @@ def baseline_settings(names: Sequence[str], orientation: str, boundary_s: float 
     if not any(name in BASELINES and settings.for_method(name) for name in names):
         raise typer.BadParameter("--boundary-s belongs to the method linear-drift")
     return settings
+
+
+def _needs_orientation(name: str) -> bool:
+    entry = (BASELINES | LIVE_BASELINES).get(name)
+    return entry is not None and entry.needs_orientation
 
 
 def check_draws(draws: int, seed: int | None, method: str) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..baselines.registry import ORIENTATIONS
+from ..baselines.registry import DEFAULT_ORIENTATION, ORIENTATIONS
 
 RecordingPath = Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording.", show_default=False)]
 Output = Annotated[
@@ -83,11 +83,11 @@ DrawSeed = Annotated[
     typer.Option("--seed", metavar="S", min=0, help="For --draws: same seed, same motions; 0."),
 ]
 Orientation = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--orientation",
         metavar="|".join(ORIENTATIONS),
-        help="The orientation filter of the methods beside the graph.",
+        help=f"The orientation filter of the methods beside the graph; {DEFAULT_ORIENTATION} unless named.",
     ),
 ]
 Files = list[Path] | None

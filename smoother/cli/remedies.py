@@ -47,11 +47,16 @@ ClockOffset = Annotated[
         help="Measured clock: IMU time less camera time. Without it [clock] of --calibration, or the motion.",
     ),
 ]
-ClockSigma = Annotated[
-    float,
-    typer.Option("--clock-sigma", metavar="S", help="One standard deviation of --clock-offset."),
-]
+#: One standard deviation of a clock that was measured, where none is stated, s.
 CLOCK_SIGMA_S = 0.02
+ClockSigma = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-sigma",
+        metavar="S",
+        help=f"One standard deviation of --clock-offset; {CLOCK_SIGMA_S:g} unless given.",
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class SetUp:
     mirror, swap, negate, camera_frame : str, optional
         What to undo.
     clock_offset, clock_sigma : float, s
-        The measured clock, if any.
+        The measured clock, if any; its sigma is 0.02 s unless given.
     """
 
     mirror: Mirror = None
@@ -71,7 +76,11 @@ class SetUp:
     negate: Negate = None
     camera_frame: CameraAxes = None
     clock_offset: ClockOffset = None
-    clock_sigma: ClockSigma = CLOCK_SIGMA_S
+    clock_sigma: ClockSigma = None
+
+    def __post_init__(self) -> None:
+        if self.clock_sigma is not None and self.clock_offset is None:
+            raise typer.BadParameter("--clock-sigma belongs to --clock-offset: give the measured clock too")
 
     def remedy(self) -> tuple[Remedy, bool]:
         """See `remedy_of`."""
@@ -121,7 +130,7 @@ def _names(text: str | None) -> tuple[str, ...]:
 
 
 def clock_of(
-    offset_s: float | None, sigma_s: float, calibration_file: Path | None, recording: Recording
+    offset_s: float | None, sigma_s: float | None, calibration_file: Path | None, recording: Recording
 ) -> Clock | None:
     """The clock that was measured: by option, else by the calibration file; None where it is to be found.
 
@@ -139,6 +148,7 @@ def clock_of(
 
     from ..measurements.clock import constant_clock
 
+    sigma_s = CLOCK_SIGMA_S if sigma_s is None else sigma_s
     if not sigma_s > 0.0 or not isfinite(sigma_s):
         raise typer.BadParameter("--clock-sigma is a time above zero, in s")
     if offset_s is not None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..baselines.registry import DEFAULT_ORIENTATION
 from .estimates import print_arm, print_camera, print_clock, print_open
 from .load import load_arms
 from .methods import METHODS, baseline_settings, check_draws, choose, recover_arms
@@ -57,7 +56,7 @@ def smooth(
     method: Annotated[
         str, typer.Option("--method", metavar="M", help=f"How to recover: {', '.join(METHODS)}.")
     ] = "graph",
-    orientation: Orientation = DEFAULT_ORIENTATION,
+    orientation: Orientation = None,
     boundary_s: BoundaryS = None,
     imu: Imu = None,
     skeleton: Skeleton = None,

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..measures.intervals import FEWEST_DRAWS
+
 #: What may be said of a change.
 Word = Literal["clearly more", "clearly less", "no clear change", "cannot be said"]
 MORE: Word = "clearly more"
@@ -247,7 +249,10 @@ def _unknown(first: SessionValue, last: SessionValue) -> tuple[str, ...]:
         if not math.isfinite(value.value):
             sentences.append(f"session {value.session} has no value{f' ({note})' if note else ''}")
         elif not math.isfinite(value.spread):
-            sentences.append(f"session {value.session} was recovered without draws: its interval is unknown")
+            sentences.append(
+                f"session {value.session} has no interval: it was recovered without drawn motions, or they"
+                f" are too few ({FEWEST_DRAWS} are needed, --draws 64)"
+            )
     return tuple(dict.fromkeys(sentences))
 
 

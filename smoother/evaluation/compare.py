@@ -20,6 +20,7 @@ from .gaps import Method, Progress
 from .lag import lag_s
 from .metrics import Figures
 from .reference import ReferenceAlignment
+from .truth_check import truth_notes
 from .validate import Validation, validate
 
 #: The point that is compared where the truth has it; joints where it has no IMU.
@@ -211,7 +212,7 @@ def compare(
         gaps=graph.gaps,
         truth=truth,
         alignment=alignment,
-        notes=tuple(_notes(rows, alignment, graph)),
+        notes=tuple(_notes(rows, alignment, graph, truth)),
     )
 
 
@@ -292,8 +293,10 @@ def _camera_lag(recording: Recording, truth: Truth) -> dict[str, float]:
     return lags
 
 
-def _notes(rows: list[MethodResult], alignment: ReferenceAlignment, graph: Recovery) -> list[str]:
-    notes = [*alignment.notes]
+def _notes(
+    rows: list[MethodResult], alignment: ReferenceAlignment, graph: Recovery, truth: Truth
+) -> list[str]:
+    notes = [*alignment.notes, *truth_notes(graph, truth, aligned=alignment.kind != "none")]
     if alignment.kind != "none":
         notes.append("The truth was aligned by the graph's answer, once for all methods.")
         notes.append("A lag is against the truth's clock as it was aligned.")

@@ -78,20 +78,34 @@ class GapErrors:
 
 def score_gap(recording: Recording, recovery: Recovery, gap: HiddenGap) -> GapErrors:
     """Errors of a recovery inside a gap of the recording, which still holds what was hidden."""
-    offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
     if recording.truth is not None and len(recording.truth):
-        errors, t_s = _against_truth(recording, recovery, gap, offset)
+        errors, t_s = _against_truth(recording, recovery, gap)
     else:
-        errors, t_s = _against_camera(recording, recovery, gap, offset)
-    return replace(errors, since_s=t_s - offset - gap.start_s)
+        errors, t_s = _against_camera(recording, recovery, gap)
+    return replace(errors, since_s=t_s - gap.start_s)
 
 
-def _against_truth(
-    recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float
-) -> tuple[GapErrors, FloatArray]:
-    """Errors at the IMU's times, and these."""
+def frame_times(recording: Recording, recovery: Recovery) -> FloatArray:
+    """The frames' own times (F,) on the IMU's clock, s: with its drift, not its mean offset alone."""
+    if len(recovery.arm) == len(recording.arm):
+        return np.asarray(recovery.arm.t_s)
+    offset = recovery.clock_offset_s if np.isfinite(recovery.clock_offset_s) else 0.0
+    return np.asarray(recording.arm.t_s + offset)
+
+
+def _on_camera_clock(recording: Recording, recovery: Recovery) -> FloatArray:
+    """The answer's times (N,) on the camera's clock, on which gaps are hidden, s."""
+    own = frame_times(recording, recovery)
+    if not len(own):
+        return recovery.t_s
+    return np.asarray(recovery.t_s - np.interp(recovery.t_s, own, own - recording.arm.t_s))
+
+
+def _against_truth(recording: Recording, recovery: Recovery, gap: HiddenGap) -> tuple[GapErrors, FloatArray]:
+    """Errors at the IMU's times, and these on the camera's clock."""
     assert recording.truth is not None
-    inside = gap.contains(recovery.t_s - offset)
+    t_s = _on_camera_clock(recording, recovery)
+    inside = gap.contains(t_s)
     truth = truth_at(recording.truth, recovery.t_s[inside])
     scored = truth.score & np.isfinite(truth.position).all(axis=1)
     position = np.where(scored[:, None], recovery.position[inside], np.nan)
@@ -100,19 +114,17 @@ def _against_truth(
     exact = np.zeros((3, 3))
     angle = np.where(truth.score, angle, np.nan)
     errors = _errors("truth", position, truth.position, covariance, exact, angle, scored)
-    return errors, recovery.t_s[inside]
+    return errors, t_s[inside]
 
 
-def _against_camera(
-    recording: Recording, recovery: Recovery, gap: HiddenGap, offset: float
-) -> tuple[GapErrors, FloatArray]:
-    """Errors at the hidden frames, and their times on the IMU's clock."""
+def _against_camera(recording: Recording, recovery: Recovery, gap: HiddenGap) -> tuple[GapErrors, FloatArray]:
+    """Errors at the hidden frames, and their times on the camera's clock."""
     joint = _reference_joint(recording, recovery, gap)
     if joint is None:
         return GapErrors.empty(), np.zeros(0)
     frames = gap.contains(recording.arm.t_s) & recording.arm.tracked(joint)
     reference = recording.arm.joint(joint)[frames]
-    t_s = recording.arm.t_s[frames] + offset
+    t_s = frame_times(recording, recovery)[frames]
     if joint == "strap":
         known, covariance = strap_position(recovery), recovery.pose_covariance[:, :3, :3]
     else:
@@ -123,7 +135,8 @@ def _against_camera(
     # a hidden sample has the camera's own noise, which the answer's covariance knows nothing of
     noise = camera_noise(recovery, joint)
     scored = np.ones(len(t_s), dtype=bool)
-    return _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored), t_s
+    errors = _errors(joint, answer, reference, stated, noise, np.full(len(t_s), np.nan), scored)
+    return errors, recording.arm.t_s[frames]
 
 
 def strap_position(recovery: Recovery) -> FloatArray:

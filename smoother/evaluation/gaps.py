@@ -64,7 +64,7 @@ def evaluate_gaps(
     inside the gaps and which has no truth: no step of it, calibration included, can see what is
     scored. All methods get the same gaps. The answer in a gap is compared with the recording's truth
     at the IMU's times where there is one, else with the hidden camera samples (wrist, or the
-    recording's only joint) at the frames' times plus the clock offset that the method estimated.
+    recording's only joint) at the frames' times on the IMU's clock, which the method estimated.
 
     Parameters
     ----------

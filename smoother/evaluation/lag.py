@@ -44,25 +44,45 @@ def lag_s(
         Positive where the samples are late. None where nothing moves, too little is known, or the peak lies
         beyond half a second: then the samples do not follow the reference.
     """
-    known = np.flatnonzero(np.isfinite(samples).all(axis=1))
-    known = known[:: max(1, len(known) // MOST)]
-    if len(known) < FEWEST:
-        return None
     t_reference = t_s if reference_t_s is None else reference_t_s
-    t, a = t_s[known], samples[known]
-
-    def correlation(lag: float) -> float:
-        b = linear_at(t_reference, reference, t - lag)
-        both = np.isfinite(b).all(axis=1)
-        return _correlation(a[both], b[both]) if both.sum() >= FEWEST else float("nan")
-
-    coarse = np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
-    roughly = _peak(coarse, np.array([correlation(float(lag)) for lag in coarse]))
+    coarse = _coarse_lags()
+    roughly = _peak(coarse, _correlations(t_s, samples, reference, t_reference, coarse))
     if roughly is None:
         return None
     fine = np.linspace(roughly - 10 * FINE_S, roughly + 10 * FINE_S, 21)
-    exactly = _peak(fine, np.array([correlation(float(lag)) for lag in fine]))
+    exactly = _peak(fine, _correlations(t_s, samples, reference, t_reference, fine))
     return roughly if exactly is None else exactly
+
+
+def best_correlation(t_s: FloatArray, samples: FloatArray, reference: FloatArray) -> float | None:
+    """The largest correlation of samples and a reference (n, d), both at times (n,) s, at any lag.
+
+    None where nothing moves or too little is known.
+    """
+    r = _correlations(t_s, samples, reference, t_s, _coarse_lags())
+    return float(np.nanmax(r)) if np.isfinite(r).any() else None
+
+
+def _coarse_lags() -> FloatArray:
+    return np.arange(-LONGEST_S, LONGEST_S + 0.5 * COARSE_S, COARSE_S)
+
+
+def _correlations(
+    t_s: FloatArray, samples: FloatArray, reference: FloatArray, t_reference: FloatArray, lags: FloatArray
+) -> FloatArray:
+    """Correlation at each lag (k,); nan where too little is known."""
+    r = np.full(len(lags), np.nan)
+    known = np.flatnonzero(np.isfinite(samples).all(axis=1))
+    known = known[:: max(1, len(known) // MOST)]
+    if len(known) < FEWEST:
+        return r
+    t, a = t_s[known], samples[known]
+    for k, lag in enumerate(lags):
+        b = linear_at(t_reference, reference, t - lag)
+        both = np.isfinite(b).all(axis=1)
+        if both.sum() >= FEWEST:
+            r[k] = _correlation(a[both], b[both])
+    return r
 
 
 def _peak(lags: FloatArray, r: FloatArray) -> float | None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
+from ..measures.definitions import definitions, is_measure
 from .measure_pairs import MeasurePair
 
 
@@ -46,7 +48,7 @@ def read_detectable(path: Path) -> dict[str, float]:
     Raises
     ------
     UnoccludeError
-        The file cannot be read, or holds none.
+        The file cannot be read, holds none, or one of a measure that does not exist.
     """
     if path.suffix.lower() == ".toml":
         return _detectable_of_user(path)
@@ -105,6 +107,17 @@ def _detectable_of_user(path: Path) -> dict[str, float]:
             f"{path} has no table [mdc95]; write one with a line a measure: elbow_flexion_range_deg = 5.0"
         )
     for key, value in table.items():
+        _check_key(key, path)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
             raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
     return {key: float(value) for key, value in table.items()}
+
+
+def _check_key(key: str, path: Path) -> None:
+    """Refuse a key that no measure has, with the nearest that one has."""
+    if is_measure(key):
+        return
+    near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
+    raise UnoccludeError(
+        f"{path}: there is no measure {key}, so its mdc95 would count for nothing; the nearest is {near[0]}"
+    )

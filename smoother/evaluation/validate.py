@@ -32,6 +32,7 @@ from .metrics import (
 )
 from .reference import ReferenceAlignment
 from .table_one import TableOne, table_one
+from .truth_check import truth_notes
 
 
 @dataclass(frozen=True)
@@ -245,7 +246,12 @@ def validate(
     angles = compare_angles(recovery, errors.reference, alignment.landmarks, truth.t_s)
     return Validation(
         **figures,
-        notes=(*alignment.notes, *_notes(errors, figures["all"]), *(angles.notes if angles else ())),
+        notes=(
+            *alignment.notes,
+            *truth_notes(recovery, truth, aligned=alignment.kind != "none"),
+            *_notes(errors, figures["all"]),
+            *(angles.notes if angles else ()),
+        ),
         points={
             joint: {name: errors.joint_figures(joint, chosen) for name, chosen in parts.items()}
             for joint in errors.joint_distance_m

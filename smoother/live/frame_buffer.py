@@ -66,10 +66,6 @@ class FrameBuffer:
             np.array([frame.state for frame in frames], dtype=np.int8).reshape(-1, len(JOINTS)),
         )
 
-    def clear(self) -> None:
-        """Forget all frames: their clock is another."""
-        self._frames = []
-
 
 def _stamp(frame: SkeletonFrame) -> float:
     return frame.t_s

@@ -105,10 +105,6 @@ class ImuBuffer:
         rows = self._rows[slice(*np.searchsorted(self.t, [start_s, end_s]).tolist())].copy()
         return ImuStream("live", rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
-    def clear(self) -> None:
-        """Forget all samples: their clock is another."""
-        self._count = 0
-
     def _reserve(self, more: int) -> None:
         """Make place for more samples: the oldest go, or the array grows."""
         if self._count + more <= len(self._rows):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 
@@ -104,6 +105,14 @@ def definition_of(key: str) -> MeasureDefinition:
     angle, _, zone = key.removesuffix("_percent").partition("_zone_")
     low, high = zone.split("_to_")
     return MeasureDefinition(f"{ANGLE_WORDS[angle]}, time from {low} to {high} degrees", "%", 0.0, 100.0)
+
+
+def is_measure(key: str) -> bool:
+    """Whether a measure has this key."""
+    if key in definitions() or key.removesuffix("_symmetry_percent") in definitions():
+        return True
+    angle, _, zone = key.partition("_zone_")
+    return angle in MEASURED_ANGLES and bool(re.fullmatch(r"-?\d+_to_-?\d+_percent", zone))
 
 
 def zone_key(angle: str, low_deg: int, width_deg: int) -> str:

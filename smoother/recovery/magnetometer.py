@@ -36,6 +36,8 @@ FAR = 3.5
 LEAST_FAR = 0.03
 #: A mean takes part when so much of it is undisturbed.
 SHARE_NEEDED = 0.8
+#: Where fewer of a mean's nodes have a sample there is no mean: samples that are missing are no iron.
+SAMPLES_NEEDED = 0.5
 #: Means that the field's direction needs, and the share of all that has to agree.
 MEANS_NEEDED = 8
 MEANS_SHARE = 0.5
@@ -176,7 +178,9 @@ def judge(means: Sequence[FieldMean]) -> Magnetometer:
     """
     calm = [mean for mean in means if mean.share >= SHARE_NEEDED]
     if len(means) < MEANS_NEEDED:
-        return _without("the recording is too short to learn the field's direction from it")
+        return _without(
+            "the recording is too short, or has too few of its samples, to learn the field's direction"
+        )
     if len(calm) < max(MEANS_SHARE * len(means), MEANS_NEEDED):
         return _without(_off(len(means) - len(calm), len(means), "strength"))
     direction, covariance, sigma, good = _agree(means, calm)
@@ -287,15 +291,16 @@ def field_means(
     number : the window's.
     later_t, later_R : its nodes in the second pass, s, and what is held of their attitudes (n, 3, 3).
     """
-    t = seen.t_s
+    t, known = seen.t_s, np.isfinite(seen.in_K).all(axis=1)
     with np.errstate(invalid="ignore"):
         good = np.abs(seen.strength / strength - 1.0) < STRENGTH_OFF
     count = max(round(float(t[-1] - t[0]) / MEAN_S), 1)
     edges = np.linspace(t[0], t[-1], count + 1)
     of = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, count - 1)
     for k in range(count):
-        rows = np.flatnonzero(of == k)
-        if not len(rows):
+        nodes = of == k
+        rows = np.flatnonzero(nodes & known)
+        if not len(rows) or len(rows) < SAMPLES_NEEDED * nodes.sum():
             continue
         share = float(good[rows].mean())
         mean = seen.in_K[rows[good[rows]]].mean(axis=0) if share > 0 else np.full(3, np.nan)

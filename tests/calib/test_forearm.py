@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib import read_calibration
-from calib.forearm.forearm_summary import compare, next_time, open_questions, verdict
+from calib.forearm.forearm_summary import compare, forearm_answer, next_time, open_questions, verdict
 from calib.forearm.held_pose import find_held_pose
 from calib.forearm.held_pose_fit import ForearmCalibration, calibrate_forearm, forearm_axes
 from smoother.cli.run import run
@@ -108,6 +108,36 @@ def test_what_broke_is_named(arms):
     assert any(
         "the strap slid along the arm" in text for text in verdict(replace(found, measured=slid), rows)
     )
+
+
+def test_axes_that_the_motion_contradicts_are_not_written(arms):
+    _, found = arms[0]
+    assert forearm_answer(found).table.arms["right"].R_F_A is not None
+    turned = Rotation.from_euler("z", 60, degrees=True).as_matrix()
+    away = replace(found, calibration=replace(found.calibration, R_F_A=turned @ found.calibration.R_F_A))
+    answer = forearm_answer(away)
+    assert answer.table.arms["right"].R_F_A is None and "R_F_A" not in answer.estimate
+    assert set(answer.table.arms["right"].lever_arms) == set(found.calibration.lever_arms)
+    assert any("R_F_A is left open" in text for text in answer.open_questions)
+
+
+@pytest.mark.parametrize("protocol", ["random", "behind"])
+def test_an_arm_that_moves_holds_no_pose(protocol):
+    recording = simulate_arm(ArmSimulation(protocol=protocol, duration_s=20), 3).recording
+    with pytest.raises(
+        CalibrationError, match=r"the sensor turns by \d+ degrees/s, so no pose is held there"
+    ):
+        find_held_pose(recording, 8.0, 14.0)
+
+
+def test_a_gyroscopes_bias_is_no_turning(arms):
+    recording = arms[0][0].recording
+    bias = np.radians([0.0, 9.0, -12.0])
+    biased = replace(recording, imu=replace(recording.imu, gyro=recording.imu.gyro + bias))
+    plain, found = find_held_pose(recording), find_held_pose(biased)
+    assert (found.start_s, found.end_s) == pytest.approx((plain.start_s, plain.end_s), abs=0.05)
+    assert found.turning_rad_s == pytest.approx(plain.turning_rad_s, rel=1e-6)
+    assert find_held_pose(biased, plain.start_s, plain.end_s).chosen == "given"
 
 
 def test_a_pose_without_motion_leaves_the_mounting_open():

@@ -10,7 +10,7 @@ import pytest
 
 from calib.clock.measured import measured_clock
 from calib.file import CalibrationFile, write_calibration
-from smoother.cli.remedies import CLOCK_SIGMA_S, clock_of
+from smoother.cli.remedies import clock_of
 from smoother.errors import CalibrationError
 from smoother.io import write_recording
 from smoother.io.recording.read_arm import read_arm
@@ -83,8 +83,8 @@ def test_a_file_of_clocks_needs_no_arm(recording: Recording, tmp_path: Path) -> 
     write_calibration(file, file_of(link()))
     read, arm = read_arm(path, file)
     assert arm is None
-    clock = clock_of(None, CLOCK_SIGMA_S, file, read)
+    clock = clock_of(None, None, file, read)
     assert clock is not None and clock.mean_s == 1.5
     typed = clock_of(0.3, 0.01, file, read)  # what is typed counts
     assert typed is not None and (typed.mean_s, typed.sigma_s) == (0.3, 0.01)
-    assert clock_of(None, CLOCK_SIGMA_S, None, read) is None
+    assert clock_of(None, None, None, read) is None

@@ -152,6 +152,45 @@ def test_against_the_camera_with_its_clock_offset(offset_s):
     assert wrong.lengths[1.0]["graph"].figures.position_rms_m > 0.02
 
 
+def drifting_clock(truth: bool) -> tuple[Recording, Recording]:
+    """An arm, and it with a camera's clock that loses 0.2 s in 40 s: 0.1 s off the mean at its ends."""
+    even = make_recording(40.0, noise_m=0.005, truth=truth)
+    return even, replace(even, arm=replace(even.arm, t_s=even.arm.t_s * (1 - 5e-3)))
+
+
+def recovered_with_drift(copy: Recording, even: Recording):
+    recovery = make_recovery(replace(copy, arm=replace(copy.arm, t_s=even.arm.t_s)), sigma_m=1e-4)
+    return replace(recovery, clock_offset_s=float(np.mean(even.arm.t_s - copy.arm.t_s)))
+
+
+def test_a_clock_that_drifts_costs_hidden_frames_nothing():
+    even, drifting = drifting_clock(truth=False)
+    table = evaluate_gaps(drifting, [1.0], {"graph": lambda copy: recovered_with_drift(copy, even)})
+    figures = table.lengths[1.0]["graph"].figures
+    assert figures.position_rms_m == pytest.approx(0.005 * np.sqrt(3), rel=0.15)  # the camera's noise
+    for row, errors in zip(table.rows, table.errors, strict=True):
+        frames = drifting.arm.t_s[row.gap.contains(drifting.arm.t_s)]
+        np.testing.assert_allclose(errors.since_s, frames - row.gap.start_s, atol=1e-9)
+
+
+def test_a_clock_that_drifts_moves_no_gap_against_the_truth():
+    """The answer is wrong in the hidden seconds alone: every sample that is scored has to show it."""
+    even, drifting = drifting_clock(truth=True)
+
+    def wrong_where_hidden(copy: Recording):
+        recovery = recovered_with_drift(copy, even)
+        hidden = ~copy.arm.tracked("wrist")
+        nearest = np.abs(recovery.t_s[:, None] - even.arm.t_s).argmin(axis=1)
+        return replace(recovery, position=recovery.position + 0.05 * hidden[nearest, None])
+
+    table = evaluate_gaps(drifting, [1.0], {"graph": wrong_where_hidden})
+    for row, errors in zip(table.rows, table.errors, strict=True):
+        # half a frame at either end belongs to the visible frame beside the gap
+        inner = (errors.since_s > 0.04) & (errors.since_s < row.gap.length_s - 0.04)
+        assert inner.sum() > 50
+        np.testing.assert_allclose(errors.distance_m[inner], 0.05 * np.sqrt(3), rtol=1e-3)
+
+
 def test_a_method_that_fails_is_a_row():
     recording = make_recording(30.0)
 

@@ -19,6 +19,7 @@ from smoother.evaluation.measure_files import read_detectable, read_pairs
 from smoother.evaluation.measure_pairs import MeasurePair, same_movements, unique_pairs
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
+from smoother.measures.definitions import zone_key
 from smoother.recording import Truth
 from smoother.result import Draws
 from smoother.runtime.plain_values import plain
@@ -127,6 +128,21 @@ class TestManyRecordings:
         file = tmp_path / "v.json"
         file.write_text(json.dumps({"arms": [arm(2.0, 3), arm(5.0, 6), arm(None, 9)]}))
         assert read_detectable(file) == {FLEXION: 5.0}
+
+    def test_a_key_of_no_measure_is_refused_with_the_nearest(self, tmp_path: Path):
+        file = tmp_path / "mdc.toml"
+        keys = (FLEXION, "hand_peak_speed_m_s", f"{FLEXION}_symmetry_percent")
+        keys += (zone_key("elbow_flexion", 30, 10), zone_key("pronation", -90, 10))
+        file.write_text("[mdc95]\n" + "".join(f"{key} = 6\n" for key in keys))
+        assert set(read_detectable(file)) == set(keys)
+        wrong = "elbow_flexion_rang_deg", "elbow_flexion_zone_30_to_x_percent", "elbow_zone_0_to_9_percent"
+        for key in wrong:
+            file.write_text(f"[mdc95]\n{FLEXION} = 6\n{key} = 6\n")
+            with pytest.raises(UnoccludeError, match=f"no measure {key}.*the nearest is "):
+                read_detectable(file)
+        file.write_text("[mdc95]\nelbow_flexion_rang_deg = 6\n")
+        with pytest.raises(UnoccludeError, match=f"the nearest is {FLEXION}$"):
+            read_detectable(file)
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,22 @@ def test_a_magnet_on_the_sensor_leaves_it_out(made, plain):
     assert np.allclose(scene.recovery.position, plain.recovery.position, atol=1e-4, equal_nan=True)
 
 
+def test_samples_that_are_missing_are_no_iron(made, helped):
+    seen = with_field(made.recording)
+    assert seen.imu.mag is not None
+    missing = np.where(seen.imu.t_s[:, None] < 11.0, np.nan, seen.imu.mag)
+    scene = recovered(made, replace(seen, imu=replace(seen.imu, mag=missing)))
+    assert "takes part" in note(scene) and "left out" not in note(scene)
+    estimates = scene.recovery.estimates
+    assert estimates.magnetometer_blocks_used == estimates.magnetometer_blocks
+    # five means of two seconds have nothing, the windows overlap
+    assert 8 <= estimates.magnetometer_blocks <= helped.recovery.estimates.magnetometer_blocks - 5
+    # too little is left to know the direction by, which is no word of magnets either
+    missing = np.where(seen.imu.t_s[:, None] < 24.0, np.nan, seen.imu.mag)
+    scene = recovered(made, replace(seen, imu=replace(seen.imu, mag=missing)))
+    assert "has too few of its samples" in note(scene) and "iron" not in note(scene)
+
+
 def test_without_a_calibration_it_is_not_looked_at(made, plain):
     raw = with_field(made.recording)
     scene = recovered(made, replace(raw, imu=replace(raw.imu, mag_calibrated=False)))

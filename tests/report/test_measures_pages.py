@@ -129,7 +129,7 @@ def test_words_of_progress_need_an_interval(tmp_path: Path):
     assert "would be called clear by chance alone; elbow flexion, range stands" in text
     write_progress_page(person(draws=False), tmp_path / "b.html")
     assert set(words_of(tmp_path / "b.html")) == {"cannot be said"}
-    assert "without draws" in (tmp_path / "b.html").read_text(encoding="utf-8")
+    assert "without drawn motions" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_one_session_and_none(tmp_path: Path):

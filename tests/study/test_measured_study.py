@@ -100,6 +100,8 @@ def test_days_are_relative_to_a_secret_one():
     ("options", "words"),
     [
         (["--draws", 64], "give --measures too"),
+        (["--measures", "--draws", 1], "--draws 1 are too few for the intervals of the measures"),
+        (["--measures", "--draws", 19], "20 are needed, 64 are usual, 0 = no intervals"),
         (["--hash-names", "--keep-paths"], "give one of them"),
     ],
 )

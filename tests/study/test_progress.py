@@ -113,7 +113,7 @@ def test_what_takes_no_part_is_said(tmp_path: Path):
     ):
         assert words in person.left_out[number] and f"s{1 + number}" in person.left_out[number]
     series = next(each for each in person.series if each.key == FLEXION)
-    assert series.change.word == UNKNOWN and "without draws" in series.change.limits[0]
+    assert series.change.word == UNKNOWN and "without drawn motions" in series.change.limits[0]
     assert person.compared == () and person.clear == ()
 
 

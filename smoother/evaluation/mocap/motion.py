@@ -25,6 +25,8 @@ SMOOTH_S = (0.06, 0.08, 0.12, 0.16, 0.2, 0.24, 0.32, 0.4)
 OTHER_PLATE_M = 0.005
 #: Joints next to each other are apart by this, m; a file whose unit is wrong shows by it.
 BONE_M = (0.08, 0.8)
+#: Markers on skin and a shoulder that shifts change an upper arm's length by less (10 to 90 %), m.
+LENGTH_CHANGES_M = 0.05
 #: Markers that fit one body in fewer of the frames that show three of them are not on one.
 LEAST_RIGID = 0.5
 
@@ -108,6 +110,7 @@ def motion_of_markers(markers: Markers, marker_map: MarkerMap) -> MocapMotion:
                 f"{markers.source}: the markers of the {joint} ({', '.join(marker_map.joints[joint])}) are"
                 " never seen together; mend the map"
             )
+    notes += _exchanged(joints)
     return replace(plate, joints=joints, landmarks=landmarks, notes=(*notes, *_incomplete(joints)))
 
 
@@ -123,6 +126,43 @@ def _check_unit(positions: dict[str, FloatArray], markers: Markers) -> None:
                 f"{markers.source}: {one} and {other} are {float(np.median(length)):.3g} m apart; check that"
                 f" the file's coordinates are in its unit, {markers.unit}, and the marker map"
             )
+
+
+def _exchanged(joints: dict[str, FloatArray]) -> list[str]:
+    """Whether lengths show that elbow and wrist are called by each other's name.
+
+    The hand is nearer to the wrist than to the elbow, and the elbow keeps its distance from the shoulder.
+    """
+    if not {"elbow", "wrist"} <= set(joints):
+        return []
+    elbow, wrist = joints["elbow"], joints["wrist"]
+
+    def apart(one: FloatArray, other: FloatArray) -> FloatArray:
+        length = np.linalg.norm(one - other, axis=1)
+        return length[np.isfinite(length)]
+
+    signs = []
+    if "hand" in joints:
+        near, far = apart(joints["hand"], elbow), apart(joints["hand"], wrist)
+        if len(near) and len(far) and np.median(near) < np.median(far):
+            near_cm, far_cm = (100 * float(np.median(each)) for each in (near, far))
+            signs.append(f"the hand is {near_cm:.0f} cm from the elbow and {far_cm:.0f} cm from the wrist")
+    if "shoulder" in joints:
+        steady, changing = apart(joints["shoulder"], wrist), apart(joints["shoulder"], elbow)
+        if len(steady) and len(changing):
+            own, other = (float(np.subtract(*np.percentile(each, [90, 10]))) for each in (steady, changing))
+            if other > LENGTH_CHANGES_M and own < 0.5 * other:
+                signs.append(
+                    f"the upper arm's length changes by {100 * other:.0f} cm, shoulder to wrist by"
+                    f" {100 * own:.0f} cm"
+                )
+    if not signs:
+        return []
+    return [
+        "Elbow and wrist look exchanged in the marker map (or in the markers' names): "
+        + "; ".join(signs)
+        + "."
+    ]
 
 
 def _filled(plate: MocapMotion, positions: FloatArray) -> tuple[FloatArray, int]:

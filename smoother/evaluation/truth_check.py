@@ -1,0 +1,150 @@
+"""Whether a truth can be one of this recording: its unit, its clock, its axes, its quaternions."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..array_types import BoolArray, FloatArray
+from ..recording import Truth
+from ..result import Recovery
+from .align import orientation_at, position_at, truth_at
+from .lag import best_correlation
+from .metrics import orientation_error_deg
+
+#: No arm is this far from where the camera saw it: the truth is in another unit, m (median).
+OTHER_UNIT_M = 50.0
+#: A truth that moves like the answer and is farther from it than this, while the camera sees the arm, is in
+#: other axes, m (median).
+OTHER_FRAME_M = 0.3
+#: Orientations farther apart than this are no error of an answer whose positions fit, degrees (median).
+OTHER_AXES_DEG = 60.0
+#: Quaternions read in the right order are nearer than this, degrees (median).
+RIGHT_ORDER_DEG = 20.0
+#: Speeds are of the way, and the turn, over this time, s: the camera's noise is small against the way.
+STEP_S = 0.2
+#: Speeds of one motion agree better than this; another trial of a protocol stays below within half a second.
+LEAST_CORRELATION = 0.5
+#: A signal whose speed varies less (standard deviation) says nothing, m/s and rad/s.
+STILL_M_S, STILL_RAD_S = 0.05, 0.2
+#: Samples a second that speeds are compared at, and the least time that they must share, s.
+RATE_HZ, SHORTEST_S = 20.0, 4.0
+
+
+def truth_notes(recovery: Recovery, truth: Truth, aligned: bool = False) -> list[str]:
+    """What makes a truth look wrong, one sentence each; usually none.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Judged where the camera saw the arm: there it can hardly be wrong.
+    truth : Truth
+        On the IMU's clock and in {K}, or what was given as such.
+    aligned : bool
+        Its clock and frame were solved, or its frame is calibrated: only its unit is looked at.
+    """
+    at = truth_at(truth, recovery.t_s)
+    chosen = at.score & ~recovery.occluded
+    distance_m = _distance_m(recovery, at, chosen)
+    if distance_m > OTHER_UNIT_M:
+        return [_unit_words(recovery, truth, distance_m)]
+    if aligned:
+        return []
+    correlations = _correlations(recovery, truth)
+    if correlations and max(correlations) < LEAST_CORRELATION:
+        return [
+            "The truth and the answer do not move alike (correlation of their speeds at best"
+            f" {max(correlations):.2f} within half a second): the truth is of another recording, or its clock"
+            " is elsewhere; try --align."
+        ]
+    notes = []
+    if distance_m > OTHER_FRAME_M and correlations:
+        notes.append(
+            f"The truth moves as the answer does but lies {distance_m:.2f} m (median) from it where the"
+            " camera sees the arm: are its axes the camera's? (--align solves them)"
+        )
+    return notes + _axes_notes(recovery, at, chosen)
+
+
+def _distance_m(recovery: Recovery, at: Truth, chosen: BoolArray) -> float:
+    """Median distance of answer and truth: of the IMU, else of the joints they share; nan without any."""
+    pairs = [(recovery.position, at.position)]
+    pairs += [(recovery.joints[name], at.joints[name]) for name in at.joints if name in recovery.joints]
+    for mine, other in pairs:
+        distance = np.linalg.norm(mine - other, axis=1)[chosen]
+        distance = distance[np.isfinite(distance)]
+        if len(distance):
+            return float(np.median(distance))
+    return float("nan")
+
+
+def _unit_words(recovery: Recovery, truth: Truth, distance_m: float) -> str:
+    positions = np.concatenate([truth.position, *truth.joints.values()])
+    answer = np.concatenate([recovery.position, *recovery.joints.values()])
+    ratio = float(np.nanmedian(np.linalg.norm(positions, axis=1))) / float(
+        np.nanmedian(np.linalg.norm(answer, axis=1))
+    )
+    unit = "centimetres" if 30.0 < ratio < 300.0 else "millimetres"
+    return (
+        f"The truth's positions lie {distance_m:.0f} m (median) from the answer's: they look like {unit};"
+        " metres are needed."
+    )
+
+
+def _correlations(recovery: Recovery, truth: Truth) -> list[float]:
+    """The best correlations of both speeds, and of both turns, within half a second, where they tell."""
+    first, last = max(recovery.t_s[0], truth.t_s[0]), min(recovery.t_s[-1], truth.t_s[-1])
+    if last - first < SHORTEST_S:
+        return []
+    t = np.arange(first, last, 1.0 / RATE_HZ)
+    hidden = recovery.occluded[np.clip(np.searchsorted(recovery.t_s, t), 0, len(recovery) - 1)]
+    pairs = [(recovery.position, truth.position)]
+    pairs += [(recovery.joints[name], truth.joints[name]) for name in truth.joints if name in recovery.joints]
+    signals = [
+        (_speed(recovery.t_s, mine, t), _speed(truth.t_s, other, t), STILL_M_S) for mine, other in pairs
+    ]
+    turning = _turning(recovery.t_s, recovery.quaternion, t), _turning(truth.t_s, truth.quaternion, t)
+    found = []
+    for mine, other, still in [*signals, (*turning, STILL_RAD_S)]:
+        mine = np.where(hidden, np.nan, mine)
+        known = np.isfinite(mine) & np.isfinite(other)
+        if known.sum() < SHORTEST_S * RATE_HZ or min(mine[known].std(), other[known].std()) < still:
+            continue
+        best = best_correlation(t, mine[:, None], other[:, None])
+        if best is not None:
+            found.append(best)
+    return found
+
+
+def _speed(t_known: FloatArray, position: FloatArray, t: FloatArray) -> FloatArray:
+    """Speed (N,) m/s over a step; nan where unknown."""
+    before, after = (position_at(t_known, position, t + part * STEP_S) for part in (-0.5, 0.5))
+    return np.asarray(np.linalg.norm(after - before, axis=1) / STEP_S)
+
+
+def _turning(t_known: FloatArray, quaternion: FloatArray, t: FloatArray) -> FloatArray:
+    """Angular speed (N,) rad/s over a step; nan where unknown."""
+    before, after = (orientation_at(t_known, quaternion, t + part * STEP_S) for part in (-0.5, 0.5))
+    return np.asarray(np.radians(orientation_error_deg(before, after)) / STEP_S)
+
+
+def _axes_notes(recovery: Recovery, at: Truth, chosen: BoolArray) -> list[str]:
+    """Orientations that are far off all the time: the order of the quaternion, or other axes."""
+    chosen = chosen & np.isfinite(at.quaternion).all(axis=1) & np.isfinite(recovery.quaternion).all(axis=1)
+    if not chosen.any():
+        return []
+    mine, other = recovery.quaternion[chosen], at.quaternion[chosen]
+    angle_deg = float(np.median(orientation_error_deg(mine, other)))
+    if not angle_deg > OTHER_AXES_DEG:
+        return []
+    start = f"The truth's orientation is {angle_deg:.0f} degrees (median) off"
+    # the columns hold qx, qy, qz, qw under the names qw, qx, qy, qz
+    if np.median(orientation_error_deg(mine, np.roll(other, 1, axis=1))) < RIGHT_ORDER_DEG:
+        return [f"{start}, and fits as qx, qy, qz, qw: is the order of its columns qw, qx, qy, qz?"]
+    turn = Rotation.from_quat(mine, scalar_first=True).inv() * Rotation.from_quat(other, scalar_first=True)
+    apart = np.degrees((turn.mean().inv() * turn).magnitude())
+    steady = "by a constant turn" if np.median(apart) < RIGHT_ORDER_DEG else "all the time"
+    return [
+        f"{start} {steady}: is the order qw, qx, qy, qz, and are its axes the IMU's, in the camera's frame?"
+        " (--align solves another frame, not other axes of the sensor)"
+    ]
