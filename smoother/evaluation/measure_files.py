@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
+from ..runtime.toml_text import toml_text
 from .measure_pairs import MeasurePair
 
 
@@ -94,7 +95,7 @@ def _detectable_of_user(path: Path) -> dict[str, float]:
     import tomllib
 
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(toml_text(path))
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:

@@ -15,6 +15,7 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside
+from ...runtime.toml_text import toml_text
 from ..devices.head import shown
 from ..devices.into_recording import add_imu, add_skeleton, times_of
 from ..devices.pairing import paired
@@ -118,7 +119,7 @@ def _describe(folder: Path) -> _Description:
     path = folder / "recording.toml"
     check_input(path, RecordingError)
     try:
-        return _Description.model_validate(tomllib.loads(path.read_bytes().decode("utf-8-sig")))
+        return _Description.model_validate(tomllib.loads(toml_text(path)))
     except FileNotFoundError:
         there = (
             "the folder does not exist" if not folder.is_dir() else "it describes the files of a recording"
