@@ -26,6 +26,8 @@ _ONE_POINT_M = 1e-5
 _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 #: No depth camera sees a person farther away, m an axis.
 _FARTHEST_M = 20.0
+#: No forearm is as long in cm, and none as short in mm.
+_FOREARM_CM = 70.0
 #: Median rest |acc| to the unit that it looks like.
 _ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
 
@@ -216,12 +218,19 @@ def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, sou
     tracked = sampled(state) == JointState.TRACKED
     if not tracked.any():
         return
-    far = float(np.median(np.linalg.norm(sampled(position)[tracked], axis=1)))
-    if far > 100:
-        raise RecordingError(
-            f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
-            "millimetres; convert them to metres (position_unit in a recording.toml)."
-        )
+    places = sampled(position)
+    far = float(np.median(np.linalg.norm(places[tracked], axis=1)))
+    if far <= _FARTHEST_M:
+        return
+    both = tracked[:, _ELBOW] & tracked[:, _WRIST]
+    forearm = np.linalg.norm(places[both, _ELBOW] - places[both, _WRIST], axis=1)
+    # A forearm tells both units apart at any distance; a single joint does so by where people stand.
+    is_mm = np.median(forearm) > _FOREARM_CM if len(forearm) else far > 1000
+    raise RecordingError(
+        f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
+        f"{'millimetres' if is_mm else 'centimetres'}; convert them to metres (position_unit ="
+        f' "{"mm" if is_mm else "cm"}" in a recording.toml).'
+    )
 
 
 def _refuse_set_back(stamp_ns: IntArray, values: FloatArray, name: str, source: str, what: str) -> None:
