@@ -259,3 +259,22 @@ def test_a_skeleton_listed_joint_by_joint_is_no_clock_that_was_set_back(plain_fo
     found = open_csv(plain_folder(skeleton="\n".join([head, *rows]) + "\n"))
     assert not any("set back" in note for note in found.notes)
     np.testing.assert_array_equal(found.arms[0].position, plain.arm.position)
+
+
+@pytest.mark.parametrize(
+    ("described", "factor", "rate"), [('time_unit = "ms"\n', 1.0, "1e[+]05"), ("", 1e3, "0.1")]
+)
+def test_times_in_another_unit(
+    plain_folder: Folder, tmp_path: Path, described: str, factor: float, rate: str
+) -> None:
+    """Seconds that are called ms, and the reverse: import says it, and to smooth is refused in a sentence."""
+    texts = plain_texts()
+    head, *rows = texts["imu"].strip().split("\n")
+    rows = [f"{float(row.split(',', 1)[0]) * factor:.6f},{row.split(',', 1)[1]}" for row in rows]
+    section = '[imu.forearm_right]\nfile = "imu.csv"\n'
+    recording = texts["recording"].replace(section, section + described)
+    file = open_csv(plain_folder(imu="\n".join([head, *rows]) + "\n", recording=recording))
+    assert any("is no IMU's rate" in note and "time_unit" in note for note in file.notes)
+    write_recording(file, tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=rf"in common .* at {rate} Hz, .* time_unit"):
+        read_recording(tmp_path / "a.mcap")

@@ -17,7 +17,7 @@ from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside
 from ...runtime.toml_text import toml_text
 from ..devices.head import shown
-from ..devices.into_recording import add_imu, add_skeleton, times_of
+from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
 from ..devices.pairing import paired
 from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton
@@ -102,6 +102,7 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         has_skeleton = False
     for name, section in plain.items():
         file.imus.append(_imu(file, folder / section.file, name, section))  # type: ignore[operator]
+        file.notes += rate_note(file.imus[-1])
     others = {name: section for name, section in description.imu.items() if not section.is_plain}
     _add_columns(file, folder, camera if has_skeleton else None, others)
     if description.truth is not None:
