@@ -38,6 +38,7 @@ from smoother.errors import CalibrationError, UnoccludeError
 from smoother.rotation import Rotation
 from smoother.runtime.atomic import writing
 from smoother.runtime.inputs import check_input
+from smoother.runtime.toml_text import toml_text
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
@@ -231,7 +232,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: CalibrationFile
     held = ""
     if path.exists():
         read_calibration(path)
-        held = path.read_text(encoding="utf-8")
+        held = toml_text(path)
     text = calibration_text(calibration, path, held)
     try:
         with writing(path, force=True) as temporary:
@@ -281,7 +282,7 @@ def _load(path: Path) -> dict[str, Any]:
     """The file as plain values, once it has shown to be a calibration of a version that we know."""
     check_input(path, CalibrationError)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(toml_text(path))
     except OSError as error:
         raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits

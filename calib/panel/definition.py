@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.runtime.inputs import check_input
+from smoother.runtime.toml_text import toml_text
 
 from ..intrinsics import Intrinsics
 
@@ -142,7 +143,7 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 def _load(path: Path) -> dict[str, Any]:
     check_input(path, CalibrationError)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(toml_text(path))
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits

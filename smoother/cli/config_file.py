@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from ..config import Config
 from ..errors import UnoccludeError
 from ..runtime.inputs import check_input
+from ..runtime.toml_text import toml_text
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -39,11 +40,9 @@ def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
         return kind()
     check_input(path)
     try:
-        return kind.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return kind.model_validate(tomllib.loads(toml_text(path)))
     except ValidationError as error:
         raise UnoccludeError(f"{path}: {describe(error)}") from error
-    except UnicodeDecodeError as error:
-        raise UnoccludeError(f"{path}: not a TOML file (it is no UTF-8 text)") from error
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise UnoccludeError(f"{path}: not a TOML file: {error}") from error
 

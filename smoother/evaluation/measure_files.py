@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..measures.definitions import definitions, is_measure
+from ..runtime.toml_text import toml_text
 from .measure_pairs import MeasurePair
 
 
@@ -96,7 +97,7 @@ def _detectable_of_user(path: Path) -> dict[str, float]:
     import tomllib
 
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(toml_text(path))
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:

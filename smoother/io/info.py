@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Unpack
 
+import numpy as np
+
 from ..errors import RecordingError
 from ..recording import Recording
 from .arm_info import ArmInfo, describe_arm, finite
@@ -14,7 +16,7 @@ from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
 from .recording.selection import Selection
 from .recording.stream_names import named_side, role
-from .recording.streams import RecordingFile
+from .recording.streams import RecordingFile, TopicInfo
 from .result.write import RESULT
 
 _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "foxglove.CompressedImage")
@@ -31,7 +33,7 @@ class TopicRow:
     count : int
         Number of messages.
     rate_hz : float, Hz, optional
-        Mean rate.
+        Mean rate; of a skeleton that of its frames, each of which may be several messages.
     duration_s : float, s
         First to last log time.
     """
@@ -157,7 +159,7 @@ def describe(
         path=str(file.path),
         size_bytes=Path(path).stat().st_size,
         topics=[
-            TopicRow(topic.name, topic.schema, topic.count, finite(topic.rate_hz), round(topic.duration_s, 3))
+            TopicRow(topic.name, topic.schema, topic.count, _rate_hz(file, topic), round(topic.duration_s, 3))
             for topic in file.topics
         ],
         imus=[
@@ -184,6 +186,16 @@ def describe(
     info.optional = _optional(file, recordings[0] if recordings else None)
     info.result = any(RESULT in name for name in file.metadata)
     return info
+
+
+def _rate_hz(file: RecordingFile, topic: TopicInfo) -> float | None:
+    """Mean rate of a topic; messages of one frame (of an arm or a body each) count once."""
+    rate_hz = finite(topic.rate_hz)
+    stamps = [arm.stamp_ns for arm in file.arms if arm.topic == topic.name]
+    if rate_hz is None or not stamps:
+        return rate_hz
+    frames = len(np.unique(np.concatenate(stamps)))
+    return rate_hz * min(frames / topic.count, 1.0)
 
 
 def _take(info: RecordingInfo, recordings: list[Recording]) -> None:

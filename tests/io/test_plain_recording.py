@@ -228,3 +228,53 @@ def test_a_camera_without_skeleton_leaves_the_imus(plain_folder: Folder) -> None
     assert not found.arms and [imu.topic for imu in found.imus] == ["/imu/forearm_right"]
     with pytest.raises(RecordingError, match="has no skeleton"):
         import_csv(folder)
+
+
+@pytest.mark.parametrize("by_s", [1 / 3, 1.5, 60.0])  # 1/3: frames of both sides have the same stamps
+def test_clocks_that_were_set_back_go_on(plain_folder: Folder, by_s: float) -> None:
+    """Of the camera and of the IMU, each alone."""
+
+    def later(text: str, from_s: float) -> str:
+        head, *rows = text.strip().split("\n")
+        cells = [row.split(",", 1) for row in rows]
+        times = [float(t) - by_s * (float(t) >= from_s) + 100 for t, _ in cells]
+        rows = [f"{t:.6f},{rest}" for t, (_, rest) in zip(times, cells, strict=True)]
+        return "\n".join([head, *rows]) + "\n"
+
+    texts, plain = plain_texts(), import_csv(plain_folder())
+    file = open_csv(plain_folder(skeleton=later(texts["skeleton"], 5.0)))
+    (arm,) = file.arms
+    assert any("skeleton.csv: The clock was set back by" in note for note in file.notes)
+    np.testing.assert_allclose(arm.stamp_ns / 1e9 - 100, plain.arm.t_s, atol=3e-6)
+    np.testing.assert_array_equal(arm.position, plain.arm.position)
+    file = open_csv(plain_folder(imu=later(texts["imu"], 5.0)))
+    assert any("imu.csv: The clock was set back by" in note for note in file.notes)
+    np.testing.assert_allclose(file.imus[0].stamp_ns / 1e9 - 100, plain.imu.t_s, atol=3e-6)
+
+
+def test_a_skeleton_listed_joint_by_joint_is_no_clock_that_was_set_back(plain_folder: Folder) -> None:
+    plain = import_csv(plain_folder())
+    head, *rows = plain_texts()["skeleton"].strip().split("\n")
+    rows.sort(key=lambda row: row.split(",")[1])
+    found = open_csv(plain_folder(skeleton="\n".join([head, *rows]) + "\n"))
+    assert not any("set back" in note for note in found.notes)
+    np.testing.assert_array_equal(found.arms[0].position, plain.arm.position)
+
+
+@pytest.mark.parametrize(
+    ("described", "factor", "rate"), [('time_unit = "ms"\n', 1.0, "1e[+]05"), ("", 1e3, "0.1")]
+)
+def test_times_in_another_unit(
+    plain_folder: Folder, tmp_path: Path, described: str, factor: float, rate: str
+) -> None:
+    """Seconds that are called ms, and the reverse: import says it, and to smooth is refused in a sentence."""
+    texts = plain_texts()
+    head, *rows = texts["imu"].strip().split("\n")
+    rows = [f"{float(row.split(',', 1)[0]) * factor:.6f},{row.split(',', 1)[1]}" for row in rows]
+    section = '[imu.forearm_right]\nfile = "imu.csv"\n'
+    recording = texts["recording"].replace(section, section + described)
+    file = open_csv(plain_folder(imu="\n".join([head, *rows]) + "\n", recording=recording))
+    assert any("is no IMU's rate" in note and "time_unit" in note for note in file.notes)
+    write_recording(file, tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=rf"in common .* at {rate} Hz, .* time_unit"):
+        read_recording(tmp_path / "a.mcap")

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_recordings import make, swing
+from made_recordings import make, plain_texts, swing
 from mcap.reader import make_reader
 
 from smoother.errors import RecordingError, UnoccludeError
-from smoother.io import describe, open_recording, read_recording, select_recording, write_recording
+from smoother.io import describe, open_csv, open_recording, read_recording, select_recording, write_recording
 from smoother.io.recording.bodies import join_bodies
 from smoother.io.recording.clean import increasing
 from smoother.io.recording.motion_agreement import motion_agreement
@@ -168,9 +168,30 @@ def test_gyroscope_in_degrees(recording: Recording, tmp_path: Path) -> None:
     assert "looks like deg/s" in said
 
 
-def test_skeleton_in_millimetres(recording: Recording, tmp_path: Path) -> None:
-    arm = replace(recording.arm, position=recording.arm.position * 1000)
-    assert "millimetres" in refused(replace(recording, arm=arm), tmp_path)
+@pytest.mark.parametrize(("factor", "unit", "key"), [(1000, "millimetres", "mm"), (100, "centimetres", "cm")])
+@pytest.mark.parametrize("joints", [(1, 2), (2,)])
+def test_skeleton_in_another_unit(
+    recording: Recording, tmp_path: Path, factor: float, unit: str, key: str, joints: tuple[int, ...]
+) -> None:
+    arm = replace(recording.arm, position=recording.arm.position * factor, state=recording.arm.state.copy())
+    arm.state[:, [joint for joint in range(5) if joint not in joints]] = 0
+    said = refused(replace(recording, arm=arm), tmp_path)
+    assert f"looks like {unit};" in said and f'position_unit = "{key}"' in said
+
+
+def test_the_rate_of_frames_whose_arms_are_messages_of_their_own(
+    recording: Recording, tmp_path: Path
+) -> None:
+    folder = tmp_path / "plain"
+    folder.mkdir()
+    for name, text in plain_texts().items():
+        (folder / ("recording.toml" if name == "recording" else f"{name}.csv")).write_text(text)
+    rows = (folder / "skeleton.csv").read_text().rstrip().split("\n")
+    both = [rows[0], *(line for row in rows[1:] for line in (row, row.replace("_right", "_left")))]
+    (folder / "skeleton.csv").write_text("\n".join(both) + "\n")
+    write_recording(open_csv(folder), tmp_path / "a.mcap")
+    (row,) = [topic for topic in describe(tmp_path / "a.mcap").topics if topic.name == "/skeleton"]
+    assert row.count == 2 * len(recording.arm) and row.rate_hz == pytest.approx(30, rel=0.01)
 
 
 def test_nothing_visible(recording: Recording, tmp_path: Path) -> None:

@@ -15,10 +15,12 @@ from calib.file import read_calibration
 from calib.image_size import stated_size
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.io import read_recording
+from smoother.io.recording.clean import clean_arm, clean_imu
 from smoother.io.recording.outlying import largest_group
+from smoother.io.recording.streams import ArmFrames, ImuSamples
 from smoother.io.recording.unusable import unusable_samples
 from smoother.io.recording.write import write_recording
-from smoother.recording import Recording
+from smoother.recording import JointState, Recording
 
 T = 10**18 + np.arange(0, 8 * 10**9, 10**7)
 
@@ -108,6 +110,24 @@ def test_far_stamps_in_a_file(tmp_path: Path):
     found = read_recording(tmp_path / "a.mcap")
     assert len(found.imu) == len(t) - 1 and found.imu.t_s[-1] < 20
     assert any("1 of 800 stamps lie far" in note and "10.0 days" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("by_s", [0.1, 0.3, 2.0, 60.0])
+@pytest.mark.parametrize("stream", ["imu", "arm"])
+def test_a_clock_that_was_set_back_is_refused(stream: str, by_s: float):
+    """A few samples would be dropped, and all behind them stay at the wrong time."""
+    imu = ImuSamples("/imu", "imu", T - round(by_s * 1e9) * (T[400] <= T), *motion(), None)
+    position = np.tile(np.arange(15.0).reshape(5, 3) / 10, (267, 1, 1))  # nothing moves
+    state = np.full((267, 5), JointState.TRACKED, np.int8)
+    frames = T[::3]
+    arm = ArmFrames(
+        "/skeleton", "camera", 0, "right", frames - round(by_s * 1e9) * (frames >= T[400]), position, state
+    )
+    with pytest.raises(RecordingError, match=r"clock of /\w+.* was set back by .* at (3\.99|4\.0) s of it"):
+        if stream == "imu":
+            clean_imu(imu, "a.mcap")
+        else:
+            clean_arm(arm, "a.mcap")
 
 
 def test_joints_that_no_camera_sees(tmp_path: Path):

@@ -38,6 +38,7 @@ from scipy.spatial.transform import Rotation
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
+from ...runtime.toml_text import toml_text
 
 #: Joints that a map may name.
 MAPPED_JOINTS = ("shoulder", "elbow", "wrist", "hand")
@@ -86,7 +87,7 @@ def read_marker_map(path: Path | str) -> MarkerMap:
     path = Path(path)
     check_input(path, RecordingError)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(toml_text(path))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits

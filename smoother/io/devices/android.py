@@ -13,6 +13,7 @@ from .imu_checks import holds_gravity, with_settled_unit
 from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
 from .protocol import FileHead, ImuTable
+from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
 from .sheet import Sheet
 from .table_layout import TableLayout, is_data, layout_of, split_line
 
@@ -22,16 +23,22 @@ _TIMES = (
     *("timestamp_nano", "unix_time", "unixtime", "epoch", "seconds_elapsed", "seconds", "elapsed", "ts"),
     *("elapsedrealtime", "elapsedrealtimenanos", "elapsed_realtime_nanos", "time since start in ms"),
     *("datetime", "date", "milliseconds", "nanoseconds", "systemtime", "system_time", "phone_time"),
+    *TIME_WORDS,
 )
-_ACC = ("acc", "accel", "accelerometer", "acceleration", "a", "total acceleration", "totalacceleration")
+_ACC = (
+    *("acc", "accel", "accelerometer", "acceleration", "a", "total acceleration", "totalacceleration"),
+    *ACCELERATION_WORDS,
+)
 _GYRO = (
     *("gyr", "gyro", "gyroscope", "g", "w", "angular velocity", "angular_velocity"),
     *("rotation rate", "rotationrate", "omega"),
+    *TURNING_WORDS,
 )
 _BARE = ("", "value", "values", "v", "axis")
 _WITHOUT_G = (
     *("linear acceleration", "linear_acceleration", "linearacceleration", "linacc"),
     "user acceleration",
+    *LINEAR_WORDS,
 )
 _SIGNS = ("xyz", "012", "123")
 _KIND = ("sensor", "sensor_type", "sensortype", "sensorname", "sensor_name", "type", "name", "sensor id")

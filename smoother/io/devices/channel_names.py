@@ -12,11 +12,13 @@ from .imu_checks import turn_scale
 from .joint_names import words_of
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import ImuTable
+from .sensor_words import ACCELERATION_WORDS, TURNING_WORDS
 
-_ACC = {"acc", "accel", "accelerometer", "acceleration", "accelerations", "acce"}
+_ACC = {"acc", "accel", "accelerations", "acce", *(w for w in ACCELERATION_WORDS if " " not in w)}
 _GYRO = {
     *("gyr", "gyro", "gyroscope", "gyroscopes", "angvel", "angular", "omega", "rotationrate", "gyration"),
     *("turn", "gyros", "ang"),
+    *(word for word in TURNING_WORDS if " " not in word),
 }
 _MAG = {"mag", "magn", "magnetometer", "magnetic", "magfield"}
 _LETTERS = {"a": "acc", "g": "gyro", "w": "gyro", "m": "mag"}

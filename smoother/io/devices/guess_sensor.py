@@ -11,13 +11,25 @@ from ...units import STANDARD_GRAVITY
 from .guess import Guess, is_numeric, named
 from .guess_units import RATES_HZ, accelerometer_unit, gyroscope_unit, time_unit
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
+from .sensor_words import ACCELERATION_WORDS, TIME_WORDS, TURNING_WORDS
 from .sheet import Sheet
 
 #: Words of a column's name by what the column is.
-_ACCELEROMETER = r"(?:^|[^a-z])(?:a|acc|accel|accelero\w*|acceleration|lacc|specific ?force)(?=$|[^a-z])"
-_GYROSCOPE = r"(?:^|[^a-z])(?:g|w|gyr|gyro|gyrosc\w*|omega|angular ?\w*|rot\w*|turn ?rate)(?=$|[^a-z])"
+_ACCELEROMETER = (
+    r"(?:^|[^a-z])(?:a|acc|accel|accelero\w*|lacc|specific ?force|"
+    + "|".join(ACCELERATION_WORDS)
+    + r")(?=$|[^a-z])"
+)
+_GYROSCOPE = (
+    r"(?:^|[^a-z])(?:g|w|gyr|gyro|gyrosc\w*|omega|angular ?\w*|rot\w*|turn ?rate|"
+    + "|".join(TURNING_WORDS)
+    + r")(?=$|[^a-z])"
+)
 _MAGNETOMETER = r"(?:^|[^a-z])(?:m|mag|magn\w*|field)(?=$|[^a-z])"
-_TIME = r"time|stamp|epoc|elapsed|(?:^|[^a-z])(?:t|seconds?|sec|clock|millis|micros)(?=$|[^a-z])"
+_TIME = (
+    "|".join(TIME_WORDS)
+    + r"|stamp|epoc|elapsed|(?:^|[^a-z])(?:t|seconds?|sec|clock|millis|micros)(?=$|[^a-z])"
+)
 _COUNTER = r"(?:^|[^a-z])(?:counter|count|packet\w*|sample\w*|index|frame\w*|no|n|seq\w*|row)(?=$|[^a-z])"
 _SHORT = re.compile(r"^(a|g|w|m)_?([xyz])$")
 _AXIS = re.compile(r"(?:^|[^a-z0-9])([xyz])(?=$|[^a-z0-9])|(?<=[a-z])([XYZ])$|(?<=[a-z])([xyz])$")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from pathlib import Path
 
 from ...errors import RecordingError
@@ -15,6 +16,8 @@ HEAD_BYTES = 65_536
 SHOWN_CHARACTERS = 200
 #: Among the first characters, more of these than one in so many are no text.
 _CONTROL_SHARE = 0.02
+#: Dashes that stand for a minus: before a number or the digits of an exponent, not between two numbers.
+_DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF16_LE, "utf-16"),
@@ -58,7 +61,7 @@ def read_head(path: Path) -> FileHead:
 
 
 def decode(raw: bytes) -> str:
-    """A file's bytes as text without its byte-order mark; "" where they are no text."""
+    """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are no text."""
     encoding = next((name for mark, name in _MARKS if raw.startswith(mark)), None)
     if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
         even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
@@ -78,7 +81,13 @@ def decode(raw: bytes) -> str:
         text = raw.decode("cp1252", errors="replace")
     start = text[:4000]
     control = sum(1 for character in start if ord(character) < 32 and character not in "\t\r\n\f")
-    return "" if control > _CONTROL_SHARE * len(start) else text
+    return "" if control > _CONTROL_SHARE * len(start) else plain_minus(text)
+
+
+def plain_minus(text: str) -> str:
+    """Text in which typographic minus signs, and dashes before a number, are the plain minus."""
+    text = text.replace("\u2212", "-")
+    return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
 
 
 def amount(count: int, one: str, many: str) -> str:

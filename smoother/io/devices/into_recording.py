@@ -14,6 +14,9 @@ from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, RecordingFile
 from .protocol import ImuTable, SkeletonTable
 
+#: Slower or faster than any IMU that is worn, samples a second.
+_RATES_HZ = (2.0, 10_000.0)
+
 
 def add_skeleton(
     file: RecordingFile, tables: list[SkeletonTable], source: str, topic: str, shift_s: float
@@ -74,6 +77,18 @@ def add_imu(file: RecordingFile, topic: str, table: ImuTable, source: str, shift
     samples = ImuSamples(topic, topic.rpartition("/")[2], stamp, table.acc, table.gyro, table.mag)
     clean_imu(samples, source)
     file.imus.append(samples)
+    file.notes += rate_note(samples)
+
+
+def rate_note(samples: ImuSamples) -> list[str]:
+    """A sentence where an IMU's rate is none of such a sensor: its times are in another unit."""
+    step_s = float(np.median(np.diff(samples.stamp_ns))) / 1e9 if len(samples.stamp_ns) > 1 else 0.0
+    if not step_s > 0 or _RATES_HZ[0] <= 1 / step_s <= _RATES_HZ[1]:
+        return []
+    return [
+        f"{samples.topic}: its times make {1 / step_s:.3g} samples a second, which is no IMU's rate; if they"
+        " are in another unit, give time_unit in a recording.toml."
+    ]
 
 
 def times_of(table: ImuTable | SkeletonTable) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
+from ..recording.set_back import begins_frames
 from .joint_columns import column_named, plain_words, time_unit_of
 from .joint_names import AZURE, BLAZEPOSE, KINECT_V2, joint_name
 from .mediapipe import landmarks_in_metres
@@ -159,7 +160,9 @@ def _gathered(sheet: Sheet, columns: _Columns, names: list[str], kind: str, path
     key = frame if frame is not None else time
     assert key is not None
     body = np.zeros(len(key)) if columns.body is None else body_numbers(sheet, columns.body)
-    forward = (np.diff(key[np.isfinite(key)]) >= 0).all()
+    joint_of = np.unique(names, return_inverse=True)[1]
+    begins = joint_of + len(joint_of) * np.unique(body, return_inverse=True)[1]
+    forward = (np.diff(key[np.isfinite(key)]) >= 0).all() or begins_frames(key, begins)
     number = (
         np.cumsum(np.append(True, key[1:] != key[:-1])) if forward else np.unique(key, return_inverse=True)[1]
     )

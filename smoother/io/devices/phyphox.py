@@ -7,14 +7,11 @@ from .imu_checks import holds_gravity
 from .imu_sheet import ImuSheetFormat, angular_velocity, seconds, specific_force, units_said
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import ImuTable
+from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
 from .sheet import Sheet
 from .table_layout import TableLayout
 
-#: Also as experiments in other languages name them.
-_TIME = ("time", "zeit", "temps", "tiempo", "tempo", "t")
-_WITH_G = ("acceleration", "accelerometer", "beschleunigung", "accélération", "aceleración", "accelerazione")
-_WITHOUT_G = ("linear acceleration", "lineare beschleunigung", "accélération linéaire", "aceleración lineal")
-_TURNING = ("gyroscope", "gyroscope rotation", "rotation rate", "gyroskop", "giroscopio", "angular velocity")
+_TIME = (*TIME_WORDS, "t")
 
 
 class Phyphox(ImuSheetFormat):
@@ -29,14 +26,19 @@ class Phyphox(ImuSheetFormat):
         time = layout.find(*_TIME)
         if time is None or plain_unit(layout.units[time]) != "s":
             return False
-        vectors = [layout.axes(*_WITH_G), layout.axes(*_TURNING), layout.axes(*_WITHOUT_G), layout.axes("")]
+        vectors = [
+            layout.axes(*ACCELERATION_WORDS),
+            layout.axes(*TURNING_WORDS),
+            layout.axes(*LINEAR_WORDS),
+            layout.axes(""),
+        ]
         units = {plain_unit(layout.units[c[0]]) for c in vectors if c is not None}
         return bool(units & {"m/s^2", "rad/s"}) and not units & {"g", "deg/s"}
 
     def tables(self, sheet: Sheet) -> list[ImuTable]:
         """One sensor, or the half of one."""
         layout = sheet.layout
-        acc, gyro, bare = layout.axes(*_WITH_G), layout.axes(*_TURNING), layout.axes("")
+        acc, gyro, bare = layout.axes(*ACCELERATION_WORDS), layout.axes(*TURNING_WORDS), layout.axes("")
         if bare is not None and acc is None and gyro is None:
             unit = plain_unit(sheet.unit(bare[0]))
             acc, gyro = (bare if unit in ACCELERATION else None), (bare if unit in ANGULAR_VELOCITY else None)

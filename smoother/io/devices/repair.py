@@ -11,6 +11,8 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
 from ..recording.clean import increasing
+from ..recording.set_back import said as set_back_said
+from ..recording.set_back import set_back
 from .head import amount
 from .protocol import ImuTable, SkeletonTable
 
@@ -58,7 +60,8 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        t_s, more = _gone_on(t_s, table.acc if table.acc is not None else table.gyro, "samples")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
         order = _order(t_s)
         table = table if order is None else _rows(table, order, "")
     number, notes = _number(table)
@@ -75,7 +78,8 @@ def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
-        table = replace(table, t_s=t_s, notes=[*table.notes, *notes])
+        t_s, more = _gone_on(t_s, next(iter(table.position.values())), "frames")
+        table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
         order = _order(t_s)
         table = table if order is None else _frames(table, order, "")
     t_s, notes = _times(table.t_s, None, table.rate_hz, source, "frames", _frame_count(table))
@@ -154,6 +158,12 @@ def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
     t_s, wraps = unwrapped(t_s)
     said = f"The device's clock started anew {_times_said(wraps)}; it was made to go on."
     return t_s, [said] if wraps else []
+
+
+def _gone_on(t_s: FloatArray, values: FloatArray | None, what: str) -> tuple[FloatArray, list[str]]:
+    """Times of a clock that was set back; before rows are put in order, which would mix what was apart."""
+    t_s, steps = set_back(t_s, values)
+    return t_s, [set_back_said(steps, what)] if steps else []
 
 
 def _order(t_s: FloatArray) -> IntArray | None:

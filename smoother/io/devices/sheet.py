@@ -19,6 +19,8 @@ from .table_layout import TableLayout, layout_of
 
 #: Cells without a value, in lower case.
 MISSING = ("", "nan", "na", "n/a", "none", "null", "-", "--", "#n/a", "+nan", "-nan")
+#: A column with a larger share of cells that are no numbers is refused.
+_WRONG = 0.05
 _PLAIN = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?$"
 _WITH_COMMA = r"^[+-]?\d*,\d+([eE][+-]?\d{1,3})?$"
 
@@ -82,7 +84,7 @@ class Sheet:
         Raises
         ------
         RecordingError
-            More than half of the cells that are not empty are no numbers.
+            More than 5 % of the cells that are not empty (and more than one) are no numbers.
         """
         if column not in self._numbers:
             self._numbers[column] = self._read_numbers(column)
@@ -110,15 +112,17 @@ class Sheet:
         Raises
         ------
         RecordingError
-            More than half of the cells are neither.
+            More than 5 % of the cells that are not empty (and more than one) are neither.
         """
         sample = [cell for cell in self.texts(column)[:50] if cell]
         if not any(re.search(r"\d[-/.:]\d+[-/.:]\d", cell) for cell in sample):
             return self.numbers(column), False
-        seconds = seconds_of_dates(self.texts(column))
-        wrong = np.flatnonzero(~np.isfinite(seconds))
-        if 2 * len(wrong) > len(seconds):
-            raise self._wrong(column, int(wrong[0]), "time")
+        cells = self.texts(column)
+        seconds = seconds_of_dates(cells)
+        filled = np.array([cell.lower() not in MISSING for cell in cells])
+        wrong = np.flatnonzero(filled & ~np.isfinite(seconds))
+        if len(wrong) > max(_WRONG * np.count_nonzero(filled), 1):
+            raise self._wrong(column, wrong, int(np.count_nonzero(filled)), "time")
         return seconds, True
 
     def refuse_nameless(self, most: int = 0) -> None:
@@ -169,19 +173,20 @@ class Sheet:
         wrong = np.flatnonzero(filled & ~np.isfinite(values))
         if len(wrong):
             values[wrong] = np.nan
-            if 2 * len(wrong) > np.count_nonzero(filled):
-                raise self._wrong(column, int(wrong[0]), "number")
+            if len(wrong) > max(_WRONG * np.count_nonzero(filled), 1):
+                raise self._wrong(column, wrong, int(np.count_nonzero(filled)), "number")
             self._note_wrong(column, wrong)
         return values
 
     def _cell(self, column: int, row: int) -> str:
         return shown(self._table.column(column)[row].as_py(), 40)
 
-    def _wrong(self, column: int, row: int, what: str) -> RecordingError:
+    def _wrong(self, column: int, rows: np.ndarray, filled: int, what: str) -> RecordingError:
+        first = int(rows[0])
         return RecordingError(
-            f"{self.path}, line {self.line(row)}: '{self._cell(column, row)}' in"
-            f" {shown(self.name(column), 60)} is no {what}, and most of its column are"
-            " none; export the file again."
+            f"{self.path}, line {self.line(first)}: '{self._cell(column, first)}' in"
+            f" {shown(self.name(column), 60)} is no {what}, and {len(rows):,} of its {filled:,} cells are"
+            " none, which is too many to leave out; mend the cells, or export the file again."
         )
 
     def _note_wrong(self, column: int, rows: np.ndarray) -> None:

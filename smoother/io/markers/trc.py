@@ -11,7 +11,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ..devices.head import shown
+from ..devices.head import plain_minus, shown
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 #: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.
@@ -146,7 +146,7 @@ def _number(cell: str, path: Path, line: int, column: int) -> float:
         return float(cell or "nan")
     except ValueError:
         pass
-    text = cell.strip('"').replace(" ", "")
+    text = plain_minus(cell.strip('"').replace(" ", ""))
     if _DECIMAL_COMMA.fullmatch(text):
         text = text.replace(",", ".")
     if not text or _NOTHING.fullmatch(text):

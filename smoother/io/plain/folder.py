@@ -15,8 +15,9 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside
+from ...runtime.toml_text import toml_text
 from ..devices.head import shown
-from ..devices.into_recording import add_imu, add_skeleton, times_of
+from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
 from ..devices.pairing import paired
 from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton
@@ -25,6 +26,8 @@ from ..mcap.stamps import nanoseconds
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.selection import Selection
+from ..recording.set_back import begins_frames, set_back
+from ..recording.set_back import said as set_back_said
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .columns import read_imu_columns
@@ -98,7 +101,8 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         _skeleton(file, folder / camera.skeleton, METRES[camera.position_unit])
         has_skeleton = False
     for name, section in plain.items():
-        file.imus.append(_imu(folder / section.file, name, section))  # type: ignore[operator]
+        file.imus.append(_imu(file, folder / section.file, name, section))  # type: ignore[operator]
+        file.notes += rate_note(file.imus[-1])
     others = {name: section for name, section in description.imu.items() if not section.is_plain}
     _add_columns(file, folder, camera if has_skeleton else None, others)
     if description.truth is not None:
@@ -116,7 +120,7 @@ def _describe(folder: Path) -> _Description:
     path = folder / "recording.toml"
     check_input(path, RecordingError)
     try:
-        return _Description.model_validate(tomllib.loads(path.read_bytes().decode("utf-8-sig")))
+        return _Description.model_validate(tomllib.loads(toml_text(path)))
     except FileNotFoundError:
         there = (
             "the folder does not exist" if not folder.is_dir() else "it describes the files of a recording"
@@ -193,8 +197,11 @@ def _add_columns(
         add_imu(file, f"/imu/{name}", table, str(folder), next(moved))
 
 
-def _imu(path: Path, name: str, section: ImuKeys) -> ImuSamples:
+def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:
     t_s, acc, gyro, mag = imu_columns(path)
+    t_s, steps = set_back(t_s, acc)
+    if steps:
+        file.notes.append(f"{path.name}: {set_back_said(steps, 'samples')}")
     acc *= ACCELERATION[section.accelerometer_unit]
     if section.gyroscope_unit != "rad/s":
         gyro = gyro * ANGULAR_VELOCITY[section.gyroscope_unit]
@@ -209,17 +216,18 @@ def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
         words=("joint", "state"),
         empty=("x", "y", "z"),
     )
-    stamp = _stamps(numbers["t_s"], path)
     codes = {name: joint_code(name) for name in set(texts["joint"])}
     _refuse_unknown(path, "joint", texts["joint"], [name for name, code in codes.items() if code is None])
     states = {name: _STATES.get(name.lower()) for name in set(texts["state"])}
     _refuse_unknown(path, "state", texts["state"], [name for name, state in states.items() if state is None])
     pairs = np.array([codes[name] for name in texts["joint"]], np.int64)
     state = np.array([states[name] for name in texts["state"]], np.int64)
-    body = numbers.get("body", np.zeros(len(stamp)))
+    body = numbers.get("body", np.zeros(len(pairs)))
     if not (np.isfinite(body).all() and (body >= 0).all() and (body == np.rint(body)).all()):
         raise RecordingError(f"{path}: column body must hold whole numbers from 0; mend it.")
     position = vectors(numbers, *"xyz") * metres
+    kind = (body * 100 + pairs[:, 0] * 10 + pairs[:, 1]).astype(np.int64)
+    stamp = _stamps(_frame_times(file, path, numbers["t_s"], kind), path)
     bare = (state != JointState.NOT_TRACKED) & ~np.isfinite(position).all(axis=1)
     frames, frame = frames_of(stamp)
     rows = JointRows()
@@ -237,6 +245,17 @@ def _skeleton(file: RecordingFile, path: Path, metres: float) -> None:
         file.notes.append(
             f"{path.name}: {repeated} rows repeat a joint and time; the last of each was taken."
         )
+
+
+def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArray) -> FloatArray:
+    """Times of the rows; behind a clock that was set back they go on, and a note says so."""
+    if not begins_frames(t_s, kind):
+        return t_s
+    is_new = np.append(True, t_s[1:] != t_s[:-1])
+    times, steps = set_back(t_s[is_new])
+    if steps:
+        file.notes.append(f"{path.name}: {set_back_said(steps, 'frames')}")
+    return times[np.cumsum(is_new) - 1]
 
 
 def _refuse_unknown(path: Path, column: str, cells: list[str], unknown: list[str]) -> None:

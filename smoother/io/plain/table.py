@@ -12,7 +12,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ..devices.head import shown
+from ..devices.head import plain_minus, shown
 from ..devices.sheet_rows import ROWS_BEFORE, is_cut_number
 
 #: Bytes at the end of a file that hold its last rows.
@@ -160,7 +160,7 @@ def _read_cells(
         for name, text in texts.items():
             text.append(cells[place[name]].strip())
         for name, values in numbers.items():
-            cell = cells[place[name]].strip()
+            cell = plain_minus(cells[place[name]].strip())
             try:
                 values.append(float(cell or "nan") if name in empty else float(cell))
             except ValueError:

@@ -13,6 +13,7 @@ from ...recording import JOINTS, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
 from ...units import STANDARD_GRAVITY
+from .set_back import set_back
 from .streams import ArmFrames, ImuSamples, PoseSamples
 from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
@@ -25,6 +26,8 @@ _ONE_POINT_M = 1e-5
 _ELBOW, _WRIST = JOINTS.index("elbow"), JOINTS.index("wrist")
 #: No depth camera sees a person farther away, m an axis.
 _FARTHEST_M = 20.0
+#: No forearm is as long in cm, and none as short in mm.
+_FOREARM_CM = 70.0
 #: Median rest |acc| to the unit that it looks like.
 _ACC_UNITS = ((0.7, 1.4, "g"), (700, 1400, "milli-g or cm/s^2"), (7000, 14000, "mm/s^2"))
 
@@ -68,9 +71,10 @@ def clean_imu(stream: ImuSamples, source: str, store: Store | None = None) -> tu
     Raises
     ------
     RecordingError
-        More than 5 % of the samples would be dropped, or a unit cannot be.
+        More than 5 % of the samples would be dropped, the clock was set back, or a unit cannot be.
     """
     store = store or Store()
+    _refuse_set_back(stream.stamp_ns, stream.acc, stream.topic, source, "samples")
     finite = _finite(stream.acc) & _finite(stream.gyro)
     causes = unusable_samples(stream.stamp_ns, stream.acc, stream.gyro)
     usable = finite.copy()
@@ -99,6 +103,7 @@ def clean_arm(arm: ArmFrames, source: str, store: Store | None = None) -> tuple[
     Parameters, returns, raises : as `clean_imu`.
     """
     store = store or Store()
+    _refuse_set_back(arm.stamp_ns, arm.position[:, _WRIST], arm.label, source, "frames")
     keep, notes = _keep(arm.stamp_ns, np.ones(len(arm.stamp_ns), bool), {}, arm.label, source, "frames")
     position, state = kept(arm.position, keep, store), arm.state[keep]
     claimed = state != JointState.NOT_TRACKED
@@ -213,11 +218,32 @@ def _check_metres(position: FloatArray, state: NDArray[np.int8], label: str, sou
     tracked = sampled(state) == JointState.TRACKED
     if not tracked.any():
         return
-    far = float(np.median(np.linalg.norm(sampled(position)[tracked], axis=1)))
-    if far > 100:
+    places = sampled(position)
+    far = float(np.median(np.linalg.norm(places[tracked], axis=1)))
+    if far <= _FARTHEST_M:
+        return
+    both = tracked[:, _ELBOW] & tracked[:, _WRIST]
+    forearm = np.linalg.norm(places[both, _ELBOW] - places[both, _WRIST], axis=1)
+    # A forearm tells both units apart at any distance; a single joint does so by where people stand.
+    is_mm = np.median(forearm) > _FOREARM_CM if len(forearm) else far > 1000
+    raise RecordingError(
+        f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
+        f"{'millimetres' if is_mm else 'centimetres'}; convert them to metres (position_unit ="
+        f' "{"mm" if is_mm else "cm"}" in a recording.toml).'
+    )
+
+
+def _refuse_set_back(stamp_ns: IntArray, values: FloatArray, name: str, source: str, what: str) -> None:
+    """Dropping what goes back would leave all that follows at the wrong time."""
+    if (stamp_ns[1:] > stamp_ns[:-1]).all():
+        return
+    _, steps = set_back((stamp_ns - stamp_ns[0]) / 1e9, values)
+    if steps:
+        (by, at), more = steps[0], f" (and {len(steps) - 1} more)" if len(steps) > 1 else ""
         raise RecordingError(
-            f"{source}: the joints of {label} lie about {far:.0f} from the camera, which looks like "
-            "millimetres; convert them to metres (position_unit in a recording.toml)."
+            f"{source}: the clock of {name} was set back by {by:.3g} s at {at:.1f} s of it{more}, so the"
+            f" times of its {what} behind that are not known; cut the recording there, or import the device's"
+            " own file (`unocclude import files`), whose times then go on."
         )
 
 

@@ -24,6 +24,8 @@ from .trunk import trunk_of
 _SMALL_NS = 1_000_000 * SECOND_NS
 #: A stream that is there for a smaller share of the other's time is spoken of; pauses of the IMU, ns.
 _COVERS, _PAUSE_NS = 0.9, 500_000_000
+#: Streams with less in common, ns, or fewer samples of the IMU in it, hold nothing that could be solved.
+_LEAST_NS, _FEWEST = SECOND_NS, 10
 
 
 def select_recording(
@@ -137,12 +139,27 @@ def _check_overlap(imu: ImuSamples, arm: ArmFrames, source: str) -> None:
     first = max(int(imu.stamp_ns[0]), int(arm.stamp_ns[0]))
     last = min(int(imu.stamp_ns[-1]), int(arm.stamp_ns[-1]))
     if last > first:
+        _check_enough(imu, arm, first, last, source)
         return
     apart = (first - last) / 1e9
     raise RecordingError(
         f"{source}: {imu.topic} and {arm.label} do not overlap in time, they are {apart:.3f} s apart "
         f"(IMU {_span(imu.stamp_ns)}, camera {_span(arm.stamp_ns)}); record both at the same time, with "
         "clocks that agree to a second."
+    )
+
+
+def _check_enough(imu: ImuSamples, arm: ArmFrames, first: int, last: int, source: str) -> None:
+    """Refuse streams of which nothing can be solved: too short a time, or hardly a sample in it."""
+    at, behind = np.searchsorted(imu.stamp_ns, [first, last])
+    if last - first >= _LEAST_NS and behind - at >= _FEWEST:
+        return
+    rate_hz = 1e9 / max(float(np.median(np.diff(imu.stamp_ns))), 1.0)
+    raise RecordingError(
+        f"{source}: {imu.topic} and {arm.label} have only {(last - first) / 1e9:.3g} s and {behind - at}"
+        f" samples of the IMU in common (IMU {_span(imu.stamp_ns)} at {rate_hz:.3g} Hz, camera"
+        f" {_span(arm.stamp_ns)}); if a file's times are in another unit, import it again with the right"
+        " time_unit, else record both at the same time."
     )
 
 

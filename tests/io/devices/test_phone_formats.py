@@ -10,6 +10,10 @@ from imu_files import GRAVITY, motion, printed, rows
 from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, NANOS, TIME, check, read, written
 
 from smoother.errors import RecordingError
+from smoother.io.devices.guess_sensor import guess_sensor
+from smoother.io.devices.head import read_head
+from smoother.io.devices.registry import recognise
+from smoother.io.devices.sheet import read_sheet
 
 
 @pytest.mark.parametrize("units", [True, False])
@@ -168,3 +172,28 @@ def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
 def test_other_vectors_of_a_phone_are_no_imu(tmp_path: Path, values: np.ndarray, said: str):
     with pytest.raises(RecordingError, match=said):
         read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, values)), "android")
+
+
+GERMAN = ("Gyroskop", "Drehrate", "Drehgeschwindigkeit", "Winkelgeschwindigkeit")
+
+
+@pytest.mark.parametrize("units", [True, False])
+@pytest.mark.parametrize("turning", GERMAN)
+def test_german_headers(tmp_path: Path, turning: str, units: bool) -> None:
+    """With units it is phyphox's table; without, a plain log. A description of it keeps its times."""
+    rng = np.random.default_rng(3)
+    gyro = rng.normal(0, 1, (300, 3))
+    acc = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.1, (300, 3))
+    second, force, rate = (" (s)", " (m/s^2)", " (rad/s)") if units else ("", "", "")
+    header = [f"Zeit{second}", *(f"Beschleunigung {a}{force}" for a in "xyz")]
+    header += [f"{turning} {a}{rate}" for a in "xyz"]
+    rows = [";".join(f"{v:.6f}" for v in (k / 100, *acc[k], *gyro[k])).replace(".", ",") for k in range(300)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([";".join(header), *rows, ""]), encoding="utf-8")
+    importer = recognise(read_head(path))
+    assert importer is not None and importer.key == ("phyphox" if units else "android")
+    (table,) = importer.read(path)
+    assert np.allclose(table.t_s, np.arange(300) / 100) and np.allclose(table.gyro, gyro, atol=1e-6)
+    guess = guess_sensor(read_sheet(path))
+    assert guess.columns["t"] == f"Zeit{second}" and guess.keys["time_unit"] == "s"
+    assert guess.columns["gx"] == f"{turning} x{rate}"

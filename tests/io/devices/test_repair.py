@@ -59,6 +59,53 @@ def test_rows_that_are_there_twice_and_rows_out_of_order():
     assert np.array_equal(mended.acc, ACC) and "out of order" in mended.notes[0]
 
 
+@pytest.mark.parametrize("by_s", [0.1, 0.237, 0.5, 1.0, 2.0, 60.0, 3600.0])
+@pytest.mark.parametrize("jitter_s", [0.0, 1e-3])
+def test_a_clock_that_was_set_back_goes_on(by_s: float, jitter_s: float):
+    """Sorted, its rows would be mixed or change places; each must stay where it was measured."""
+    stamps = T + RNG.uniform(-jitter_s, jitter_s, N)
+    mended = repaired_imu(table(t_s=np.where(T < 8, stamps, stamps - by_s)), "a.csv")
+    assert np.array_equal(mended.acc, ACC) and np.abs(mended.t_s - stamps).max() < 0.0001 + 3 * jitter_s
+    said = f"{by_s:.1f}" if by_s >= 1 else f"{by_s:.2f}"
+    (note,) = mended.notes
+    assert jitter_s or note == (
+        f"The clock was set back by {said} s at 8.0 s: the samples behind it go on after the ones before at"
+        " the usual interval."
+    )
+    frames = np.arange(0, N, 4)
+    skeleton = SkeletonTable(0, np.where(T < 8, T, T - by_s)[frames], {"wrist": ACC[frames]}, {})
+    frames_mended = repaired_skeleton(skeleton, "k.csv")
+    if by_s > 0.1:  # three frames of a camera are no clock
+        assert np.abs(frames_mended.t_s - T[frames]).max() < 1e-6
+        assert np.array_equal(frames_mended.position["wrist"], ACC[frames])
+
+
+def test_a_clock_that_was_set_back_twice():
+    stamps = T - 2.0 * (T >= 5) - 0.5 * (T >= 12)
+    mended = repaired_imu(table(t_s=stamps), "a.csv")
+    assert np.abs(mended.t_s - T).max() < 1e-6
+    assert "by 2.0 s at 5.0 s, by 0.50 s at 12.0 s" in mended.notes[0]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        np.r_[0:800, 820:840, 800:820, 840:N],  # packets that overtook one another
+        np.r_[0:500, 1000:1500, 500:1000, 1500:N],  # pages of a memory
+        np.r_[1000:N, 0:1000],  # the second half first
+    ],
+)
+def test_pages_out_of_order_are_no_clock_that_was_set_back(order: np.ndarray):
+    mended = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
+    assert np.array_equal(mended.acc, ACC) and "out of order" in mended.notes[0]
+
+
+def test_rows_written_twice_are_no_clock_that_was_set_back():
+    order = np.r_[0:800, 700:N]
+    mended = repaired_imu(table(t_s=T[order], acc=ACC[order], gyro=GYRO[order]), "a.csv")
+    assert np.allclose(mended.t_s, T) and np.array_equal(mended.acc, ACC)
+
+
 def test_lost_packets_stay_missing():
     keep = np.delete(np.arange(N), np.r_[300:340, 900])
     counter = (keep + 65_000) % 65_536

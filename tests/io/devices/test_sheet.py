@@ -14,6 +14,7 @@ from smoother.errors import RecordingError
 from smoother.io.devices.date_cells import seconds_of_dates
 from smoother.io.devices.physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 from smoother.io.devices.sheet import read_sheet, sheet_of_text
+from smoother.io.plain.table import read_table
 
 NAMES = ("Time", "Acc X", "Acc Y", "Acc Z")
 ROWS = np.array([[0.01 * k, 0.5 + k, -9.81 - k / 7, 1e-5 * k] for k in range(12)])
@@ -181,3 +182,39 @@ def test_fifty_thousand_rows_are_fast():
     sheet = read(text)
     assert sheet.vectors(range(10)).shape == (50_000, 10)
     assert time.process_time() - start < 0.5
+
+
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013", "\u2012"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+def test_typographic_minus_signs(tmp_path: Path, minus: str, encoding: str):
+    """Word processors and German locales write them; no sign may be lost, and no name changed."""
+    if encoding == "cp1252" and minus != "\u2013":
+        pytest.skip("it has this dash only")
+    path = tmp_path / "a.csv"
+    lines = ["t;gain 2\u20133;b", *(f"{k};{minus}{k},5;{minus}1e{minus}2" for k in range(1, 60)), ""]
+    path.write_bytes("\n".join(lines).encode(encoding))
+    sheet = read_sheet(path)
+    assert not sheet.notes and sheet.layout.names[1] == "gain 2\u20133"
+    assert (sheet.numbers(1) == -np.arange(1, 60) - 0.5).all() and (sheet.numbers(2) == -0.01).all()
+    table, _ = read_table(_comma(tmp_path, minus), ("t_s", "ax"))
+    assert table["ax"].tolist() == [-1.5, 2.0]
+
+
+def _comma(folder: Path, minus: str) -> Path:
+    path = folder / "plain.csv"
+    path.write_text(f"t_s,ax\n0,{minus}1.5\n1,2\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("wrong", "refused"), [(5, False), (6, True)])
+def test_more_than_a_twentieth_of_no_numbers_is_refused(tmp_path: Path, wrong: int, refused: bool):
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "\n".join(["t,x", *(f"{k},{'#WERT!' if 3 <= k < 3 + wrong else k}" for k in range(100)), ""])
+    )
+    sheet = read_sheet(path)
+    if refused:
+        with pytest.raises(RecordingError, match=r"line 5: '#WERT!' in column x .* 6 of its 100 cells"):
+            sheet.numbers(1)
+    else:
+        assert np.isnan(sheet.numbers(1)).sum() == wrong and "#WERT!" in sheet.notes[0]

@@ -14,6 +14,7 @@ from smoother.io.devices.head import read_head
 from smoother.io.devices.joint_names import AZURE, BLAZEPOSE, KINECT_V2
 from smoother.io.devices.protocol import SkeletonTable
 from smoother.io.devices.registry import recognise
+from smoother.io.devices.repair import repaired_skeleton
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 40
@@ -163,6 +164,19 @@ def test_a_row_a_joint(tmp_path: Path) -> None:
     assert_allclose(table.position["hand_left"], joints[:, 7], atol=1e-6)
     assert (table.state["wrist_right"] == JointState.INFERRED).all()
     assert (table.state["wrist_left"] == JointState.TRACKED).all()
+
+
+def test_a_row_a_joint_of_a_clock_that_was_set_back(tmp_path: Path) -> None:
+    """Stamps of both sides are equal: frames must not be mixed."""
+    joints = made.kinect_v2(FRAMES)
+    rows: list[list[object]] = [["Timestamp", "JointID", "Position.X", "Position.Y", "Position.Z", "State"]]
+    for at in range(FRAMES):
+        stamp = 33.0 * (at - 10 * (at >= FRAMES // 2))
+        rows += [[stamp, j, *np.round(joints[at, j], 6), 2] for j in range(25)]
+    (table,) = read(write(tmp_path / "a.csv", rows), "joint-rows")
+    assert len(table.t_s) == FRAMES
+    assert_allclose(table.position["hand_left"], joints[:, 7], atol=1e-6)
+    assert_allclose(repaired_skeleton(table, "a.csv").t_s, 0.033 * np.arange(FRAMES), atol=1e-9)
 
 
 def mediapipe_rows(points: np.ndarray, style: str) -> list[list[object]]:
