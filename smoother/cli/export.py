@@ -76,7 +76,7 @@ def export(
     angles in degrees with a constant step and a number in every cell; column `answered` is 0 where a
     straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
     and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
-    arms in one file; `unocclude view` opens it (needs `pip install unocclude[view]`).
+    arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
     """
     _check(format_name, frame, rate, origin)
     if draws and format_name != "parquet":

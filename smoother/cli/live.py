@@ -111,7 +111,7 @@ def live(
 
     Streams come from the Lab Streaming Layer, with labelled channels and units. Ctrl-C (or q) ends the
     session and leaves a whole recording; s ends it and smooths the recording. Needs
-    `pip install unocclude[live]`.
+    `pip install '.[live]'`.
     """
     side = one_side(side)
     _check_use(record, then_smooth, replay, {"--speed": speed != 1.0, "--latency": latency_s is not None})

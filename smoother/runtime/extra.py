@@ -42,11 +42,13 @@ def extra_module(
             import_module(f"{name}.{submodule}")
     except ImportError as error:
         raise UnoccludeError(
-            f"this needs {package}, which is not installed; get it with `pip install unocclude[{extra}]`"
+            f"this needs {package}, which is not installed; get it with `pip install '.[{extra}]'`"
+            " in the program's folder"
         ) from error
     if not all(hasattr(module, need) for need in needs):
         version = getattr(module, "__version__", "")
         raise UnoccludeError(
-            f"{package}{f' {version}' if version else ''} is too old; `pip install -U unocclude[{extra}]`"
+            f"{package}{f' {version}' if version else ''} is too old; `pip install -U '.[{extra}]'` in the"
+            " program's folder"
         )
     return module

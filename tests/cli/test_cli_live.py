@@ -142,7 +142,7 @@ def test_an_extra_that_is_missing_is_asked_for(option, package, recording, monke
     replay = [] if package == "pylsl" else ["--replay", str(recording)]
     assert run(["live", option, *replay]) == 1
     said = capsys.readouterr().err
-    assert f"{package}, which is not installed; get it with `pip install unocclude[live]`" in said
+    assert f"{package}, which is not installed; get it with `pip install '.[live]'`" in said
     lsl_module.cache_clear()
 
 

@@ -278,3 +278,8 @@ def test_times_in_another_unit(
     write_recording(file, tmp_path / "a.mcap")
     with pytest.raises(RecordingError, match=rf"in common .* at {rate} Hz, .* time_unit"):
         read_recording(tmp_path / "a.mcap")
+
+
+def test_the_description_itself_may_be_named(plain_folder: Folder) -> None:
+    folder = plain_folder()
+    assert len(open_csv(folder / "recording.toml").imus[0].stamp_ns) == len(import_csv(folder).imu)

@@ -22,8 +22,10 @@ def test_what_is_missing_is_asked_for(submodules: tuple[str, ...], monkeypatch: 
     monkeypatch.setitem(sys.modules, "rerun", ModuleType("rerun") if submodules else None)
     with pytest.raises(UnoccludeError) as error:
         extra_module("rerun", "rerun-sdk", "view", submodules=submodules)
-    sentence = "this needs rerun-sdk, which is not installed; get it with `pip install unocclude[view]`"
-    assert str(error.value) == sentence
+    sentence = (
+        "this needs rerun-sdk, which is not installed; get it with `pip install '.[view]'` in the program's"
+    )
+    assert str(error.value) == f"{sentence} folder"
 
 
 @pytest.mark.parametrize("version, said", [("0.9", "foxglove-sdk 0.9"), (None, "foxglove-sdk")])
@@ -36,4 +38,4 @@ def test_what_is_too_old_is_said(version: str | None, said: str, monkeypatch: py
     assert extra_module("foxglove", "foxglove-sdk", "live", ["Context"]) is old
     with pytest.raises(UnoccludeError) as error:
         extra_module("foxglove", "foxglove-sdk", "live", ["Context", "start_server"])
-    assert str(error.value) == f"{said} is too old; `pip install -U unocclude[live]`"
+    assert str(error.value) == f"{said} is too old; `pip install -U '.[live]'` in the program's folder"

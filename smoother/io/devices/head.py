@@ -90,6 +90,18 @@ def plain_minus(text: str) -> str:
     return _DASH.sub("-", text) if "\u2012" in text or "\u2013" in text else text
 
 
+def no_table(raw: bytes, text: str) -> str:
+    """What is plainly no table to read, and what to do: goes behind the file's name; "" for others."""
+    if raw.startswith(b"\xd0\xcf\x11\xe0") or (raw.startswith(b"PK\x03\x04") and b"[Content_Types]" in raw):
+        return "is an Excel workbook; save it as CSV."
+    if raw.startswith(b"PK\x03\x04"):
+        return "is an archive (zip, or a spreadsheet); unpack it, or save it as CSV."
+    lines = [line for line in text.splitlines() if line.strip()]
+    names = r"[^\d;,\t][^;,\t]*([;,\t]\s*[^\d\s;,\t+.-][^;,\t]*)+"
+    is_header = len(lines) == 1 and re.fullmatch(names, lines[0])
+    return "has a header and holds no rows; export it again." if is_header else ""
+
+
 def amount(count: int, one: str, many: str) -> str:
     """A count with the words behind it: of one, or of many."""
     return f"{count} {one if count == 1 else many}"

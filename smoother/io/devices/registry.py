@@ -6,7 +6,7 @@ from functools import cache
 from importlib import import_module
 
 from ...errors import RecordingError
-from .head import first_rows
+from .head import first_rows, no_table
 from .protocol import DeviceFormat, FileHead
 
 #: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
@@ -98,6 +98,8 @@ def recognise(head: FileHead, kinds: tuple[str, ...] = ()) -> DeviceFormat | Non
 
 def unknown_file(head: FileHead) -> RecordingError:
     """The sentence about a file that no importer recognises."""
+    if what := no_table(head.raw, head.text):
+        return RecordingError(f"{head.path} {what}")
     return RecordingError(
         f"{head.path} is of no known format; it begins with: {first_rows(head)}. Known are {keys()}"
         " (`unocclude import formats`); for any other table `unocclude import describe"

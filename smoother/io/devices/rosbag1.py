@@ -69,7 +69,7 @@ class RosBag1:
         except ImportError:
             raise RecordingError(
                 f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
-                " 'unocclude[devices]'"
+                " '.[devices]' in the program's folder"
             ) from None
         try:
             with Reader(path) as reader:

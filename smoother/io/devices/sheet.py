@@ -13,7 +13,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
 from .date_cells import seconds_of_dates
-from .head import decode, shown
+from .head import HEAD_BYTES, decode, no_table, shown
 from .sheet_rows import even_rows, separators_in
 from .table_layout import TableLayout, layout_of
 
@@ -229,6 +229,8 @@ def read_sheet(path: Path, expected: str = "a table", quote: bool = True) -> She
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
     text = decode(raw)
+    if refused := no_table(raw[:HEAD_BYTES], text if len(text) < HEAD_BYTES else ""):
+        raise RecordingError(f"{path} {refused}")
     if not text.strip():
         what = "is empty" if not raw.strip() else "is no text"
         raise RecordingError(f"{path} {what}, but should be {expected}; export it again.")

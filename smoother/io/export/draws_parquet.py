@@ -30,7 +30,7 @@ def drawn_rows(recovery: Recovery) -> int:
     """
     if recovery.draws is None:
         raise UnoccludeError(
-            f"{recovery.name}: the result holds no drawn motions; run `unocclude smooth` with --draws 64"
+            f"the result of {recovery.name} holds no drawn motions; run `unocclude smooth` with --draws 64"
         )
     return len(recovery.draws) * len(recovery.draws.t_s)
 

@@ -69,7 +69,7 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
     Parameters
     ----------
     folder : path-like
-        Holds `recording.toml` and the files that it names.
+        Holds `recording.toml` and the files that it names; or that file itself.
     outside : bool
         Also read files outside the folder: a recording from a stranger could name any file of yours.
 
@@ -84,6 +84,8 @@ def open_csv(folder: str | os.PathLike[str], *, outside: bool = False) -> Record
         A file, column or key is missing, unknown or not readable; the message names it.
     """
     folder = Path(folder)
+    if folder.name == "recording.toml" and folder.is_file():  # as shells complete it
+        folder = folder.parent
     description = _describe(folder)
     _check_places(folder, description, outside)
     camera = description.camera

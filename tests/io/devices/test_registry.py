@@ -12,7 +12,8 @@ from imu_files import rows
 
 from smoother.errors import RecordingError
 from smoother.io.devices.head import decode, read_head, shown
-from smoother.io.devices.registry import FORMATS, format_named, formats, recognise
+from smoother.io.devices.registry import FORMATS, format_named, formats, recognise, unknown_file
+from smoother.io.devices.sheet import read_sheet
 
 ROOT = Path(__file__).parents[3]
 
@@ -65,3 +66,21 @@ def test_the_example_of_contributing(tmp_path: Path):
     assert importer.recognises(read_head(path))
     (table,) = importer.read(path)
     assert np.allclose(table.acc, made.ACC, atol=1e-6) and np.allclose(table.gyro, made.GYRO, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("raw", "said"),
+    [
+        (b"PK\x03\x04\x14\x00\x00\x00\x08\x00[Content_Types].xml", "is an Excel workbook; save it as CSV"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an Excel workbook; save it as CSV"),
+        (b"PK\x03\x04\x14\x00\x00\x00\x08\x00mimetype", "is an archive"),
+        (b"SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n", "holds no rows; export it again"),
+        (b"Zeit (s);Beschleunigung x (m/s^2)\r\n\r\n", "holds no rows; export it again"),
+    ],
+)
+def test_workbooks_archives_and_headers_alone(tmp_path: Path, raw: bytes, said: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(raw)
+    assert said in str(unknown_file(read_head(path)))
+    with pytest.raises(RecordingError, match=said):
+        read_sheet(path)

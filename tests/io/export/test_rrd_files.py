@@ -153,5 +153,5 @@ def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
         assert run([command[0], str(tmp_path / "out.mcap"), *command[1:]]) == 1
         said = capsys.readouterr().err
         assert said.count("\n") == 1
-        assert "pip install unocclude[view]" in said
+        assert "pip install '.[view]'" in said
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
