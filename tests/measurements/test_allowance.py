@@ -80,7 +80,7 @@ def test_nothing_tracked_and_no_common_time():
 
 def test_info_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_recording(arm(), tmp_path / "good.mcap")
-    write_recording(slower(arm(), 800), tmp_path / "slow.mcap")
+    write_recording(slower(arm(), 100), tmp_path / "slow.mcap")
     for name, ready in (("good", True), ("slow", False)):
         assert (
             run(["info", str(tmp_path / f"{name}.mcap"), "--json", str(tmp_path / "i.json"), "--force"]) == 0

@@ -28,7 +28,7 @@ def test_every_reader_takes_it(tmp_path: Path, encoding: str) -> None:
 
     assert read_config(write("[windows]\nmargin_s = 2.5\n")).windows.margin_s == 2.5
     assert read_marker_map(write('[markers]\nwrist = ["RAD", "ULN"]\n')).joints["wrist"] == ("RAD", "ULN")
-    assert _detectable_of_user(write("[mdc95]\nreach_max_m = 0.1\n")) == {"reach_max_m": 0.1}
+    assert _detectable_of_user(write("[mdc95]\nhand_reach_alpha_l = 0.1\n")) == {"hand_reach_alpha_l": 0.1}
     assert read_intrinsics(write(LENS)).fx == 500
     write('[imu.forearm_right]\nfile = "imu.csv"\n', "recording.toml")
     assert _describe(tmp_path).imu["forearm_right"].file == "imu.csv"

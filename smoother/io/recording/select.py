@@ -25,7 +25,7 @@ _SMALL_NS = 1_000_000 * SECOND_NS
 #: A stream that is there for a smaller share of the other's time is spoken of; pauses of the IMU, ns.
 _COVERS, _PAUSE_NS = 0.9, 500_000_000
 #: Streams with less in common, ns, or fewer samples of the IMU in it, hold nothing that could be solved.
-_LEAST_NS, _FEWEST = SECOND_NS, 10
+_LEAST_NS, _FEWEST = SECOND_NS // 5, 3
 
 
 def select_recording(

@@ -145,7 +145,7 @@ def test_nothing_to_show(rerun, tmp_path):
 def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
     write_recovery(made(), tmp_path / "out.mcap")
     monkeypatch.setitem(sys.modules, "rerun", None)  # as if it were not there
-    with pytest.raises(UnoccludeError, match=r"pip install unocclude\[view\]"):
+    with pytest.raises(UnoccludeError, match=r"pip install '\.\[view\]'"):
         rerun_module()
     with pytest.raises(UnoccludeError, match="rerun-sdk"):
         prepare_export(made(), "rrd")
