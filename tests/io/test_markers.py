@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
+from smoother.io.markers.c3d import _whole
 from smoother.io.markers.files import read_markers
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")
@@ -269,3 +270,13 @@ class TestRealFiles:
         np.testing.assert_array_equal(np.isnan(trc.position), np.isnan(c3d.position))
         # 0.01 mm is what the text holds
         np.testing.assert_allclose(trc.position, c3d.position, atol=1e-5)
+
+
+def test_a_c3d_header_without_points_whose_data_begin_behind_the_end(tmp_path: Path):
+    """Found by fuzzing: no bytes are needed, and fewer than none are there."""
+    header = np.zeros(256, "<u2")
+    header[0], header[8] = 0x5002, 9  # the parameters' block, and that of the data
+    path = tmp_path / "a.c3d"
+    path.write_bytes(header.tobytes() + bytes(40))
+    with pytest.raises(RecordingError, match="cut off: it holds 0 % of the frames"):
+        _whole(path, {})

@@ -117,8 +117,9 @@ def _whole(path: Path, point: dict[str, Any]) -> None:
     needed = (last - first + 1) * (4 * points + analogs) * size
     held = path.stat().st_size - 512 * (start - 1)
     if last >= first and held < needed:
+        share = max(held, 0) / max(needed, 1)  # a header may count no points
         raise RecordingError(
-            f"{path}: the C3D file is cut off: it holds {100 * max(held, 0) / needed:.0f} % of the frames"
+            f"{path}: the C3D file is cut off: it holds {100 * share:.0f} % of the frames"
             " that its header counts; copy or export it again"
         )
 
