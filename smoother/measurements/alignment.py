@@ -259,6 +259,11 @@ def _spread(profiles: FloatArray, decay: float) -> FloatArray:
     return forward + backward - profiles
 
 
+def located(calibration: ArmCalibration) -> BoolArray:
+    """(5,) joints that can take part: of the others nobody knows where they are on the arm."""
+    return np.array([joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS])
+
+
 def lever_of(calibration: ArmCalibration, joint: str) -> FloatArray | None:
     """A joint's lever arm (3,) m in {A}; zero for the strap, None where unknown."""
     if joint in calibration.lever_arms:

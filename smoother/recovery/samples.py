@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance
-from ..measurements.alignment import lever_of
+from ..measurements.alignment import lever_of, located
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
@@ -118,7 +118,7 @@ def sample_section(
         ),
         frames=slice(segment.frames.start + own.start, segment.frames.start + own.stop),
         residual=frame_residuals(position, frame_t[own], prepared, trajectory, calibration),
-        used=segment.accepted[own] & _located(calibration),
+        used=segment.accepted[own] & located(calibration),
         reason=segment.reason[own],
         gravity=trajectory.gravity.mean(axis=0),
     )
@@ -129,11 +129,6 @@ def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:
     if model.mounting_unknown:
         return UNKNOWN_LEVER_M, UNKNOWN_RAD
     return (0.0 if np.isnan(model.interrupted_s) else UNKNOWN_LEVER_M), 0.0
-
-
-def _located(calibration: ArmCalibration) -> BoolArray:
-    """(5,) joints that take part: of the others nobody knows where they are on the arm."""
-    return np.array([joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS])
 
 
 def widen_turns(pose_covariance: FloatArray) -> FloatArray:

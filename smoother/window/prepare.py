@@ -6,7 +6,7 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
-from ..measurements.alignment import Alignment, align, lever_of, pairs
+from ..measurements.alignment import Alignment, align, lever_of, located, pairs
 from ..measurements.attitude import acceleration_std
 from ..measurements.clock import Clock
 from ..measurements.segment import Segment
@@ -56,9 +56,7 @@ def prepare(
     """
     frame_t_imu = segment.frame_t_imu(clock)
     inside = (frame_t_imu >= segment.start_s) & (frame_t_imu <= segment.end_s)
-    # a joint whose place on the arm nobody knows says nothing of the IMU
-    located = [joint == "shoulder" or lever_of(calibration, joint) is not None for joint in JOINTS]
-    accepted = segment.accepted & inside[:, None] & np.array(located)
+    accepted = segment.accepted & inside[:, None] & located(calibration)
     measured = enough_joints(accepted, 1)
     if measured.sum() < 2:
         return None
