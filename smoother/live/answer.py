@@ -12,7 +12,7 @@ from ..linalg import skew
 from ..recording import FOREARM_JOINTS, JOINTS
 from ..recovery.samples import widen_turns
 from ..rotation import Rotation
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.constant_errors import JOINT_ERRORS
 from ..window.lag_solution import LagSolution, NodeState
 from .estimate import LiveEstimate

@@ -17,7 +17,8 @@ from ..recording import Recording
 from ..runtime.pool import Pool
 from ..selfcal.coarse_clock import coarse_clock
 from ..selfcal.excerpts import informative_excerpts
-from ..selfcal.rounds import SelfCalibration, self_calibrate
+from ..selfcal.rounds import self_calibrate
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise
 
 #: Joints that fit no better than this to any mounting and clock are not calibrated, m an axis.

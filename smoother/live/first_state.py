@@ -8,7 +8,7 @@ from ..linalg import interpolate
 from ..measurements.clock import constant_clock
 from ..measurements.segment import SegmentTraits, make_segment
 from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointTracks
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.lag_solution import NodeState
 from ..window.prepare import prepare
 

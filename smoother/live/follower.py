@@ -12,7 +12,7 @@ from ..config import Config
 from ..graph.lag_window import LagWindow
 from ..measurements.inertial import InertialSignal
 from ..recording import FOREARM_JOINTS, JOINTS, JointState
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
 from ..window.lag_solution import LagSolution, NodeState

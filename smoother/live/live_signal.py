@@ -15,7 +15,7 @@ from ..measurements.inertial import (
     split_steps,
 )
 from ..measurements.segment import without_spikes
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.lag_solution import NodeState
 from ..window.problem import ImuIncrements
 from .imu_buffer import ImuBuffer

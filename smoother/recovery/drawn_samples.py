@@ -10,7 +10,7 @@ from ..array_types import FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.alignment import lever_of
 from ..rotation import Rotation
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.shared import SharedLayout

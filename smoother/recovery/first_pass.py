@@ -20,7 +20,7 @@ from ..measurements.outliers import reject_by_camera
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from ..selfcal.clock_fit import ClockScore, clock_score
-from ..selfcal.rounds import reject_by_direction
+from ..selfcal.direction_check import reject_by_direction
 from ..window.cut import cut_times, window_middles
 from ..window.pooling import leave_one_out_priors
 from ..window.prepare import prepare

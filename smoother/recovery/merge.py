@@ -15,7 +15,7 @@ from ..measurements.visibility import Gap
 from ..recording import JOINTS, Recording
 from ..result import Estimates, FrameResiduals, Recovery
 from ..runtime.store import Store
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.solution import Message
 from ..window.trajectory import share_after
 from .blending import between_quaternions, blend

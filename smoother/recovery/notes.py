@@ -14,7 +14,7 @@ from ..measurements.timeline import Timeline
 from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import FrameResiduals
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 
 #: A one-sided gap longer than this deserves a sentence, s.
 OPEN_GAP_S = 0.5

@@ -16,7 +16,7 @@ from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
 from ..rotation import Rotation
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.cut import PreparedSegment
 from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose
 

@@ -16,7 +16,8 @@ from ..measurements.segment import Segment
 from ..recording import JOINTS, Recording
 from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from ..selfcal.excerpts import most_telling
-from ..selfcal.rounds import SelfCalibration, with_initial_values
+from ..selfcal.round_windows import with_initial_values
+from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
 from ..window.draw_plan import DrawPlan, samples_apart

@@ -12,7 +12,7 @@ from ..measurements.clock import Clock
 from ..recording import Recording
 from ..result.upper_motion import UpperMotion
 from ..runtime.store import Store
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from .blending import between_quaternions, blend
 from .upper_samples import UpperAnswer, humerus_axes
 

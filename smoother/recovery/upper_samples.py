@@ -11,7 +11,7 @@ from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..rotation import Rotation
-from ..selfcal.rounds import SelfCalibration
+from ..selfcal.self_calibration import SelfCalibration
 from ..window.trajectory import Trajectory
 from ..window.upper_runs import PreparedRun
 from ..window.upper_times import upper_at

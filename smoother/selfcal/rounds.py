@@ -9,143 +9,48 @@ each has its own clock.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from ..array_types import FloatArray, IntArray
 from ..calibration import ArmCalibration, LeverArm
 from ..config import Config
 from ..errors import CalibrationError
 from ..graph.solve import solve
-from ..measurements.alignment import Alignment, align, pairs
 from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.inertial import InertialSignal
-from ..measurements.joint_noise import JointNoise
-from ..measurements.outliers import reject_by_attitude
 from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..runtime.pool import Pool
-from ..units import GRAVITY
-from ..window.cut import PreparedSegment, cut, cut_times
 from ..window.pooling import pooled
-from ..window.prepare import prepare
 from ..window.priors import (
-    InitialValues,
     calibration_from,
-    first_priors,
-    initial_values,
-    noise_of,
     upper_arm_length_sigma,
     upper_arm_seen,
 )
-from ..window.problem import Priors, Window
-from ..window.solution import Solution
-from ..window.trajectory import Trajectory, at_times, merge_windows
+from ..window.trajectory import Trajectory
 from .camera_noise import joint_noise, sigma_by_joint
 from .clock_fit import refined_clocks
+from .direction_check import reject_by_direction
 from .error_estimate import ConstantErrors
 from .excerpts import choose_excerpts
 from .joint_bias import JointBias
 from .mounting import Mounting, find_mounting
+from .round_windows import cut_round
+from .self_calibration import SHORT_S, SelfCalibration
 
 ROUNDS = 4
 #: A round ends when an iteration lowers the error by less than this share of it.
 TOLERANCE = 1e-3
-#: A forearm direction that may be farther off than this is not known, rad.
-LARGEST_SPREAD_RAD = np.radians(40.0)
-#: One that may be farther off than this is known with little margin, rad (closed form on sound arms: up to 13
-#: degrees).
-SMALL_MARGIN_RAD = np.radians(25.0)
 #: Rounds end when nothing moved more than this, m (a clock's s count as m at a hand's pace, m/s), or more
 #: than this share of its own sigma: the windows solve lever arms again.
 SETTLED_M, SETTLED_SIGMAS = 0.001, 0.4
 CLOCK_WEIGHT = 1.0
-#: An IMU that drops out again and again, so soon, s, leaves windows too short to find its own place on the
-#: arm: simulated arms are 1 to 7 cm off at 1.0 s, as stated from 3 s on; the joints are right in all.
-SHORT_S, SHORT_SEGMENTS = 2.2, 3
+#: Fewer segments than this are no IMU that drops out again and again.
+SHORT_SEGMENTS = 3
 #: The closed form is done again when more than this share of the samples was rejected by it.
 WORTH_AGAIN = 0.05
-
-
-@dataclass(frozen=True)
-class SelfCalibration:
-    """What the recovery starts from.
-
-    Attributes
-    ----------
-    estimate : ArmCalibration
-        Lever arms and upper arm with their sigmas.
-    prior : ArmCalibration
-        The same values as a prior for solving them again: as uncertain as before.
-    initial : InitialValues
-        Start values of the shared quantities.
-    clocks : tuple of Clock
-        Of each recording, t_imu = t_camera + offset.
-    joint_noise : dict of str to JointNoise
-        Of each forearm joint.
-    joint_sigma_m : ndarray, shape (5,), m
-        Effective noise an axis, in the order of `JOINTS`.
-    errors : ConstantErrors
-        Of IMU and camera.
-    upper_arm_sigma_m : float, m
-        How far from constant the upper arm's length is.
-    direction_spread_rad : float, rad
-        How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
-    tissue_m : float, m
-        How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
-    upper_clock_offset_s : float, s
-        t_upper = t_camera + offset, mean, of the camera's stamps as `clocks` have them; nan without one.
-    interrupted_s : float, s
-        Median time between two pauses of an IMU that pauses too often; nan where it does not.
-    """
-
-    estimate: ArmCalibration
-    prior: ArmCalibration
-    initial: InitialValues
-    clocks: tuple[Clock, ...]
-    joint_noise: dict[str, JointNoise]
-    joint_sigma_m: FloatArray
-    errors: ConstantErrors
-    upper_arm_sigma_m: float
-    direction_spread_rad: float = float("nan")
-    tissue_m: float = 0.0
-    upper_clock_offset_s: float = float("nan")
-    interrupted_s: float = float("nan")
-
-    @property
-    def clock(self) -> Clock:
-        """Of the only recording."""
-        return self.clocks[0]
-
-    @property
-    def joint_bias(self) -> JointBias:
-        """The camera's constant errors."""
-        return self.errors.joints
-
-    @property
-    def mounting_unknown(self) -> bool:
-        """The visible motion did not tell how the sensor sits on the forearm."""
-        return self.direction_spread_rad > LARGEST_SPREAD_RAD
-
-    @property
-    def open_questions(self) -> tuple[str, ...]:
-        """What the excerpts leave open of the mounting, in words."""
-        questions = []
-        if self.direction_spread_rad > SMALL_MARGIN_RAD:
-            degrees = np.degrees(self.direction_spread_rad)
-            questions.append(
-                f"a mounting of the sensor that is {degrees:.0f} degrees off fits the visible motion nearly"
-                " as well as the one taken: move the arm more in view, or give a calibration"
-            )
-        if self.interrupted_s < SHORT_S:
-            questions.append(
-                f"the IMU drops out every {self.interrupted_s:.1f} s: its own place on the arm is hardly"
-                " known (the joints are); bring its receiver nearer, or give a calibration"
-            )
-        return tuple(questions)
 
 
 def self_calibrate(
@@ -203,26 +108,28 @@ def self_calibrate(
         signals: dict[int, InertialSignal] = {}
         corrected = {number: errors.corrected(excerpts[number], signals) for number in numbers}
         try:
-            cut_round = _cut(corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config)
+            current = cut_round(
+                corrected, prior, clocks, joint_sigma_m, upper_arm_sigma_m, trajectories, config
+            )
         except CalibrationError:
             if numbers == everything:
                 raise
             numbers = everything  # what can be used lies in the other half
             continue
-        windows = cut_round.windows
+        windows = current.windows
         solutions = list(workers.map(asked, windows))
-        trajectories = cut_round.trajectories(solutions)
-        shared = pooled([solution.message for solution in solutions], cut_round.prior)
-        estimate = calibration_from(shared, cut_round.prior.layout, start, errors.joints.sigma_m)
+        trajectories = current.trajectories(solutions)
+        shared = pooled([solution.message for solution in solutions], current.prior)
+        estimate = calibration_from(shared, current.prior.layout, start, errors.joints.sigma_m)
         noise = joint_noise(windows, solutions)
         largest_m = max((each.sample_m for each in noise.values()), default=0.0)
         upper_arm_sigma_m = upper_arm_length_sigma(list(corrected.values()), config, largest_m)
         joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         before = prior, errors.joints, clocks
         errors = errors.updated(
-            windows, solutions, cut_round.prior, cut_round.recording_of_window, config.imu.scale_sigma
+            windows, solutions, current.prior, current.recording_of_window, config.imu.scale_sigma
         )
-        clocks = refined_clocks(clocks, synthetic, windows, solutions, cut_round.recording_of_window)
+        clocks = refined_clocks(clocks, synthetic, windows, solutions, current.recording_of_window)
         prior = _recentred(estimate, start, given)
         if numbers == everything and _settled(before, (estimate, errors.joints, clocks)):
             break
@@ -231,7 +138,7 @@ def self_calibrate(
     return SelfCalibration(
         estimate,
         prior,
-        cut_round.initial,
+        current.initial,
         clocks,
         noise,
         joint_sigma_m,
@@ -288,66 +195,6 @@ def _with_upper_arm(calibration: ArmCalibration, excerpts: list[Segment], config
     return replace(calibration, upper_arm=upper_arm_seen(excerpts, config))
 
 
-@dataclass(frozen=True)
-class _Cut:
-    """The windows of a round, segment after segment.
-
-    `borders` and `prepared`: one a segment; `recording_of_window`: one a window.
-    """
-
-    prepared: dict[int, PreparedSegment]
-    borders: list[list[float]]
-    windows: list[Window]
-    recording_of_window: IntArray
-    initial: InitialValues
-    prior: Priors
-
-    def trajectories(self, solutions: Sequence[Solution]) -> dict[int, Trajectory]:
-        """The joined trajectory of each segment, by its number."""
-        merged, first = {}, 0
-        for (number, prepared), border in zip(self.prepared.items(), self.borders, strict=True):
-            last = first + len(border) - 1
-            merged[number] = merge_windows(prepared.t, self.windows[first:last], list(solutions[first:last]))
-            first = last
-        return merged
-
-
-def _cut(
-    segments: dict[int, Segment],
-    calibration: ArmCalibration,
-    clocks: Sequence[Clock],
-    joint_sigma_m: FloatArray,
-    upper_arm_sigma_m: float,
-    trajectories: dict[int, Trajectory],
-    config: Config,
-) -> _Cut:
-    """Prepare and cut all segments; start values are the last round's trajectories where there are any."""
-    margin_s = config.windows.margin_s
-    ready = [
-        (number, segment, *answer)
-        for number, segment in segments.items()
-        if (answer := prepare(segment, calibration, clocks[segment.recording], joint_sigma_m, margin_s))
-    ]
-    if not ready:
-        raise CalibrationError("at no time do the IMU and a visible forearm come together")
-    prepared = {number: with_initial_values(each, trajectories.get(number)) for number, _, each, _ in ready}
-    initial = initial_values(
-        list(prepared.values()),
-        [alignment for *_, alignment in ready],
-        [segment for _, segment, *_ in ready],
-    )
-    prior = first_priors(initial, calibration, config)
-    noise = noise_of(config, upper_arm_sigma_m)
-    borders = [cut_times(each, config.windows.length_s) for each in prepared.values()]
-    sharing = sum(len(border) - 1 for border in borders)
-    windows: list[Window] = []
-    recording: list[int] = []
-    for (_, segment, *_), each, border in zip(ready, prepared.values(), borders, strict=True):
-        windows += cut(each, [prior] * (len(border) - 1), noise, border, margin_s, GRAVITY, sharing)
-        recording += [segment.recording] * (len(border) - 1)
-    return _Cut(prepared, borders, windows, np.array(recording), initial, prior)
-
-
 Settling = tuple[ArmCalibration, JointBias, tuple[Clock, ...]]
 
 
@@ -377,43 +224,3 @@ def _recentred(estimate: ArmCalibration, start: ArmCalibration, given: ArmCalibr
     if upper_arm is None and estimate.upper_arm is not None and start.upper_arm is not None:
         upper_arm = replace(estimate.upper_arm, sigma_m=start.upper_arm.sigma_m)
     return replace(start, lever_arms=levers, upper_arm=upper_arm)
-
-
-def reject_by_direction(
-    segment: Segment, calibration: ArmCalibration, clock: Clock
-) -> tuple[Segment, Alignment | None]:
-    """Reject the frames whose forearm does not point where the inertial attitude says.
-
-    Parameters
-    ----------
-    segment : Segment
-    calibration : ArmCalibration
-        Of which the forearm's direction in the sensor is used; without one nothing is rejected.
-    clock : Clock
-        Of the camera.
-
-    Returns
-    -------
-    segment : Segment
-        The same object where nothing was rejected.
-    alignment : Alignment or None
-        Of the inertial frame to the camera's, where nothing was rejected and it can be used again.
-    """
-    along_A = calibration.forearm_direction
-    if along_A is None:
-        return segment, None
-    frame_t = segment.frame_t_imu(clock)
-    vectors = pairs(segment, frame_t, segment.accepted, calibration)
-    if not vectors:
-        return segment, None
-    alignment = align(vectors, segment.start_s, segment.end_s, segment.down)
-    inlier = reject_by_attitude(segment, frame_t, alignment, along_A)
-    return inlier, alignment if inlier is segment else None
-
-
-def with_initial_values(prepared: PreparedSegment, trajectory: Trajectory | None) -> PreparedSegment:
-    """The segment with an earlier solution's trajectory as start values; as it is without one."""
-    if trajectory is None:
-        return prepared
-    inside = np.clip(prepared.t, trajectory.t[0], trajectory.t[-1])
-    return replace(prepared, start=at_times(trajectory, prepared.signal, inside))

@@ -25,7 +25,8 @@ from ..runtime.pool import Pool
 from ..runtime.store import Store
 from .coarse_clock import synchronise_coarsely
 from .excerpts import informative_excerpts
-from .rounds import SelfCalibration, self_calibrate
+from .rounds import self_calibrate
+from .self_calibration import SelfCalibration
 
 #: Joint of the upper arm by the joint of the forearm that stands for it.
 STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}

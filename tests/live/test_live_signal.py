@@ -8,7 +8,7 @@ import pytest
 from smoother.live.imu_batch import ImuBatch
 from smoother.live.imu_buffer import ImuBuffer
 from smoother.live.live_signal import LiveSignal, displacement, increments_between, propagated
-from smoother.selfcal.rounds import SelfCalibration
+from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.units import GRAVITY
 from smoother.window.lag_solution import NodeState
 

@@ -14,7 +14,7 @@ from smoother.errors import CalibrationError
 from smoother.measurements.segment import Segment
 from smoother.measurements.timeline import Timeline
 from smoother.runtime.pool import Pool
-from smoother.selfcal import rounds
+from smoother.selfcal import round_windows, rounds
 from smoother.selfcal.excerpts import informative_excerpts
 
 
@@ -31,7 +31,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
     assert len(excerpts) > 2
     read: list[int] = []
-    original = rounds._cut
+    original = rounds.cut_round
 
     def cut(segments: dict, *others: object) -> object:
         read.append(len(segments))
@@ -39,7 +39,7 @@ def test_a_coarse_round_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
         assert starts == sorted(starts)  # the clock's wander is followed in time
         return original(segments, *others)
 
-    monkeypatch.setattr(rounds, "_cut", cut)
+    monkeypatch.setattr(rounds, "cut_round", cut)
     config, given = Config(), ArmCalibration(side=made.recording.side)
     with Pool(1, 0) as workers:
         coarse = rounds.self_calibrate(excerpts, given, config, workers)
@@ -58,12 +58,12 @@ def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.M
     made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
     unusable = {excerpts[number].start_s for number in rounds._every_second(excerpts)}
-    original = rounds.prepare
+    original = round_windows.prepare
 
     def prepare(segment: Segment, *others: object) -> object:
         return None if segment.start_s in unusable else original(segment, *others)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(rounds, "prepare", prepare)
+    monkeypatch.setattr(round_windows, "prepare", prepare)
     with Pool(1, 0) as workers:
         given = ArmCalibration(side=made.recording.side)
         assert rounds.self_calibrate(excerpts, given, Config(), workers).estimate.lever_arms

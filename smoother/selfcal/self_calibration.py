@@ -1,0 +1,102 @@
+"""What self-calibration gives: the arm's geometry, clocks and noise that the recovery starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..calibration import ArmCalibration
+from ..measurements.clock import Clock
+from ..measurements.joint_noise import JointNoise
+from ..window.priors import InitialValues
+from .error_estimate import ConstantErrors
+from .joint_bias import JointBias
+
+#: A forearm direction that may be farther off than this is not known, rad.
+LARGEST_SPREAD_RAD = np.radians(40.0)
+#: One that may be farther off than this is known with little margin, rad (closed form on sound arms: up to 13
+#: degrees).
+SMALL_MARGIN_RAD = np.radians(25.0)
+#: An IMU that drops out again and again, so soon, s, leaves windows too short to find its own place on the
+#: arm: simulated arms are 1 to 7 cm off at 1.0 s, as stated from 3 s on; the joints are right in all.
+SHORT_S = 2.2
+
+
+@dataclass(frozen=True)
+class SelfCalibration:
+    """What the recovery starts from.
+
+    Attributes
+    ----------
+    estimate : ArmCalibration
+        Lever arms and upper arm with their sigmas.
+    prior : ArmCalibration
+        The same values as a prior for solving them again: as uncertain as before.
+    initial : InitialValues
+        Start values of the shared quantities.
+    clocks : tuple of Clock
+        Of each recording, t_imu = t_camera + offset.
+    joint_noise : dict of str to JointNoise
+        Of each forearm joint.
+    joint_sigma_m : ndarray, shape (5,), m
+        Effective noise an axis, in the order of `JOINTS`.
+    errors : ConstantErrors
+        Of IMU and camera.
+    upper_arm_sigma_m : float, m
+        How far from constant the upper arm's length is.
+    direction_spread_rad : float, rad
+        How far the forearm's direction in the sensor may be from the estimate; nan where it was given.
+    tissue_m : float, m
+        How far elbow and shoulder are from constant in an upper-arm IMU's axes; 0 without one.
+    upper_clock_offset_s : float, s
+        t_upper = t_camera + offset, mean, of the camera's stamps as `clocks` have them; nan without one.
+    interrupted_s : float, s
+        Median time between two pauses of an IMU that pauses too often; nan where it does not.
+    """
+
+    estimate: ArmCalibration
+    prior: ArmCalibration
+    initial: InitialValues
+    clocks: tuple[Clock, ...]
+    joint_noise: dict[str, JointNoise]
+    joint_sigma_m: FloatArray
+    errors: ConstantErrors
+    upper_arm_sigma_m: float
+    direction_spread_rad: float = float("nan")
+    tissue_m: float = 0.0
+    upper_clock_offset_s: float = float("nan")
+    interrupted_s: float = float("nan")
+
+    @property
+    def clock(self) -> Clock:
+        """Of the only recording."""
+        return self.clocks[0]
+
+    @property
+    def joint_bias(self) -> JointBias:
+        """The camera's constant errors."""
+        return self.errors.joints
+
+    @property
+    def mounting_unknown(self) -> bool:
+        """The visible motion did not tell how the sensor sits on the forearm."""
+        return self.direction_spread_rad > LARGEST_SPREAD_RAD
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """What the excerpts leave open of the mounting, in words."""
+        questions = []
+        if self.direction_spread_rad > SMALL_MARGIN_RAD:
+            degrees = np.degrees(self.direction_spread_rad)
+            questions.append(
+                f"a mounting of the sensor that is {degrees:.0f} degrees off fits the visible motion nearly"
+                " as well as the one taken: move the arm more in view, or give a calibration"
+            )
+        if self.interrupted_s < SHORT_S:
+            questions.append(
+                f"the IMU drops out every {self.interrupted_s:.1f} s: its own place on the arm is hardly"
+                " known (the joints are); bring its receiver nearer, or give a calibration"
+            )
+        return tuple(questions)
