@@ -37,8 +37,8 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.rotation import Rotation
 from smoother.runtime.atomic import writing
+from smoother.runtime.file_text import toml_text
 from smoother.runtime.inputs import check_input
-from smoother.runtime.toml_text import toml_text
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
+from smoother.runtime.file_text import toml_text
 from smoother.runtime.inputs import check_input
-from smoother.runtime.toml_text import toml_text
 
 from ..intrinsics import Intrinsics
 

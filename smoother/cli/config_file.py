@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
+from ..runtime.file_text import toml_text
 from ..runtime.inputs import check_input
-from ..runtime.toml_text import toml_text
 
 Settings = TypeVar("Settings", bound=BaseModel)
 

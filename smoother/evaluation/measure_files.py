@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..measures.definitions import definitions, is_measure
-from ..runtime.toml_text import toml_text
+from ..runtime.file_text import toml_text
 from .measure_pairs import MeasurePair
 
 

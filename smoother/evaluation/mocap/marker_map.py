@@ -37,8 +37,8 @@ from scipy.spatial.transform import Rotation
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
+from ...runtime.file_text import toml_text
 from ...runtime.inputs import check_input
-from ...runtime.toml_text import toml_text
 
 #: Joints that a map may name.
 MAPPED_JOINTS = ("shoulder", "elbow", "wrist", "hand")

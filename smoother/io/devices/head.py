@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from ...errors import RecordingError
+from ...runtime.file_text import marked_encoding
 from ...runtime.inputs import check_input
 from .protocol import FileHead
 
@@ -18,11 +19,6 @@ SHOWN_CHARACTERS = 200
 _CONTROL_SHARE = 0.02
 #: Dashes that stand for a minus: before a number or the digits of an exponent, not between two numbers.
 _DASH = re.compile(r"(?:(?<!\w)|(?<=\d[eE]))[\u2012\u2013](?=[.,]?\d)")
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
 
 
 def read_head(path: Path) -> FileHead:
@@ -62,7 +58,7 @@ def read_head(path: Path) -> FileHead:
 
 def decode(raw: bytes) -> str:
     """A file's bytes as text without byte-order mark, with plain minus signs; "" where they are no text."""
-    encoding = next((name for mark, name in _MARKS if raw.startswith(mark)), None)
+    encoding = marked_encoding(raw)
     if encoding is None and len(raw) >= 4:  # UTF-16 without a mark: every other byte of plain text is zero
         even, odd = raw[0:400:2].count(0), raw[1:400:2].count(0)
         half = len(raw[:400]) // 2

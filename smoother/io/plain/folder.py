@@ -14,8 +14,8 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
+from ...runtime.file_text import toml_text
 from ...runtime.inputs import check_input, inside
-from ...runtime.toml_text import toml_text
 from ..devices.head import shown
 from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
 from ..devices.pairing import paired

@@ -1,4 +1,4 @@
-"""TOML files as editors and shells write them: with a byte-order mark, or in UTF-16."""
+"""Text files as editors and shells write them: with a byte-order mark, or in UTF-16."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+
+
+def marked_encoding(raw: bytes) -> str | None:
+    """The encoding that a file's byte-order mark names; None without one."""
+    return next((name for mark, name in _MARKS if raw.startswith(mark)), None)
 
 
 def toml_text(path: Path) -> str:
@@ -31,9 +36,8 @@ def toml_text(path: Path) -> str:
         It is no text; the message says so.
     """
     raw = path.read_bytes()
-    encoding = next((name for mark, name in _MARKS if raw.startswith(mark)), "utf-8")
     try:
-        text = raw.decode(encoding)
+        text = raw.decode(marked_encoding(raw) or "utf-8")
     except UnicodeDecodeError:
         raise ValueError("it is no UTF-8 text; save it as UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
