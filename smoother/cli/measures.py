@@ -49,7 +49,7 @@ def measures(
     if report is not None:
         from ..report.measures import write_measures_page
 
-        write_measures_page(report, rows, force=force)
+        write_measures_page(report, rows, pairs, force=force)
     if csv_file is not None:
         from .measure_rows import write_csv
 

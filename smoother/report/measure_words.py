@@ -86,6 +86,14 @@ def compared(left: Measures, right: Measures, key: str) -> str:
     return "no clear difference" if word == "no clear change" else word
 
 
+def symmetry(index: Measure | None) -> str:
+    """A symmetry index and its interval in whole percent, behind a word; "" where there is none."""
+    if index is None or not index.is_known:
+        return ""
+    between = f" ({index.low:.0f} to {index.high:.0f})" if index.has_interval else ""
+    return f" {index.value:+.0f}\u00a0%{between}".replace("-", "−")
+
+
 def _value(row: Measure, side: str) -> SessionValue:
     return SessionValue(
         side, 0.0, row.value, row.low, row.high, row.sigma, row.recovered_share, row.n_draws, row.note

@@ -9,7 +9,7 @@ from html import escape
 
 from ..evaluation.main_measures import first_of, is_main
 from ..evaluation.quantity import quantity
-from ..measures import Measures
+from ..measures import BothArms, Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .measure_words import (
     both_arms,
@@ -20,6 +20,7 @@ from .measure_words import (
     of_arm,
     reached,
     share,
+    symmetry,
     with_interval,
 )
 from .sheet import Html, bullets, headed, tabulated, write_sheet
@@ -43,7 +44,11 @@ MOSTLY_RECOVERED = 0.5
 
 
 def write_measures_page(
-    path: str | os.PathLike[str], measures_by_arm: Sequence[Measures], *, force: bool = False
+    path: str | os.PathLike[str],
+    measures_by_arm: Sequence[Measures],
+    pairs: Sequence[BothArms] = (),
+    *,
+    force: bool = False,
 ) -> None:
     """Write the page of a recording's measures; printed, it takes two pages.
 
@@ -53,6 +58,8 @@ def write_measures_page(
         The page to write.
     measures_by_arm : sequence of Measures
         Of each arm of a recording.
+    pairs : sequence of BothArms
+        Of each person of whom both arms were measured: gives the symmetry indices of the main measures.
     force : bool
         Overwrite a page that exists.
 
@@ -70,7 +77,7 @@ def write_measures_page(
         f"Measures of {names or 'a recording'}",
         f"{labels[0].upper()}{labels[1:]}, {length_s:.0f} s" if math.isfinite(length_s) else labels,
         _verdict(arms),
-        list(_sections(arms)),
+        list(_sections(arms, pairs)),
         two_pages=True,
         force=force,
     )
@@ -103,15 +110,15 @@ def _verdict(arms: Sequence[Measures]) -> Iterator[str]:
     yield NO_DIAGNOSIS
 
 
-def _sections(arms: Sequence[Measures]) -> Iterator[str]:
+def _sections(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> Iterator[str]:
     figures = [_ranges(arms), _times(arms), _reach(arms), _speed(arms), _smoothness(arms)]
     yield from (figure for figure in figures if figure)
-    yield _table(arms)
+    yield _table(arms, pairs)
     yield _limits(arms)
     keys = [row.key for arm in arms for row in arm.session if row.is_known and is_main(row.key)]
     words = ["interval", "recovered"]
     if both_arms(arms) is not None:
-        words += ["clear", "unclear", "unknown"]
+        words += ["clear", "unclear", "unknown", *(["symmetry"] if pairs else [])]
     elif REACHED.keys() & set(keys):
         words += ["unknown"]
     yield explained("The words on this page", [*words, *terms_of(keys)])
@@ -225,11 +232,13 @@ def _by_movement(arms: Sequence[Measures], key: str, heading: str, caption: str)
     return charted(heading, caption, f'<div class="charts">{boxes}</div>') if boxes else ""
 
 
-def _table(arms: Sequence[Measures]) -> str:
-    """The main measures; of two arms also whether one clearly has more."""
+def _table(arms: Sequence[Measures], pairs: Sequence[BothArms]) -> str:
+    """The main measures; of two arms also whether one clearly has more, and by how much."""
     known = [row.key for arm in arms for row in arm.session if row.is_known and row.key not in REACHED]
     keys = first_of(list(dict.fromkeys(known)), MOST_ROWS)
     both = both_arms(arms)
+    # two arms to compare are one person's
+    indices = pairs[0].by_key if both is not None and len(pairs) == 1 else {}
     rows = []
     for key in keys:
         cells: list[object] = [next(row.name for arm in arms if (row := arm.by_key.get(key)) is not None)]
@@ -238,7 +247,7 @@ def _table(arms: Sequence[Measures]) -> str:
             cells.append("–" if row is None else with_interval(row))
         cells.append("\u00a0/\u00a0".join(share(arm.by_key.get(key)) for arm in arms))
         if both is not None:
-            cells.append(Html(badge(compared(*both, key))))
+            cells.append(Html(badge(compared(*both, key)) + symmetry(indices.get(f"{key}_symmetry_percent"))))
         rows.append(cells)
     if not rows:
         return ""

@@ -36,6 +36,11 @@ TERMS = {
         "cannot be said",
         "there is no value, no interval, or the interval is too wide for an answer.",
     ),
+    "symmetry": (
+        "right against left, in percent",
+        "how much more the right arm has than the left one, as a part of their mean: 0 is alike, below 0 the"
+        " left one has more.",
+    ),
     "mdc": (
         "minimal detectable change",
         "measured against motion capture or given by you: two sessions without any change differ by less in"

@@ -14,7 +14,8 @@ from made_measures import ARM, made_measure, made_measures, study_row
 
 from smoother.errors import UnoccludeError
 from smoother.evaluation.series import PersonProgress
-from smoother.measures import Measures
+from smoother.measures import BothArms, Measure, Measures
+from smoother.measures.symmetry import COMPARED
 from smoother.report.measures import write_measures_page
 from smoother.report.progress import write_progress_page
 from smoother.study.progress import progress_of
@@ -46,6 +47,15 @@ def fullest(side: str) -> Measures:
     )
     arm = made_measures(side, movements=40, notes=notes, name="a name that is long " * 4)
     return replace(arm, rows=tuple(replace(row, recovered_share=0.7) for row in (*arm.rows, *zones)))
+
+
+def indices(left: Measures, right: Measures) -> tuple[Measure, ...]:
+    """Symmetry indices as wide as they get, of each measure that has one."""
+    return tuple(
+        made_measure(f"{key}_symmetry_percent", -100.4, 12.2)
+        for key in COMPARED
+        if key in left.by_key and key in right.by_key
+    )
 
 
 def person(
@@ -80,7 +90,8 @@ def pages(browser: Browser, page: Path) -> int:
 
 def test_every_page_takes_two_sheets_and_fits_a_phone(browser: Browser, tmp_path: Path):
     write_measures_page(tmp_path / "one.html", [made_measures()])
-    write_measures_page(tmp_path / "both.html", [fullest("left"), fullest("right")])
+    arms = [fullest("left"), fullest("right")]
+    write_measures_page(tmp_path / "both.html", arms, [BothArms(*arms, indices(*arms))])
     write_progress_page(person(), tmp_path / "few.html")
     many = person(40, ("left", "right"), "a person whose name is long")
     noted = tuple(f"A sentence that takes a whole line of the page to say, number {n}" for n in range(9))
@@ -147,12 +158,16 @@ def test_arms_are_compared_only_where_both_are_to_be_trusted(tmp_path: Path):
     write_measures_page(tmp_path / "both.html", [left, right])
     words = words_of(tmp_path / "both.html")
     assert words.count("clearly more") == 1 and "no clear difference" in words
-    write_measures_page(
-        tmp_path / "bad.html", [replace(left, trusted=False, verdict="A strap slipped."), right]
-    )
+    assert "in percent" not in (tmp_path / "both.html").read_text(encoding="utf-8")
+    both = BothArms(left, right, (made_measure("elbow_flexion_range_deg_symmetry_percent", 22.7, 3.0),))
+    write_measures_page(tmp_path / "indices.html", [left, right], [both])
+    text = (tmp_path / "indices.html").read_text(encoding="utf-8")
+    assert text.count("+23\u00a0% (17 to 29)") == 1 and "right against left, in percent" in text
+    bad = replace(left, trusted=False, verdict="A strap slipped.")
+    write_measures_page(tmp_path / "bad.html", [bad, right], [replace(both, left=bad)])
     text = (tmp_path / "bad.html").read_text(encoding="utf-8")
     assert set(words_of(tmp_path / "bad.html")) <= {"reached", "not reached"}
-    assert "A strap slipped. Do not use these numbers." in text
+    assert "A strap slipped. Do not use these numbers." in text and "+23" not in text
 
 
 def test_what_was_reached_needs_draws_that_agree(tmp_path: Path):
