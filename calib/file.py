@@ -23,22 +23,19 @@ kept as they are, and so are comments. Format and version may be left out.
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-
-from smoother.array_types import FloatArray
-from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.calibration import ArmCalibration
 from smoother.errors import CalibrationError, UnoccludeError
-from smoother.rotation import Rotation
 from smoother.runtime.atomic import writing
 from smoother.runtime.file_text import toml_text
 from smoother.runtime.inputs import check_input
+
+from .arm_section import arm_of_section, checked_section, section_of_arm
+from .toml_edit import to_toml
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
@@ -47,67 +44,6 @@ TABLES = ("arm", "camera_from_mocap", "camera_from_base", "imu", "forearm", "clo
 #: Tables that are merged key by key, and how deep: an arm's lever arms by joint, a sensor's parts by key, the
 #: held poses by side. A table below that depth, or any other, replaces the one of its name.
 MERGED = {"arm": 3, "imu": 3, "forearm": 1}
-
-#: Lengths of an arm and places on it are shorter than this, m; a sensor's biases smaller than those.
-LONGEST_M = 4.0
-LARGEST_ACC_BIAS, LARGEST_GYRO_BIAS = 10.0, 5.0
-
-#: What to say instead of pydantic's own words, by its name of the error.
-_SAID = {
-    "extra_forbidden": "this key is not known",
-    "missing": "this key is missing",
-    "model_type": "this must be a table",
-    "too_short": "this list is too short",
-    "too_long": "this list is too long",
-}
-
-_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-_Sigmas = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
-_Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-
-
-class _Section(BaseModel):
-    """A table whose keys are all known; numbers are numbers and finite."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _LeverArmSection(_Section):
-    position_m: _Vector
-    sigma_m: _Sigmas
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        for name, values in (("position_m", self.position_m), ("sigma_m", self.sigma_m)):
-            if max(map(abs, values)) > LONGEST_M:
-                raise ValueError(f"{name} is beyond {LONGEST_M:g} m, which looks like mm; give it in m")
-        return self
-
-
-class _ArmSection(_Section):
-    upper_arm_m: float | None = Field(default=None, gt=0)
-    upper_arm_sigma_m: float | None = Field(default=None, gt=0)
-    R_F_A: _Quaternion | None = None
-    accelerometer_bias: _Vector | None = None
-    gyroscope_bias: _Vector | None = None
-    lever_arm: dict[Literal["elbow", "wrist", "hand"], _LeverArmSection] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if (self.upper_arm_m is None) != (self.upper_arm_sigma_m is None):
-            raise ValueError("upper_arm_m and upper_arm_sigma_m must be given together")
-        limits = (
-            ("upper_arm_m", [self.upper_arm_m], LONGEST_M, "m"),
-            ("upper_arm_sigma_m", [self.upper_arm_sigma_m], LONGEST_M, "m"),
-            ("accelerometer_bias", self.accelerometer_bias, LARGEST_ACC_BIAS, "m/s^2"),
-            ("gyroscope_bias", self.gyroscope_bias, LARGEST_GYRO_BIAS, "rad/s"),
-        )
-        for name, values, most, unit in limits:
-            if any(abs(value) > most for value in values or [] if value is not None):
-                raise ValueError(f"{name} is beyond {most:g} {unit}; check its unit")
-        if self.R_F_A is not None and abs(np.linalg.norm(self.R_F_A) - 1) > 1e-3:
-            raise ValueError("R_F_A must be a unit quaternion [qw, qx, qy, qz]")
-        return self
 
 
 @dataclass(frozen=True)
@@ -199,7 +135,10 @@ def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
     for name in sections:
         if name not in SIDES:
             raise CalibrationError(f"Calibration {path}: arm.{name} is not one of {', '.join(SIDES)}.")
-    arms = {side: _to_arm(side, _check(section, f"arm.{side}", path)) for side, section in sections.items()}
+    arms = {
+        side: arm_of_section(side, checked_section(section, f"arm.{side}", path))
+        for side, section in sections.items()
+    }
     tables = {name: value for name, value in document.items() if name not in ("format", "version", "arm")}
     for name, value in tables.items():
         if not isinstance(value, dict | list):
@@ -261,11 +200,11 @@ def calibration_text(calibration: CalibrationFile, path: Path, held: str = "") -
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | tomllib.loads(held)
     for name in {"format", "version", "arm"} & set(calibration.tables):
         raise CalibrationError(f"Calibration {path}: a table of its own cannot be called {name}.")
-    sections = {side: _to_section(arm) for side, arm in calibration.arms.items()}
+    sections = {side: section_of_arm(arm) for side, arm in calibration.arms.items()}
     for side, section in sections.items():
         if side not in SIDES:
             raise CalibrationError(f"Calibration {path}: arm.{side} is not one of {', '.join(SIDES)}.")
-        _check(section, f"arm.{side}", path)
+        checked_section(section, f"arm.{side}", path)
     for name, table in (({"arm": sections} if sections else {}) | calibration.tables).items():
         document[name] = _merged(document.get(name), table, MERGED.get(name, 0))
     return to_toml(document, held)
@@ -298,112 +237,3 @@ def _load(path: Path) -> dict[str, Any]:
             "update unocclude."
         )
     return document
-
-
-def _check(section: object, where: str, path: Path) -> _ArmSection:
-    if not isinstance(section, dict):
-        raise CalibrationError(f"Calibration {path}: {where} must be a table, [{where}].")
-    try:
-        return _ArmSection.model_validate(section)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join([where, *(str(part) for part in first["loc"] if part != "[key]")])
-        said = _SAID.get(first["type"]) or re.sub("^Value error, |^Input (should)", r"\1", first["msg"])
-        raise CalibrationError(f"Calibration {path}: {key}: {said}.") from error
-
-
-def _to_arm(side: str, section: _ArmSection) -> ArmCalibration:
-    def array(values: list[float] | None) -> FloatArray | None:
-        return None if values is None else np.array(values, dtype=np.float64)
-
-    upper_arm = None
-    if section.upper_arm_m is not None and section.upper_arm_sigma_m is not None:
-        upper_arm = Length(section.upper_arm_m, section.upper_arm_sigma_m)
-    R_F_A = None
-    if section.R_F_A is not None:
-        R_F_A = Rotation.from_quat(np.roll(section.R_F_A, -1)).as_matrix()
-    return ArmCalibration(
-        side="" if side == "any" else side,
-        lever_arms={
-            joint: LeverArm(np.array(arm.position_m, dtype=float), np.array(arm.sigma_m, dtype=float))
-            for joint, arm in section.lever_arm.items()
-        },
-        upper_arm=upper_arm,
-        R_F_A=R_F_A,
-        accelerometer_bias=array(section.accelerometer_bias),
-        gyroscope_bias=array(section.gyroscope_bias),
-    )
-
-
-def _to_section(arm: ArmCalibration) -> dict[str, Any]:
-    """The plain values of an arm; what is None is left out."""
-    section: dict[str, Any] = {}
-    if arm.upper_arm is not None:
-        section["upper_arm_m"] = float(arm.upper_arm.value_m)
-        section["upper_arm_sigma_m"] = float(arm.upper_arm.sigma_m)
-    if arm.R_F_A is not None:
-        if not np.allclose(arm.R_F_A @ arm.R_F_A.T, np.eye(3), atol=1e-6) or np.linalg.det(arm.R_F_A) < 0:
-            raise CalibrationError("R_F_A of the calibration to write is not a rotation matrix.")
-        quaternion = np.roll(Rotation.from_matrix(arm.R_F_A).as_quat(canonical=True), 1)
-        section["R_F_A"] = quaternion.tolist()
-    for name in ("accelerometer_bias", "gyroscope_bias"):
-        if (bias := getattr(arm, name)) is not None:
-            section[name] = np.asarray(bias, dtype=float).tolist()
-    if arm.lever_arms:
-        section["lever_arm"] = {
-            joint: {
-                "position_m": np.asarray(lever.position_m, dtype=float).tolist(),
-                "sigma_m": np.asarray(lever.sigma_m, dtype=float).tolist(),
-            }
-            for joint, lever in arm.lever_arms.items()
-        }
-    return section
-
-
-def to_toml(document: dict[str, Any], text: str = "") -> str:
-    """TOML text of plain values.
-
-    Parameters
-    ----------
-    document : dict
-        Of str, bool, int, float, dates, lists, and dicts (tables, nested at will).
-    text : str
-        TOML that the document was changed from: comments in it, and how its values are written, are kept.
-
-    Returns
-    -------
-    text : str
-
-    Raises
-    ------
-    CalibrationError
-        TOML has no such value.
-    """
-    import tomlkit
-    from tomlkit.exceptions import TOMLKitError
-
-    reason: Exception | None = None
-    for start in (text, ""):  # where tables in an odd order cannot be edited, values count, not comments
-        tree = tomlkit.parse(start)
-        try:
-            _update(tree, document)
-            changed = tomlkit.dumps(tree)
-        except (TOMLKitError, KeyError, TypeError, ValueError) as error:
-            reason = error
-            continue
-        if not start or tomllib.loads(changed) == document:
-            return changed
-    raise CalibrationError(f"A calibration file cannot hold such a value: {reason}.") from reason
-
-
-def _update(table: Any, values: dict[str, Any]) -> None:
-    """Give a table of tomlkit these values; what is equal is not touched."""
-    for key in [key for key in table if key not in values]:
-        del table[key]
-    for key, value in values.items():
-        if key not in table:
-            table[key] = value
-        elif isinstance(value, dict) and isinstance(table[key], dict):
-            _update(table[key], value)
-        elif table[key] != value:
-            table[key] = value
