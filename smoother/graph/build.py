@@ -24,12 +24,15 @@ from .shared_prior import add_shared
 
 #: A bias variable for about so long, s: one for a recording is too stiff to follow scale errors.
 BIAS_LENGTH_S = 4.0
+#: A window has no more of them: they take part in every step of the solution. In gaps of minutes, where alone
+#: windows are that long, the arm's reach says more than the integrated IMU.
+MOST_BIASES = 24
 
 
 def bias_of_intervals(window: Window) -> IntArray:
     """Which bias variable each of a window's intervals uses, (n - 1,)."""
     duration = window.t[-1] - window.t[0]
-    count = max(1, round(duration / BIAS_LENGTH_S))
+    count = min(max(1, round(duration / BIAS_LENGTH_S)), MOST_BIASES)
     middle = 0.5 * (window.t[1:] + window.t[:-1]) - window.t[0]
     return np.minimum((middle / duration * count).astype(int), count - 1)
 

@@ -25,6 +25,8 @@ class Timeline:
         The IMU's stamps, dejittered segment by segment.
     visible : ndarray of bool, shape (F,)
         Frames in which the camera tracked enough of the forearm.
+    seen : ndarray of bool, shape (F,)
+        Frames in which it tracked anything of the forearm.
     traits : SegmentTraits
         What holds for all segments: gravity's rough direction, whether the camera's stamps are synthetic.
     """
@@ -32,6 +34,7 @@ class Timeline:
     segments: tuple[slice, ...]
     even_t_imu: FloatArray
     visible: BoolArray
+    seen: BoolArray
     traits: SegmentTraits
 
     @classmethod
@@ -42,8 +45,9 @@ class Timeline:
         even_t = np.empty(len(recording.imu))
         for rows in segments:
             even_t[rows] = dejitter(np.asarray(recording.imu.t_s[rows]))
-        visible = enough_joints(recording.arm.state == JointState.TRACKED, traits.needed)
-        return cls(segments, even_t, visible, traits)
+        tracked = recording.arm.state == JointState.TRACKED
+        visible, seen = enough_joints(tracked, traits.needed), enough_joints(tracked, 1)
+        return cls(segments, even_t, visible, seen, traits)
 
     @property
     def synthetic_stamps(self) -> bool:

@@ -15,9 +15,12 @@ from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import FrameResiduals
 from ..selfcal.self_calibration import SelfCalibration
+from ..window.prepare import REACH_S
 
 #: A one-sided gap longer than this deserves a sentence, s.
 OPEN_GAP_S = 0.5
+#: Time without any answer that deserves one, s.
+UNANSWERED_S = 1.0
 #: Where more of the camera's samples than this are rejected, something else is wrong.
 HARDLY_AGREE = 0.3
 #: A clock that drifts more than this deserves a sentence, s.
@@ -55,6 +58,7 @@ def notes_on(
         *_mounting(model),
         *_rejected(residuals),
         *_open_gaps(gaps, bool(model.estimate.upper_imu)),
+        *_unanswered(recording, timeline, gaps),
         *_unexplained(unexplained),
     )
 
@@ -123,6 +127,27 @@ def _open_gaps(gaps: tuple[Gap, ...], two_imus: bool) -> list[str]:
         f" {'start' if gap.open_start else 'end'}: it is recovered from one side{why}"
         for gap in gaps
         if (gap.open_start or gap.open_end) and gap.length_s > OPEN_GAP_S
+    ]
+
+
+def _unanswered(recording: Recording, timeline: Timeline, gaps: tuple[Gap, ...]) -> list[str]:
+    """Times of the IMU that lie beyond the ends of open gaps: the answer does not reach so far."""
+    beyond: list[tuple[float, float]] = []
+    for segment in timeline.segments:
+        start_s, end_s = recording.imu.t_s[[segment.start, segment.stop - 1]].tolist()
+        here = [gap for gap in gaps if gap.end_s > start_s and gap.start_s < end_s]
+        since_s: float | None = start_s
+        for gap in here:
+            if gap.open_start and since_s is not None:
+                beyond.append((since_s, gap.start_s))
+            since_s = gap.end_s if gap.open_end else None
+        if here and since_s is not None:
+            beyond.append((since_s, end_s))
+    return [
+        f"from {a:.1f} s to {b:.1f} s nothing is recovered: that is more than {REACH_S / 60.0:g} minutes from"
+        " all that the camera saw of the forearm"
+        for a, b in beyond
+        if b - a > UNANSWERED_S
     ]
 
 

@@ -17,6 +17,7 @@ from ..measurements.visibility import MISSING_S
 from ..recording import ImuStream, JointTracks, Recording
 from ..selfcal.upper_arm import UpperArm
 from ..window.cut import KEEP_S
+from ..window.prepare import REACH_S
 
 #: Length aimed at, s.
 SECTION_S = 60.0
@@ -39,7 +40,7 @@ class Section:
     samples, frames : slice
         Rows of the recording's IMU and camera, context included.
     start_s, end_s : float, s
-        The time to answer for, on the IMU's clock; infinite at the segment's ends.
+        The time to answer for, on the IMU's clock; infinite at the stretch's ends.
     length_s : float, s
         Of that time.
     """
@@ -111,8 +112,9 @@ class Sections:
         visible_times = _visible_times(frame_t_imu[timeline.visible])
         self.all: list[Section] = []
         for segment in timeline.segments:
-            if segment.stop - segment.start >= FEWEST_SAMPLES:
-                self.all += _sections(recording.imu.t_s, segment, frame_t_imu, visible_times)
+            for stretch in _stretches(recording.imu.t_s, segment, frame_t_imu[timeline.seen]):
+                if stretch.stop - stretch.start >= FEWEST_SAMPLES:
+                    self.all += _sections(recording.imu.t_s, stretch, frame_t_imu, visible_times)
 
     def __len__(self) -> int:
         return len(self.all)
@@ -158,10 +160,28 @@ def _visible_times(frame_t: FloatArray) -> FloatArray:
     return np.stack([frame_t[first], frame_t[last]], axis=1)
 
 
+def _stretches(imu_t: FloatArray, segment: slice, seen_t: FloatArray) -> Iterator[slice]:
+    """The parts of a segment that lie within reach of what the camera saw of the forearm, with context.
+
+    Where it saw nothing for longer than the answer reaches from both sides, what is before and what is after
+    have nothing to do with each other.
+    """
+    t = imu_t[segment]
+    seen_t = seen_t[(seen_t >= t[0]) & (seen_t <= t[-1])]
+    if not len(seen_t):
+        return
+    breaks = np.flatnonzero(np.diff(seen_t) > 2.0 * REACH_S)
+    first_s, last_s = seen_t[np.concatenate(([0], breaks + 1))], seen_t[np.append(breaks, len(seen_t) - 1)]
+    around = REACH_S + CONTEXT_S
+    first, last = np.searchsorted(t, first_s - around), np.searchsorted(t, last_s + around)
+    for a, b in zip(first.tolist(), last.tolist(), strict=True):
+        yield slice(segment.start + a, segment.start + b)
+
+
 def _sections(
     imu_t: FloatArray, segment: slice, frame_t_imu: FloatArray, visible_times: FloatArray
 ) -> Iterator[Section]:
-    """The sections of a segment."""
+    """The sections of a stretch."""
     t = imu_t[segment]
     for a, b in pairwise([-np.inf, *section_borders(float(t[0]), float(t[-1]), visible_times), np.inf]):
         around = [a - CONTEXT_S, b + CONTEXT_S]

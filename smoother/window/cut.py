@@ -11,7 +11,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
-from ..measurements.visibility import Gap, occluded_at
+from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
 from .problem import (
     ImuIncrements,
@@ -35,6 +35,8 @@ CHANGE_TIME_S = 0.2
 FREE_RAD = 1.0
 #: Borders of windows keep so far from gaps where the visible time between two gaps is long enough, s.
 KEEP_S = 2.0
+#: In longer gaps borders also lie where the camera sees one joint, s: a window takes memory by its length.
+PARTLY_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,8 @@ class PreparedSegment:
 def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
     """Borders of the windows: inside visible time, as far from gaps as the length aimed at allows.
 
+    In a long gap in which the camera sees something of the forearm that counts as visible, too.
+
     Parameters
     ----------
     prepared : PreparedSegment
@@ -109,6 +113,7 @@ def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
     last = t0
     for gap in (gap for gap in prepared.gaps if gap.end_s > t0 and gap.start_s < t1):
         visible.append((last, gap.start_s))
+        visible += _partly_visible(prepared, gap) if gap.length_s > PARTLY_S else []
         last = gap.end_s
     if last < t1:  # else a gap reaches the end, and no border lies behind it
         visible.append((last, t1))
@@ -122,6 +127,14 @@ def cut_times(prepared: PreparedSegment, length_s: float) -> list[float]:
                 break
             borders.append(border)
     return [*borders, t1]
+
+
+def _partly_visible(prepared: PreparedSegment, gap: Gap) -> list[tuple[float, float]]:
+    """From when to when the camera sees one joint at least within a gap, s; short times are left out."""
+    t = prepared.frame_t_imu[enough_joints(prepared.accepted, 1)]
+    t = t[(t > gap.start_s) & (t < gap.end_s)]
+    seen = np.split(t, np.flatnonzero(np.diff(t) > MISSING_S) + 1)
+    return [(float(run[0]), float(run[-1])) for run in seen if len(run) and run[-1] - run[0] > 2.0 * KEEP_S]
 
 
 def cut(
