@@ -8,11 +8,15 @@ from ..evaluation.coverage import camera_residuals
 from ..evaluation.metrics import Figures
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
 from ..evaluation.validate import Validation
+from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
+from ..measurements.visibility import occluded_at
 from ..result import Recovery
 
 #: A gap that is less certain than this needs care, m (one standard deviation).
 WEAK_M = 0.05
+#: Time outside the gaps without any answer that is told, s.
+UNANSWERED_S = 1.0
 #: Below this share of camera samples inside their 95 % region the stated uncertainty is doubted.
 DOUBTFUL_SHARE = 0.80
 #: Above this NEES the stated uncertainty is called over-confident.
@@ -47,6 +51,10 @@ def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     text = f"{text}, for {sum(lengths):.1f} s in all"
     if len(gaps) > 1:
         text = f"{text}; the longest gap lasts {max(lengths):.1f} s"
+    without = ~recovery.answered & ~occluded_at(recovery.t_s, recovery.gaps)
+    nothing_s = np.count_nonzero(without) / median_rate_hz(recovery.t_s)
+    if nothing_s > UNANSWERED_S:
+        text = f"{text}. For {nothing_s:.1f} s more there is no answer at all"
     paused = len(pauses(recovery.t_s)) > 0
     return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
 

@@ -34,6 +34,14 @@ def without_camera(recording: Recording, start_s: float, end_s: float) -> Record
     return replace(recording, arm=recording.arm.hide((t > start_s) & (t < end_s), JOINTS), truth=None)
 
 
+def with_one_frame(recording: Recording, start_s: float, end_s: float) -> Recording:
+    """As `without_camera`, but for a frame in the middle: one is too few to say anything."""
+    t = recording.arm.t_s
+    hidden = (t > start_s) & (t < end_s)
+    hidden[np.searchsorted(t, 0.5 * (start_s + end_s))] = False
+    return replace(recording, arm=recording.arm.hide(hidden, JOINTS), truth=None)
+
+
 def without_imu(recording: Recording, start_s: float, end_s: float) -> Recording:
     t = recording.imu.t_s
     return replace(recording, imu=recording.imu.select((t < start_s) | (t > end_s)), truth=None)
@@ -80,7 +88,7 @@ def smoothed(
 @pytest.fixture(scope="module", params=[START, MIDDLE, END], ids=["start", "middle", "end"])
 def dropped(request: pytest.FixtureRequest, three_minutes: SimulatedArm) -> Dropped:
     start_s, end_s = request.param
-    hidden = without_camera(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S)
+    hidden = with_one_frame(three_minutes.recording, start_s - AWAY_S, end_s + AWAY_S)
     recording = paused(hidden, start_s, end_s)
     shorter = without_imu(recording, start_s, end_s)
     recovery, answered = smoothed(recording, three_minutes, excerpts_of=shorter)
@@ -181,5 +189,5 @@ def test_a_segment_without_the_camera_that_sees_it_again_right_after(three_minut
     start_s, end_s = MIDDLE
     hidden = without_camera(three_minutes.recording, start_s - 2.0, end_s + 2.0)
     recovery, answered = smoothed(paused(hidden, start_s, end_s), three_minutes)
-    assert answered.count(False) == 1
+    assert answered and all(answered)  # no section is made of what the camera never saw
     assert np.isnan(recovery.position[inside(recovery, start_s, end_s)]).all()
