@@ -44,7 +44,7 @@ def ends_the_process(path: Path, read: Callable[[Path], object]) -> bool:
         warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the child only reads and ends
         child = os.fork()
     if child == 0:
-        code = 0
+        code = 1
         try:
             faulthandler.disable()
             for name in _FATAL:
@@ -52,9 +52,13 @@ def ends_the_process(path: Path, read: Callable[[Path], object]) -> bool:
             os.close(2)  # what the library says while it crashes is no message
             _limit(path.stat().st_size)
             read(path)
+            code = 0
+        except MemoryError:
+            pass
         except BaseException as error:
-            code = int(isinstance(error, MemoryError) or "bad_alloc" in str(error))
-        os._exit(code)
+            code = int("bad_alloc" in str(error))
+        finally:  # also where memory does not suffice for that: a copy of this program must not go on
+            os._exit(code)
     status = os.waitpid(child, 0)[1]
     return os.WIFSIGNALED(status) or os.waitstatus_to_exitcode(status) != 0
 

@@ -27,6 +27,17 @@ def refuse(path: Path) -> None:
     raise ValueError("a refusal is no crash")
 
 
+class WithoutMemory(Exception):
+    """What a library throws where memory does not even suffice to say so."""
+
+    def __str__(self) -> str:
+        raise MemoryError
+
+
+def refuse_without_memory(path: Path) -> None:
+    raise WithoutMemory
+
+
 def hang(path: Path) -> None:
     while True:
         pass
@@ -41,6 +52,16 @@ def test_crashes(file: Path):
     assert native.ends_the_process(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
     assert native.ends_the_process(file, lambda path: os.abort())
     assert native.ends_the_process(file, lambda path: bytearray(1 << 31))
+
+
+def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
+    mine = os.getpid()
+    try:
+        ends = native.ends_the_process(file, refuse_without_memory)
+    finally:
+        if os.getpid() != mine:  # the copy: it must not run the tests that follow
+            os._exit(0)
+    assert ends
 
 
 def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
