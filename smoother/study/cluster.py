@@ -109,10 +109,15 @@ def _processes(count: int, silent: int | bool, again: bool = True) -> LocalClust
             silence_logs=silent,
             preload=[__name__],
         )
-    except (OSError, RuntimeError) as error:
+    except (
+        OSError,
+        RuntimeError,
+        AssertionError,
+    ) as error:  # a nanny asserts that its process began
         if again:
             return _processes(count, silent, again=False)
-        raise UnoccludeError(f"the processes could not be started: {error}") from error
+        reason = str(error) or "one of them ended as it began"
+        raise UnoccludeError(f"the processes could not be started: {reason}") from error
 
 
 def run_cluster(jobs: Iterator[Job], scheduler: str) -> Generator[Row | None, None, None]:

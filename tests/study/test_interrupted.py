@@ -105,7 +105,14 @@ def die_of_broken(job: Job) -> Row:
     return run_job(job)
 
 
-def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (RuntimeError("Nanny failed to start."), r"Nanny failed to start\."),
+        (AssertionError(), "one of them ended as it began"),  # of a nanny that is asked a second time
+    ],
+)
+def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch, error, said):
     """The processes are begun once more, and no oftener."""
     import distributed
 
@@ -114,13 +121,13 @@ def test_a_worker_that_is_killed_as_it_starts(job, monkeypatch):
     def fail_once(**options):
         begun.append(options)
         if len(begun) < 2:
-            raise RuntimeError("Nanny failed to start.")
+            raise error
         return start(**options)
 
     monkeypatch.setattr(distributed, "LocalCluster", fail_once)
     assert [row["status"] for row in run_local(iter([job]), 1) if row is not None] == [DONE]
     monkeypatch.setattr(distributed, "LocalCluster", lambda **options: fail_once(times=begun.clear()))
-    with pytest.raises(UnoccludeError, match=r"could not be started: Nanny failed to start\."):
+    with pytest.raises(UnoccludeError, match=f"could not be started: {said}"):
         list(run_local(iter([job]), 1))
 
 
