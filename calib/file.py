@@ -31,7 +31,7 @@ from typing import Any
 from smoother.calibration import ArmCalibration
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.runtime.atomic import writing
-from smoother.runtime.file_text import toml_text
+from smoother.runtime.file_text import read_toml, toml_text
 from smoother.runtime.inputs import check_input
 
 from .arm_section import arm_of_section, checked_section, section_of_arm
@@ -221,10 +221,10 @@ def _load(path: Path) -> dict[str, Any]:
     """The file as plain values, once it has shown to be a calibration of a version that we know."""
     check_input(path, CalibrationError)
     try:
-        document = tomllib.loads(toml_text(path))
+        document = read_toml(path)
     except OSError as error:
         raise CalibrationError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+    except ValueError as error:  # also a number of thousands of digits
         raise CalibrationError(f"Calibration {path} is not TOML: {error}.") from error
     if document.get("format", FORMAT if set(TABLES) & set(document) else None) != FORMAT:
         raise CalibrationError(f'{path} is not a calibration: it lacks the line format = "{FORMAT}".')

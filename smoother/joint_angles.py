@@ -95,6 +95,34 @@ def elbow_flexion_sigma(recovery: Recovery) -> FloatArray:
     return np.degrees(np.sqrt(variance))
 
 
+def elbow_bend(recovery: Recovery) -> FloatArray | None:
+    """The rotation that bends the straight arm, (N, 3), rad, in the IMU's axes {A}; its length is flexion.
+
+    In axes that the forearm carries the bend is a smooth vector, also where the arm passes straight, and an
+    error adds to it as to any other vector; to flexion, which has no sign, it does not.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Of N samples.
+
+    Returns
+    -------
+    bend : ndarray, shape (N, 3), rad, or None
+        nan where it is not known; None without shoulder, elbow and wrist.
+    """
+    joints = recovery.joints
+    if not {"shoulder", "elbow", "wrist"} <= set(joints):
+        return None
+    upper, fore = unit(joints["elbow"] - joints["shoulder"]), unit(joints["wrist"] - joints["elbow"])
+    across = np.cross(upper, fore)
+    sine = np.linalg.norm(across, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by_sine = np.where(sine > 1e-12, np.arctan2(sine, _dot(upper, fore)) / sine, 1.0)
+    R_K_A = forearm_axes(recovery.quaternion, np.eye(3))
+    return np.asarray(np.einsum("nji,nj->ni", R_K_A, by_sine[:, None] * across))
+
+
 def forearm_axes(quaternion: FloatArray, R_F_A: FloatArray) -> FloatArray:
     """Forearm axes in the camera frame, `R_K_F` = R_K_A R_A_F, (N, 3, 3).
 

@@ -13,26 +13,28 @@ from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
 from .measurements.timeline import Timeline
 from .recording import FOREARM_JOINTS, Recording
+from .recovery.ambiguity import with_ambiguities
+from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
 from .recovery.cause import naming_the_cause, with_cause
 from .recovery.field_pass import magnetic_field
 from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
 from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
-from .recovery.sigma_factor import with_sigma_factors
+from .recovery.sigma_factor import with_self_check, with_sigma_factors
 from .recovery.task import Task
 from .recovery.trunk import with_trunk
-from .recovery.trust import judged
+from .recovery.trust import judged, with_gap_verdicts
 from .result import Recovery
 from .runtime.blas_threads import one_blas_thread
 from .runtime.pool import Pool
 from .runtime.store import Store
-from .selfcal.coarse_clock import synchronise_coarsely
+from .selfcal.coarse_clock import pair
 from .selfcal.excerpts import informative_excerpts
 from .selfcal.given_check import contradictions
 from .selfcal.rounds import self_calibrate
 from .selfcal.upper_arm import calibrate_upper_arm
-from .window.priors import with_measured_noise
+from .window.priors import with_measured_noise, with_measured_shoulder
 
 #: Called with a fraction (0..1) and a word for the step.
 Progress = Callable[[float, str], None]
@@ -95,56 +97,87 @@ def smooth(
     """
     if draws < 0 or seed < 0:
         raise UnoccludeError(f"draws and seed are whole numbers, 0 or more; not {min(draws, seed)}")
-    config = with_measured_noise(config or Config(), recording.imu)
+    config = with_measured_shoulder(with_measured_noise(config or Config(), recording.imu), recording.arm)
     given = calibration or ArmCalibration(side=recording.side)
     report, store = progress or (lambda fraction, text: None), store or Store()
     if not any(joint in FOREARM_JOINTS for joint in recording.arm.present):
         raise SolveError(f"{recording.name}: the camera never tracked the forearm")
 
-    # 1. Clocks: bring the camera's stamps to where the fine search finds the rest.
+    # 1. Clocks: whether the streams are a pair, and the camera's stamps where the fine search finds the rest.
     report(0.0, "calibrating")
     as_recorded = recording
     timeline = Timeline.of(recording)
-    recording, coarse_clock = synchronise_coarsely(recording, timeline, clock)
-    clock_sigma_s = OFFSET_SIGMA_S if clock is None else clock.sigma_s
+    with naming_the_cause(recording, given, clock):
+        recording, coarse_clock, pairing = pair(recording, timeline, clock)
     count = config.windows.processes if processes is None else processes
     with naming_the_cause(recording, given, clock), Pool(count, len(recording.arm)) as workers:
-        # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
-        excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
-        if not excerpts:
-            raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
-        misfits = tuple(contradictions(excerpts, given))
-        model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
-        #    An IMU on the upper arm, where there is one: how it sits, and its clock.
-        upper, note = calibrate_upper_arm(recording, model, given, config, workers, store)
-        if upper is not None:
-            model = upper.joined(model)
-        recording = replace(recording, notes=(*recording.notes, *([note] if note else [])))
-        # 3. First pass: every section alone; its windows answer with a Gaussian on what all share.
-        sections = Sections(recording, timeline, model.clock, upper)
-        task = Task.of(recording, sections, model, config)
-        first = FirstPass.over(
-            sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")
-        )
-        # 4. Pooled over all windows: the arm, the clock, the magnetic field.
-        task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
-        magnetometer = magnetic_field(first, task, workers)
-        # 5. Second pass: every section again, with priors from all others; motions drawn where asked for.
-        task = task.drawing(draws, seed, recording, first.messages)
-        jobs = first.jobs(first.priors(task.prior), magnetometer.by_window)
-        answers = second_pass(jobs, task, workers)
-        # 6. One trajectory at the IMU's own stamps.
-        answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
-        recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+
+        def solved(one: Recording) -> Solved:
+            return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
+
+        # 2. to 6. The motion; blocks of the camera's samples that the rest contradicts are left out of it.
+        best = without_wrong_blocks(recording, solved)
     #    The thorax by an IMU on the trunk, where there is one.
-    recovery = with_trunk(recovery, as_recorded, store)
-    # 7. Sigma as hidden gaps of this camera asked for, where the calibration has looked.
+    recovery = with_trunk(best.recovery, as_recorded, store)
+    # 7. Sigma as hidden gaps of this camera asked for: the calibration's, or the self-check's.
     recovery = with_sigma_factors(recovery, given.sigma_factors)
+    recovery = with_self_check(recovery, best.evidence.stretches)
     report(1.0, "done")
-    # 8. A verdict, and the likeliest cause where it is not to be trusted.
-    questions = model.open_questions
-    recovery = judged(recovery, recording, config.arm.anatomy, misfits, questions, clock, coarse_clock)
+    # 8. A verdict with its likeliest cause, also by the gaps that the visible motion leaves ambiguous.
+    pairing = best.paired(pairing, recording, clock)
+    recovery = replace(recovery, estimates=replace(recovery.estimates, pairing=pairing))
+    recovery = judged(
+        recovery, recording, config.arm.anatomy, best.misfits, best.open_questions, clock, coarse_clock
+    )
+    recovery = with_cause(recovery, recording, given, clock)
+    recovery = with_gap_verdicts(with_ambiguities(recovery, recording, best.excerpts, given))
     return with_cause(recovery, recording, given, clock)
+
+
+def _solved(
+    recording: Recording,
+    given: ArmCalibration,
+    config: Config,
+    workers: Pool,
+    store: Store,
+    report: Progress,
+    measured: Clock | None,
+    coarse_clock: Clock | None,
+    drawing: tuple[int, int],
+) -> Solved:
+    """Steps 2 to 6: calibrate, solve every section twice, and join the answers."""
+    timeline = Timeline.of(recording)
+    # 2. Self-calibration on the excerpts that tell most: lever arms, clock, camera noise.
+    excerpts = [reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, timeline)]
+    if not excerpts:
+        raise SolveError(f"{recording.name}: at no time do the IMU and a visible forearm come together")
+    misfits = tuple(contradictions(excerpts, given))
+    clock_sigma_s = OFFSET_SIGMA_S if measured is None else measured.sigma_s
+    model = self_calibrate(excerpts, given, config, workers, clock_sigma_s)
+    #    An IMU on the upper arm, where there is one: how it sits, and its clock.
+    upper, note = calibrate_upper_arm(recording, model, given, config, workers, store)
+    if upper is not None:
+        model = upper.joined(model)
+    recording = replace(recording, notes=(*recording.notes, *([note] if note else [])))
+    # 3. First pass: every section alone; its windows answer with a Gaussian on what all share.
+    sections = Sections(recording, timeline, model.clock, upper)
+    task = Task.of(recording, sections, model, config, timeline.usual_gap_s(recording.arm.t_s))
+    first = FirstPass.over(
+        sections, task, workers, store, lambda share: report(0.2 + 0.35 * share, "first pass")
+    )
+    # 4. Pooled over all windows: the arm, the clock, the magnetic field.
+    task = task.refined(first.messages, first.clock_scores, timeline.synthetic_stamps)
+    magnetometer = magnetic_field(first, task, workers)
+    # 5. Second pass: every section again, with priors from all others; motions drawn where asked for, and
+    #    visible stretches hidden, recovered and compared.
+    task = task.drawing(*drawing, recording, first.messages)
+    jobs = first.jobs(first.priors(task.prior), magnetometer.by_window)
+    evidence = CameraEvidence()
+    answers = evidence.collecting(second_pass(jobs, task, workers))
+    # 6. One trajectory at the IMU's own stamps.
+    answers = _reported(answers, len(first), lambda share: report(0.55 + 0.4 * share, "recovering"))
+    recovery = merge(answers, recording, timeline, task, magnetometer, coarse_clock, store)
+    return Solved(recovery, evidence, excerpts, misfits, model.open_questions)
 
 
 def _reported(answers: Iterable[Answer], count: int, report: Callable[[float], None]) -> Iterator[Answer]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.runtime.file_text import toml_text
+from smoother.runtime.file_text import read_toml
 from smoother.runtime.inputs import check_input
 
 from ..intrinsics import Intrinsics
@@ -143,10 +142,10 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 def _load(path: Path) -> dict[str, Any]:
     check_input(path, CalibrationError)
     try:
-        return tomllib.loads(toml_text(path))
+        return read_toml(path)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+    except ValueError as error:  # also a number of thousands of digits
         raise CalibrationError(f"{path} is not TOML: {error}.") from error
 
 

@@ -26,6 +26,8 @@ GRAPH_ESTIMATES = (
     "cautions",
     "cause",
     "remedies",
+    "untrusted",
+    "pairing",
 )
 #: The note of every baseline's result.
 GRAPH_NOTE = (

@@ -14,6 +14,7 @@ def main() -> None:
     # all cores are kept busy by processes; threads of the libraries inside only get in each other's way
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    _open_closed_streams()
     try:
         from .run import run
 
@@ -25,6 +26,26 @@ def main() -> None:
     _flush()
     gc.freeze()  # or Python looks through all that was imported once more before it ends: 0.07 s
     sys.exit(code)
+
+
+def _open_closed_streams() -> None:
+    """Where a shell closed standard input, output or error (`>&-`), put the null device in its place.
+
+    Python then has no such stream, and the next file that is opened gets its number: what a library prints
+    would go into an output.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != number:
+                os.dup2(null, number)
+                os.close(null)
+            os.set_inheritable(number, True)  # worker processes want it as well
+        if getattr(sys, name) is None:
+            stream = open(number, mode, encoding="utf-8", closefd=False)  # noqa: SIM115 - open to the end
+            setattr(sys, name, stream)
 
 
 def _flush() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,9 +21,11 @@ from .options import (
     Processes,
     Side,
     Skeleton,
+    Strict,
     one_side,
 )
 from .output import centimetres, check_outputs, print_notes, print_table, say, say_written, write_json
+from .standing import end_strictly
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -134,6 +137,7 @@ def batch(
         bool,
         typer.Option("--keep-paths", help="Let rows and JSON hold absolute paths and the machine's name."),
     ] = False,
+    strict: Strict = False,
     force: Annotated[
         bool,
         typer.Option("--force", help="Take a folder with other files; compute everything anew."),
@@ -142,13 +146,14 @@ def batch(
     """Recover many recordings; the same command continues where an interrupted one stopped.
 
     Results lie in FOLDER under the recordings' names, a row of figures of each in FOLDER/results/*.parquet.
-    One failing recording does not stop the others; the exit code is 1 then.
+    One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 where all
+    were recovered, and a result is not to be trusted.
     """
     from ..measures.intervals import FEWEST_DRAWS
     from ..runtime.atomic import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import Fingerprint
-    from ..study.inputs import find_entries
+    from ..study.inputs import find_entries, left_out_note
     from ..study.limits import Limits
     from ..study.run import StudySettings, run_study, study_folder
     from .batch_progress import study_progress
@@ -181,7 +186,9 @@ def batch(
     )
     entries = find_entries(source, folder.path)
     inside = page is not None and page.resolve().is_relative_to(folder.path.resolve())
-    inputs = [calibration_file, config_file, *(Path(entry.path) for entry in entries if page or json_file)]
+    recordings = (Path(entry.path) for entry in entries if page or json_file)
+    # what is no file, such as a pipe, fails by itself and stops no other
+    inputs = [calibration_file, config_file, *(path for path in recordings if os.path.isfile(path))]
     check_outputs(True, [None if inside else page, json_file], inputs)
     for path in (page, json_file):
         if path is not None and path.is_file() and not _is_of_a_study(path):
@@ -212,10 +219,12 @@ def batch(
         True,
     )
     _print(rows, tally, figures)
-    print_notes(tally.notes)
+    print_notes([*tally.notes, *([note] if (note := left_out_note(source)) else [])])
     say_written(folder.path, page, json_file)
     if figures["failed"]:
         raise typer.Exit(1)
+    if strict:
+        end_strictly(rows["trusted"].to_pylist())
 
 
 def _is_of_a_study(path: Path) -> bool:
@@ -230,31 +239,47 @@ def study_figures(rows: pa.Table, tally: Tally) -> dict[str, Any]:
     import pyarrow.compute as pc
 
     failed = rows.filter(pc.equal(rows["status"], "failed"))
+    distrusted = rows.filter(pc.equal(rows["trusted"], False))  # failed ones have none
+    partly = rows.filter(pc.and_(pc.equal(rows["trusted"], True), pc.greater(rows["gaps_untrusted"], 0)))
     return {
         "recordings": tally.total,
         "done": len(rows) - len(failed),
         "failed": len(failed),
+        "not_trusted": len(distrusted),
+        "partly_trusted": len(partly),
         "computed": tally.computed,
         "done_before": tally.before,
         "seconds": tally.seconds,
         "computed_s": tally.recorded_s,
         "duration_s": pc.sum(rows["duration_s"]).as_py() or 0.0,
         "occluded_s": pc.sum(rows["occluded_s"]).as_py() or 0.0,
+        "untrusted": distrusted.select(["recording", "verdict"]).slice(0, MOST_JSON).to_pylist(),
         "failures": failed.select(["recording", "error", "retry"]).slice(0, MOST_JSON).to_pylist(),
     }
 
 
 def worst_arms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row an arm, the least certain first; where there are several, the recording's name says which."""
+    """A row an arm, untrusted ones first, then the least certain; of several the name says which."""
     from ..recording import arm_words
-    from ..study.columns import arms_of
+    from ..study.columns import arms_of, least_trusted
 
     arms = []
     for row in rows:
         for arm in arms_of(row):
             which = f" ({arm_words(arm['side'], arm['body'])})" if row["arm_figures"] else ""
             arms.append(arm | {"recording": row["recording"] + which})
-    return sorted(arms, key=lambda arm: -(arm["sigma_max_m"] or 0.0))[:MOST_WORST]
+    return sorted(arms, key=least_trusted)[:MOST_WORST]
+
+
+def _print_untrusted(figures: dict[str, Any]) -> None:
+    """Print how many recordings are not to be trusted, and why, a line each."""
+    if not figures["not_trusted"]:
+        return
+    say(f"{figures['not_trusted']} of {figures['done']} results are not to be trusted:")
+    for row in figures["untrusted"][:MOST_FAILURES]:
+        say(f"  {row['recording']}: {row['verdict']}")
+    if figures["not_trusted"] > MOST_FAILURES:
+        say(f".. and {figures['not_trusted'] - MOST_FAILURES} more; the results have them all")
 
 
 def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
@@ -266,20 +291,30 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     )
     import pyarrow.compute as pc
 
+    from ..evaluation.summary import trust_word
     from ..io.recording.carried import NOT_CARRIED
 
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
-    done = rows.filter(pc.equal(rows["status"], "done")).select([*columns, "arm_figures"])
-    worst = worst_arms(done.sort_by([("sigma_max_m", "descending")]).slice(0, MOST_WORST).to_pylist())
+    done = rows.filter(pc.equal(rows["status"], "done"))
+    done = done.select([*columns, "trusted", "gaps_untrusted", "arm_figures"])
+    order = [("trusted", "ascending"), ("gaps_untrusted", "descending"), ("sigma_max_m", "descending")]
+    worst = worst_arms(done.sort_by(order).slice(0, MOST_WORST).to_pylist())
     if worst:
+        heads = ("recording", "trusted", "largest sigma, cm", "gaps", "longest gap, s")
         print_table(
-            "The least certain recordings (sigma = one standard deviation)",
-            ("recording", "largest sigma, cm", "gaps", "longest gap, s", "occluded, s", "length, s", "notes"),
+            "Recordings that are not to be trusted, then the least certain (sigma = one standard deviation)",
+            (*heads, "occluded, s", "length, s", "notes"),
             [
-                (row["recording"], centimetres(row["sigma_max_m"]), *(row[name] for name in columns[2:]))
+                (
+                    row["recording"],
+                    trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"]),
+                    centimetres(row["sigma_max_m"]),
+                    *(row[name] for name in columns[2:]),
+                )
                 for row in worst
             ],
         )
+    _print_untrusted(figures)
     texts = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
     notes = [note for each in texts for note in each or []]
     left_out = list(dict.fromkeys(note for note in notes if note.startswith(NOT_CARRIED)))

@@ -49,6 +49,7 @@ def progress_table(tally: Tally, latest: deque[Row]) -> Any:
         table.add_column(column, justify="right")
     table.add_column("")
     for row in latest:
+        distrusted = row.get("trusted") is False
         length, sigma, spent = (row.get(name) for name in ("duration_s", "sigma_max_m", "seconds"))
         cells = (
             row["recording"],
@@ -56,11 +57,10 @@ def progress_table(tally: Tally, latest: deque[Row]) -> Any:
             "" if row.get("gaps") is None else str(row["gaps"]),
             "" if sigma is None else f"{100 * sigma:.1f}",
             "" if length is None or not spent else f"{length / spent:.0f}",
-            row.get("error") or row["status"],
+            row.get("error") or ("not to be trusted" if distrusted else row["status"]),
         )
-        table.add_row(
-            *[Text(printable(cell)) for cell in cells], style="red" if row["status"] == "failed" else None
-        )
+        bad = distrusted or row["status"] == "failed"
+        table.add_row(*[Text(printable(cell)) for cell in cells], style="red" if bad else None)
     return table
 
 

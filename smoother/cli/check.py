@@ -27,6 +27,7 @@ from .options import (
 from .output import check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
+from .run import NOT_TRUSTED
 from .several_figures import arms_figures, say_arm
 
 if TYPE_CHECKING:
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recovery
-
-#: The exit code where a result would not be to be trusted.
-NOT_TRUSTED = 3
 
 
 @with_groups

@@ -38,6 +38,7 @@ from .output import check_outputs, print_notes, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
 from .several_figures import arms_figures, each_arm, say_arm
+from .standing import warn
 from .strap import with_strap
 
 if TYPE_CHECKING:
@@ -118,6 +119,8 @@ def compare(
     for recording in recordings:
         _check_truth(recording_file, recording, truth_file, markers, align, several=len(arms) > 1)
 
+    judged: dict[int, Recovery] = {}
+
     def compare_arm(place: int) -> Comparison:
         recording, calibration = arms[place]
         clock = set_up.clock(calibration_file, recording)
@@ -137,6 +140,7 @@ def compare(
             latency_s=latency_s,
         )
         graph = running[GRAPH](blind)
+        judged[place] = graph
         truth, alignment = truth_for(
             recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
         )
@@ -157,9 +161,12 @@ def compare(
     each = []
     for recording, comparison in compared:
         figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
+        estimates = judged[next(k for k, each in enumerate(recordings) if each is recording)].estimates
+        figures |= {"trusted": estimates.trusted, "verdict": estimates.verdict}
         figures["notes"] = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
         each.append(figures)
     write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
+    warn(list(judged.values()))
     for recording, comparison in compared:
         say_arm(recording, len(compared))
         print_comparison(comparison)

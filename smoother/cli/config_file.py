@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
-from ..runtime.file_text import toml_text
+from ..runtime.file_text import read_toml
 from ..runtime.inputs import check_input
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -40,10 +39,12 @@ def read_settings(path: Path | None, kind: type[Settings]) -> Settings:
         return kind()
     check_input(path)
     try:
-        return kind.model_validate(tomllib.loads(toml_text(path)))
+        return kind.model_validate(read_toml(path))
     except ValidationError as error:
         raise UnoccludeError(f"{path}: {describe(error)}") from error
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+    except OSError as error:
+        raise UnoccludeError(f"{path} cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # also a number of thousands of digits
         raise UnoccludeError(f"{path}: not a TOML file: {error}") from error
 
 

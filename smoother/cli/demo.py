@@ -20,6 +20,7 @@ from .output import (
     write_json,
 )
 from .progress import progress_bar
+from .standing import say_untrusted_parts, say_verdict
 
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
@@ -69,9 +70,9 @@ def demo(
         "report": report.name,
     }
     write_json(json_file, figures, True)
-    if recovery.estimates.verdict:
-        say(recovery.estimates.verdict)
+    say_verdict(recovery)
     print_gaps(recovery, validation)
+    say_untrusted_parts(recovery)
     print_notes(left_out)
     say("Joints, joint angles and the calibration are in the report.")
     if validation is not None:

@@ -12,6 +12,7 @@ from ..errors import RecordingError
 from .load import camera_frame_of, damage, load_recoveries
 from .options import Body, Force, Json, Output, Result, Side, one_side
 from .output import check_outputs, print_notes, say, write_json
+from .standing import warn
 
 if TYPE_CHECKING:
     from ..io.export.prepare import Export
@@ -77,7 +78,12 @@ def export(
     straight line bridges a stretch without an answer. osim: a model for OpenSim with the arm's lengths
     and the markers of trc, for its Inverse Kinematics. rrd: a recording of Rerun with its views, all
     arms in one file; `unocclude view` opens it (needs `pip install '.[view]'`).
+
+    What is not to be trusted is named on stderr, and marked in the file: column or channel `trusted`, dark
+    red in rrd.
     """
+    from ..result.untrusted import untrusted_sentences
+
     _check(format_name, frame, rate, origin)
     if draws and format_name != "parquet":
         raise typer.BadParameter(f"--draws is for parquet, not for {format_name}")
@@ -107,9 +113,13 @@ def export(
                 "rate_hz": ready.rate_hz,
                 "frame": ready.frame,
                 "origin_ns": recovery.origin_ns,
+                "trusted": recovery.estimates.trusted,
+                "verdict": recovery.estimates.verdict,
+                "untrusted": list(untrusted_sentences(recovery)),
                 "notes": [*damage(recovery.notes), *ready.notes],
             }
         )
+    warn(recoveries)
     print_notes(note for recovery in recoveries for note in damage(recovery.notes))
     print_notes(note for ready in exports for note in ready.notes)
     write_json(json_file, {"files": figures}, force)

@@ -69,6 +69,18 @@ def print_arm(about: RecordingInfo) -> None:
     print_table("Streams", ("what", "found"), rows)
 
 
+def _say_verdicts(about: RecordingInfo) -> None:
+    """Print the verdict on each arm of a result, and how many of its times are not to be trusted."""
+    for each in about.verdicts:
+        of = f"{each['arm']}: " if each["arm"] else ""
+        if each["verdict"]:
+            say(f"{of}{each['verdict']}")
+        if each["trusted"] is not False and (times := each["untrusted"]):
+            assert isinstance(times, list)
+            count = f"{len(times)} {'time' if len(times) == 1 else 'times'}"
+            say(f"{of}not to be trusted at {count}; export says which")
+
+
 def print_missing(about: RecordingInfo) -> None:
     """Print what is missing for recovering first, then in short what it can do without."""
     if "smooth" in about.missing:
@@ -81,6 +93,7 @@ def print_missing(about: RecordingInfo) -> None:
             say(of + (arm.allows if arm.ready else f"not ready for `unocclude smooth`: it {arm.allows}"))
         if about.ready:
             say("ready for `unocclude smooth`")
+    _say_verdicts(about)
     for step, reason in about.missing.items():
         if step != "smooth":
             say(f"{step}: {reason}")

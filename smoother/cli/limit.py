@@ -24,13 +24,13 @@ def limit_sigma(recovery: Recovery, max_sigma_m: float | None) -> Recovery:
     """
     if max_sigma_m is None:
         return recovery
-    from ..io.result.usable import usable
+    from ..io.result.usable import certain
 
-    answered = int(usable(recovery).sum())
+    answered = int(certain(recovery).sum())
     marked = replace(recovery, estimates=replace(recovery.estimates, max_sigma_m=float(max_sigma_m)))
-    certain = int(usable(marked).sum())
+    below = int(certain(marked).sum())
     note = (
-        f"{answered - certain} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
+        f"{answered - below} of {answered} samples are less certain than {max_sigma_m:g} m (one standard"
         " deviation) and are marked as not to be used: `usable` is 0 in the CSV export."
     )
     return replace(marked, notes=(*recovery.notes, note))

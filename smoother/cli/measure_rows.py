@@ -92,7 +92,10 @@ def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], f
 
 
 def _cells(row: Measure) -> tuple[str, ...]:
-    return row.name, _text(row, row.value), _interval_text(row) or "-", row.unit, percent(row.recovered_share)
+    rests = percent(row.recovered_share)
+    if row.is_known and row.note:
+        rests += f" ({percent(row.untrusted_share)} not trusted)"
+    return row.name, _text(row, row.value), _interval_text(row) or "-", row.unit, rests
 
 
 def _value_text(row: Measure | None) -> str:

@@ -66,6 +66,12 @@ Processes = Annotated[
     int | None, typer.Option("--processes", metavar="N", min=0, help="Worker processes; 0 = one a core.")
 ]
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the figures as JSON.")]
+Strict = Annotated[
+    bool,
+    typer.Option(
+        "--strict", help="Exit with 3 where a result is not to be trusted; outputs are written all the same."
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite outputs that exist.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Same seed, same result.")]
 Draws = Annotated[

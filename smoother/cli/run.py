@@ -18,6 +18,8 @@ from ..runtime.printable import printable
 from .signals import ending_tidily
 
 OK, FAILED, WRONG_USE = 0, 1, 2
+#: `check`, and `smooth` and `batch` with --strict: a result is not to be trusted.
+NOT_TRUSTED = 3
 #: What typer returns after Ctrl-C.
 INTERRUPTED = 130
 STOPPED = "interrupted; no output is left half written"
@@ -33,7 +35,8 @@ def run(arguments: Sequence[str]) -> int:
     Returns
     -------
     code : int
-        0 if done, 1 if it could not be done, 2 for wrong use.
+        0 if done, 1 if it could not be done, 2 for wrong use, 3 if a result is not to be trusted (`check`,
+        and --strict).
     """
     from .app import app
 

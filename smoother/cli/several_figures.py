@@ -17,7 +17,8 @@ Answer = TypeVar("Answer")
 def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The figures of one arm as they are; of several those of the first, and `arms` with all of them.
 
-    With several, `trusted`, `verdict` and `reasons` at the top are those of all arms together.
+    With several, `trusted`, `verdict` and `reasons` at the top are those of all arms together, and `pairing`
+    is that of the arm whose is proved least.
 
     Parameters
     ----------
@@ -43,7 +44,15 @@ def arms_figures(arms: Sequence[Any], figures: Sequence[dict[str, Any]]) -> dict
             together["verdict"] = " ".join(
                 f"{label.capitalize()}: {mine['verdict']}" for label, mine in zip(labels, each, strict=True)
             )
+        together |= _least_proved([mine["pairing"] for mine in each if mine.get("pairing")])
     return together
+
+
+def _least_proved(pairings: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """`pairing` of several arms: one that is not proved before one that is; nothing without any."""
+    if not pairings:
+        return {}
+    return {"pairing": max(pairings, key=lambda each: (not each["proved"], each["chance"] or 0.0))}
 
 
 def each_arm(

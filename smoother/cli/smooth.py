@@ -32,12 +32,14 @@ from .options import (
     Side,
     Skeleton,
     SolveLeverArms,
+    Strict,
     one_side,
 )
 from .output import check_mcap, check_outputs, print_notes, say, say_written, write_json
 from .progress import progress_bar
 from .remedies import AS_RECORDED, SetUp
 from .several_figures import arms_figures, say_arm
+from .standing import end_strictly, say_untrusted_parts, say_verdict
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
@@ -74,6 +76,7 @@ def smooth(
     processes: Processes = None,
     draws: Draws = 0,
     seed: DrawSeed = None,
+    strict: Strict = False,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -81,6 +84,9 @@ def smooth(
 
     Every arm that has an IMU is recovered, of every person; --side, --body and --imu restrict. Where the
     names of the IMUs leave open where they are worn, motion settles it, and the notes say how.
+
+    The exit code is 0 where the result was written, whatever its verdict; with --strict it is 3 where the
+    verdict on an arm is "not to be trusted". Single gaps that are not to be trusted do not count for it.
     """
     from calib.motion.estimates import with_given
 
@@ -148,6 +154,8 @@ def smooth(
             print_recovery(recording, recovery)
         print_notes(left_out)
     say_written(output, report, json_file)
+    if strict:
+        end_strictly(recovery.estimates.trusted for recovery in answers)
 
 
 def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force: bool) -> None:
@@ -190,21 +198,19 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
 
     rows = [
         (
+            number,
             f"{summary.gap.start_s:.2f}",
             f"{summary.gap.length_s:.2f}",
+            {True: "yes", False: "no", None: "-"}[summary.trusted],
             centimetres(summary.sigma_max_m),
             "-" if summary.sigma_max_deg is None else f"{summary.sigma_max_deg:.1f}",
             "-" if summary.sigma_max_flexion_deg is None else f"{summary.sigma_max_flexion_deg:.1f}",
             "one side" if summary.gap.open_start or summary.gap.open_end else "both sides",
         )
-        for summary in gap_summaries(recovery)
+        for number, summary in enumerate(gap_summaries(recovery), start=1)
     ]
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
-    if recovery.estimates.verdict:
-        say(recovery.estimates.verdict)
-    if recovery.estimates.cause:
-        for sign in recovery.estimates.reasons[1:]:
-            say(f"sign: {sign}")
+    say_verdict(recovery)
     say(
         f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
         f" {len(rows)} {'gap' if len(rows) == 1 else 'gaps'},"
@@ -212,8 +218,10 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     )
     if rows:
         columns = (
-            "gap starts, s",
+            "gap",
+            "starts, s",
             "length, s",
+            "trusted",
             "largest sigma, cm",
             "orientation, deg",
             "elbow, deg",
@@ -222,6 +230,7 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
         print_table("Gaps (sigma = one standard deviation)", columns, rows[:MOST_ROWS])
         if len(rows) > MOST_ROWS:
             say(f".. and {len(rows) - MOST_ROWS} gaps more; --json and the report have them all")
+    say_untrusted_parts(recovery)
     if (found := found_in(recovery, recording)) is not None:
         print_found(found)
     print_rejected(recovery)

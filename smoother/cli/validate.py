@@ -15,6 +15,7 @@ from .measure_tables import pooled_measures, print_measures
 from .options import Align, Body, Force, Json, Report, Result, Side, one_side
 from .output import centimetres, check_outputs, percent, print_notes, print_table, say, write_json
 from .several_figures import arms_figures, say_arm
+from .standing import warn
 
 if TYPE_CHECKING:
     from ..evaluation.agreement import Agreement
@@ -98,7 +99,12 @@ def validate(
     for recovery, validation, _ in results:
         damaged = [note for note in damage(recovery.notes) if note not in validation.notes]
         validations.append(replace(validation, notes=(*damaged, *validation.notes)))
-    write_json(json_file, arms_figures(recoveries, [one.to_dict() for one in validations]), force)
+    figures = [
+        one.to_dict() | {"trusted": recovery.estimates.trusted, "verdict": recovery.estimates.verdict}
+        for recovery, one in zip(recoveries, validations, strict=True)
+    ]
+    write_json(json_file, arms_figures(recoveries, figures), force)
+    warn(recoveries)
     for recovery, validation in zip(recoveries, validations, strict=True):
         say_arm(recovery, len(recoveries))
         print_validation(validation)

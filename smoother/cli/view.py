@@ -10,6 +10,7 @@ import typer
 from ..errors import UnoccludeError
 from .options import Result, Side, one_side
 from .output import say
+from .standing import warn
 
 #: Where the web viewer waits, and where the data comes from.
 WEB_PORT, DATA_PORT = 9090, 9876
@@ -50,6 +51,7 @@ def view(
     if not recoveries:
         raise UnoccludeError(f"{result}: there is no recovered arm {side!r} in this file")
     rerun_module()
+    warn(recoveries)
     if web:
         check_ports(web_port, port)
     ready = prepared_rrd(result, recoveries)

@@ -41,6 +41,9 @@ SHOULDER_SHARE = 0.5
 SLOW_IMU_HZ = 40.0
 SLOW_CAMERA_HZ = 14.0
 
+#: More reasons than these are counted.
+_MOST_REASONS = 4
+
 NOTHING = "Nothing in this recording asks for a change: record the next one in the same way."
 
 
@@ -57,12 +60,15 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     Returns
     -------
     sentences : list of str
-        At least one.
+        At least one. Of a result that is not to be trusted only what mends it: all else would presume that
+        the set-up was sound.
     """
+    if recovery.estimates.trusted is False:
+        return _set_up(recovery)
     sentences = [
-        *_set_up(recovery),
+        *_what_was_wrong(recovery),
         *_motion(estimates),
-        *_gaps(gap_summaries(recovery)),
+        *_gaps([each for each in gap_summaries(recovery) if each.trusted is not False]),
         *_clock(estimates),
         *_shoulder(recovery),
         *_towards_the_camera(recovery),
@@ -74,10 +80,24 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
 
 
 def _set_up(recovery: Recovery) -> list[str]:
-    """A wrong set-up comes before everything else."""
-    if recovery.estimates.trusted is not False:
+    """What mends a wrong set-up: its cause where it is known, else every sign of it."""
+    estimates = recovery.estimates
+    what = estimates.cause or "; ".join(estimates.reasons) or "the cause is not known"
+    sentences = [f"Correct the set-up first: {what}."]
+    named = [remedy for remedy in estimates.remedies if remedy not in what]
+    if named:
+        sentences.append(f"Run `unocclude smooth` again with {' or '.join(named)}.")
+    return sentences
+
+
+def _what_was_wrong(recovery: Recovery) -> list[str]:
+    """Why some times are not to be trusted, to be avoided next time."""
+    reasons = dict.fromkeys(why for each in recovery.estimates.untrusted for why in each.reasons)
+    if not reasons:
         return []
-    return [f"Mend the set-up first: {'; '.join(recovery.estimates.reasons)}."]
+    more = f"; and {len(reasons) - _MOST_REASONS} more" if len(reasons) > _MOST_REASONS else ""
+    named = "; ".join(list(reasons)[:_MOST_REASONS])
+    return [f"Avoid what made parts of this recording not to be trusted: {named}{more}."]
 
 
 def _motion(estimates: ArmEstimates | None) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..measures.definitions import definitions, is_measure
-from ..runtime.file_text import toml_text
+from ..runtime.file_text import read_toml
 from .measure_pairs import MeasurePair
 
 
@@ -94,13 +94,11 @@ def _pair(values: Mapping[str, Any]) -> MeasurePair:
 
 
 def _detectable_of_user(path: Path) -> dict[str, float]:
-    import tomllib
-
     try:
-        tables = tomllib.loads(toml_text(path))
+        tables = read_toml(path)
     except OSError as error:
         raise UnoccludeError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UnoccludeError(f"{path} is no TOML: {error}") from error
     table = tables.get("mdc95")
     if not isinstance(table, dict) or not table:

@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import elbow_flexion_sigma
 from ..measurements.visibility import Gap
-from ..result import Estimates, Recovery
+from ..result import Estimates, GapVerdict, Recovery
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class GapSummary:
         Likewise of the elbow's flexion.
     answered : float
         Part of the samples in it that have an answer, 0 to 1.
+    verdict : GapVerdict or None
+        Whether its answer is to be trusted; None where nobody judged.
     """
 
     gap: Gap
@@ -35,11 +37,22 @@ class GapSummary:
     sigma_max_deg: float | None
     sigma_max_flexion_deg: float | None
     answered: float
+    verdict: GapVerdict | None = None
 
     @property
     def one_sided(self) -> bool:
         """Whether the camera saw the forearm on one side of the gap only, or on none."""
         return self.gap.open_start or self.gap.open_end
+
+    @property
+    def trusted(self) -> bool | None:
+        """Whether its answer is to be trusted; None where nobody judged."""
+        return None if self.verdict is None else self.verdict.trusted
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not."""
+        return () if self.verdict is None else self.verdict.reasons
 
     def is_weaker_than(self, sigma_m: float) -> bool:
         """Whether the position is stated, and less certain than this somewhere in the gap."""
@@ -57,6 +70,8 @@ class GapSummary:
             "sigma_max_deg": self.sigma_max_deg,
             "sigma_max_flexion_deg": self.sigma_max_flexion_deg,
             "answered": self.answered,
+            "trusted": self.trusted,
+            "reasons": list(self.reasons),
         }
 
 
@@ -64,13 +79,18 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
     """The recovery's gaps, in order of time, with how sure it is in each."""
     starts = np.searchsorted(recovery.t_s, [gap.start_s for gap in recovery.gaps], "left")
     stops = np.searchsorted(recovery.t_s, [gap.end_s for gap in recovery.gaps], "right")
+    verdicts: tuple[GapVerdict | None, ...] = recovery.gap_verdicts
+    if not recovery.judged:
+        verdicts = (None,) * len(recovery.gaps)
     summaries = []
-    for gap, start, stop in zip(recovery.gaps, starts.tolist(), stops.tolist(), strict=True):
+    for gap, verdict, start, stop in zip(
+        recovery.gaps, verdicts, starts.tolist(), stops.tolist(), strict=True
+    ):
         inside = recovery.rows(slice(start, stop))
         answered = float(inside.answered.mean()) if len(inside) else 0.0
         sigma_m, sigma_deg = _largest(inside.worst_sigma_m), _largest(inside.sigma_deg)
         flexion_deg = _largest(elbow_flexion_sigma(inside))
-        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered))
+        summaries.append(GapSummary(gap, sigma_m, sigma_deg, flexion_deg, answered, verdict))
     return summaries
 
 
@@ -78,7 +98,6 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
     """The figures of a recovery as plain values, as `smooth --json` writes them."""
     t = recovery.t_s
     rate_hz = _rate(t)
-    sigma = recovery.worst_sigma_m
     return {
         "method": recovery.method,
         "recording": recovery.name,
@@ -90,10 +109,7 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
         "occluded_samples": int(recovery.occluded.sum()),
         "occluded_s": float(sum(gap.length_s for gap in recovery.gaps)),
         "gaps": [summary.to_dict() for summary in gap_summaries(recovery)],
-        "sigma_m": {
-            "visible": _sigmas(sigma, ~recovery.occluded),
-            "occluded": _sigmas(sigma, recovery.occluded),
-        },
+        "sigma_m": sigma_figures(recovery),
         "clock_offset_s": recovery.clock_offset_s,
         "clock_offset_sigma_s": recovery.clock_offset_sigma_s,
         "gravity_direction": recovery.gravity_direction,
@@ -104,8 +120,26 @@ def recovery_figures(recovery: Recovery) -> dict[str, object]:
     }
 
 
+def sigma_figures(recovery: Recovery, only: BoolArray | None = None) -> dict[str, dict[str, float | None]]:
+    """Median and largest standard deviation of the position on its worst axis, m, while seen and in gaps.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    only : ndarray of bool, shape (N,), optional
+        Samples that count; None for all.
+    """
+    sigma, occluded = recovery.worst_sigma_m, recovery.occluded
+    counts = np.ones(len(recovery), bool) if only is None else only
+    return {"visible": _sigmas(sigma, counts & ~occluded), "occluded": _sigmas(sigma, counts & occluded)}
+
+
 def verdict_figures(estimates: Estimates) -> dict[str, object]:
-    """The verdict as plain values, as `smooth --json` and `check --json` write it."""
+    """The verdict as plain values, as `smooth --json` and `check --json` write it.
+
+    `self_check` and `pairing` are None where there is none.
+    """
+    check, pairing = estimates.self_check, estimates.pairing
     return {
         "trusted": estimates.trusted,
         "verdict": estimates.verdict,
@@ -113,7 +147,26 @@ def verdict_figures(estimates: Estimates) -> dict[str, object]:
         "cautions": list(estimates.cautions),
         "cause": estimates.cause,
         "remedies": list(estimates.remedies),
+        "self_check": None if check is None else check.plain(),
+        "pairing": None if pairing is None else pairing.plain(),
     }
+
+
+def trust_word(trusted: bool | None, gaps: int | None, untrusted: int | None) -> str:
+    """For a table over results: "no", "2 of 5 gaps not", "yes", or "" where nobody judged.
+
+    Parameters
+    ----------
+    trusted : bool, optional
+        The verdict.
+    gaps, untrusted : int, optional
+        How many gaps there are, and how many of them are not to be trusted.
+    """
+    if trusted is False:
+        return "no"
+    if untrusted:
+        return f"{untrusted} of {gaps} gaps not"
+    return "" if trusted is None else "yes"
 
 
 def _rate(t_s: FloatArray) -> float | None:

@@ -12,7 +12,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..window.problem import JointMeasurements, States, Window
 from .build import stacked_measurements
-from .error_columns import camera_rows
+from .error_columns import JOINT_ROWS, camera_rows
 from .jacobian import Jacobian
 from .linear_system import LinearSystem
 
@@ -43,6 +43,34 @@ def offset_column(jacobian: Jacobian, window: Window, states: States) -> FloatAr
             rows[factors.rows] = factors.weight[:, None] * mean.reshape(-1, 1)
             column = rows
     return column
+
+
+def stamp_columns(jacobian: Jacobian, window: Window, states: States, knots: FloatArray) -> FloatArray:
+    """Columns of the whitened Jacobian for errors of the frames' times, linear between knots.
+
+    Parameters
+    ----------
+    jacobian : Jacobian
+        Of the graph as `build` puts it together.
+    window : Window
+    states : States
+        At its nodes.
+    knots : ndarray, shape (m,), s
+        Even, from before the first node to after the last.
+
+    Returns
+    -------
+    columns : ndarray, shape (r, m), 1/s
+        Of the first r rows; the errors are in no others.
+    """
+    column = offset_column(jacobian, window, states)
+    columns = np.zeros((len(column), len(knots)))
+    for factors in camera_rows(jacobian, window):
+        if factors.rows.stop <= len(column):
+            apart = np.abs(window.t[factors.nodes][:, None] - knots) / (knots[1] - knots[0])
+            share = np.maximum(1.0 - apart, 0.0)
+            columns[factors.rows] = column[factors.rows] * np.repeat(share, JOINT_ROWS, axis=0)
+    return columns
 
 
 def offset_information(system: LinearSystem, column: int, window: Window, states: States) -> float:

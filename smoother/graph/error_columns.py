@@ -75,14 +75,20 @@ def constant_error_columns(jacobian: Jacobian, window: Window, biases: IntArray,
         ).reshape(-1, SIZE)
     ]
     for factors in camera_rows(jacobian, window):
-        # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has
+        # an error moves the joint along an axis of {K}: a whitened unit matrix, whose weight any row has;
+        # that of a strap which stands for the IMU along an axis of {A}
         block = np.zeros((len(factors.nodes), JOINT_ROWS, SIZE))
         error = JOINT_ERRORS.start + 3 * JOINTS.index(factors.joint)
-        block[:, :, error : error + 3] = np.eye(3)
+        block[:, :, error : error + 3] = R[factors.nodes] if is_place(factors.joint, window) else np.eye(3)
         if factors.joint in window.priors.layout.joints:
             block[:, :, STRAP_ERRORS] = _strap(window, factors.joint, R[factors.nodes])
         rows.append(factors.weight[:, None] * block.reshape(-1, SIZE))
     return np.concatenate(rows)
+
+
+def is_place(joint: str, window: Window) -> bool:
+    """Whether a tracked joint counts as the IMU's own place, with no lever arm to solve."""
+    return joint == "strap" and joint not in window.priors.layout.joints
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
 
 from ..array_types import FloatArray, IntArray
+from ..window.constant_errors import STRAP_PLACE
 from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.problem import Window
-from .error_columns import node_of_variables
+from .error_columns import is_place, node_of_variables
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys
 from .variables import DIMENSION
@@ -68,9 +69,10 @@ def sample_window(
     border = _border(system, values, window, biases, plan)
     # 2. The chain, node by node from the last.
     errors = _chain(system, nodes, window.t, border, plan)
-    # 3. Errors that are constant over the recording.
-    if shared_sensitivity is not None and plan.constant_errors is not None:
-        _add_constant(errors, system, shared_sensitivity, plan.constant_errors)
+    # 3. Errors that are considered: constant over the recording, and of made-up frame times.
+    considered = plan.considered_errors(window.t)
+    if shared_sensitivity is not None and considered is not None:
+        _add_considered(errors, system, shared_sensitivity, considered)
 
     width = errors.shape[1]
 
@@ -87,8 +89,11 @@ def sample_window(
     shoulder = None
     if window.shoulder is not None:
         shoulder = of([S(k) for k in range(len(window.shoulder.node))])
+    place = body[:, :, 3:]
+    if considered is not None and any(is_place(each.joint, window) for each in window.joint_measurements):
+        place = place + considered[:, None, STRAP_PLACE]  # the answer is to be at the tracked point
     return WindowDraws(
-        position=np.einsum("nij,knj->kni", R, body[:, :, 3:]),
+        position=np.einsum("nij,knj->kni", R, place),
         rotation=rotation,
         velocity=of([V(i) for i in count]),
         shoulder=shoulder,
@@ -195,9 +200,12 @@ def _reordered(factor: FloatArray, order: IntArray) -> FloatArray:
     return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
 
 
-def _add_constant(errors: FloatArray, system: LinearSystem, shared: FloatArray, constant: FloatArray) -> None:
+def _add_considered(
+    errors: FloatArray, system: LinearSystem, shared: FloatArray, considered: FloatArray
+) -> None:
     """What considered errors (count, e) add, in place."""
     borders = len(shared)
     for group in system.conditionals():
-        sensitivity = -group.follows[:, borders:] - group.follows[:, :borders] @ shared
-        errors[:, group.columns] += constant @ sensitivity.T
+        own = group.follows[:, borders : borders + considered.shape[1]]
+        sensitivity = -own - group.follows[:, :borders] @ shared
+        errors[:, group.columns] += considered @ sensitivity.T

@@ -14,14 +14,17 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS
+from ..window.block_shift import BlockShift
+from ..window.constant_errors import STRAP_PLACE
 from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
 from ..window.shared import Gaussian
 from ..window.solution import Message, Solution
+from .block_shifts import CameraBlocks
 from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
-from .clock_information import offset_column, offset_information
-from .error_columns import constant_error_columns, evidence, node_of_variables
+from .clock_information import offset_column, offset_information, stamp_columns
+from .error_columns import constant_error_columns, evidence, is_place, node_of_variables
 from .linear_system import ExtraColumns, LinearSystem
 from .optimise import Optimum, optimise
 from .sampling import sample_window
@@ -103,6 +106,7 @@ def solution_of(
     with_message: bool = True,
     with_evidence: bool = False,
     plan: DrawPlan | None = None,
+    with_blocks: bool = False,
 ) -> Solution:
     """Read the answer of a window that is at its optimum.
 
@@ -121,6 +125,8 @@ def solution_of(
         Also what the window says of errors that are constant over the recording.
     plan : DrawPlan, optional
         Also motions drawn from the posterior; needs the covariance.
+    with_blocks : bool
+        Also every block of the camera's samples against the rest; not together with `with_offset`.
 
     Returns
     -------
@@ -133,7 +139,9 @@ def solution_of(
     """
     while True:
         try:
-            return _read(settled, with_covariance, with_offset, with_message, with_evidence, plan)
+            return _read(
+                settled, with_covariance, with_offset, with_message, with_evidence, plan, with_blocks
+            )
         except np.linalg.LinAlgError:
             settled = _settled(settled.window, settled.tolerance, settled.tighten + 1)
 
@@ -163,6 +171,7 @@ def _read(
     with_message: bool,
     with_evidence: bool,
     plan: DrawPlan | None,
+    with_blocks: bool = False,
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
     window, optimum, tighten = settled.window, settled.optimum, TIGHTEN[settled.tighten]
@@ -170,14 +179,22 @@ def _read(
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))
     following, pose_covariance, velocity_covariance, offset, draws = None, None, None, 0.0, None
+    shifts: tuple[BlockShift, ...] = ()
     if with_covariance or with_message or with_evidence or with_offset:
         extra: list[ExtraColumns] = []
         if with_evidence or window.considered is not None:
             extra.append(partial(constant_error_columns, window=window, biases=biases, R=states.R))
+        knots = _stamp_knots(window) if with_covariance else np.zeros(0)
+        if len(knots):
+            extra.append(partial(stamp_columns, window=window, states=states, knots=knots))
         if with_offset:
             extra.append(partial(offset_column, window=window, states=states))
+        blocks = CameraBlocks.of(window) if with_blocks else None
+        if blocks is not None:
+            extra.append(blocks.columns)
         system = LinearSystem(graph, values, node_of_variables(window), extra)
-        following = _Following.of(system, values, window, biases)
+        shifts = () if blocks is None else blocks.shifts(system)
+        following = _Following.of(system, values, window, biases, knots)
         if with_offset:
             offset = offset_information(system, system.extra_count - 1, window, states)
     if following is not None and with_covariance:
@@ -211,6 +228,7 @@ def _read(
         ),
         upper=upper_solution(values, covariances_of, window, biases, nodes),
         draws=draws,
+        shifts=shifts,
     )
 
 
@@ -237,38 +255,65 @@ def _states(values: gtsam.Values, count: int) -> States:
     return States(R=poses[:, :9].reshape(-1, 3, 3), p=poses[:, 9:], v=velocities)
 
 
+def _stamp_knots(window: Window) -> FloatArray:
+    """Times (m,) at which errors of made-up frame times are considered; none where they were measured."""
+    if window.considered is None:
+        return np.zeros(0)
+    return window.considered.stamp_knots(float(window.t[0]), float(window.t[-1]))
+
+
 @dataclass(frozen=True)
 class _Following:
-    """Covariances of a system's variables in time, with what they follow of considered errors."""
+    """Covariances of a system's variables in time, with what they follow of considered errors.
+
+    `shared` says how the border follows the errors, `covariance` how large they are: first those that are
+    constant over the recording, then those of the frames' times at knots.
+    """
 
     system: LinearSystem
     shared: FloatArray | None
     covariance: FloatArray | None
 
     @classmethod
-    def of(cls, system: LinearSystem, values: gtsam.Values, window: Window, biases: IntArray) -> _Following:
-        """With the window's considered errors, if any.
+    def of(
+        cls,
+        system: LinearSystem,
+        values: gtsam.Values,
+        window: Window,
+        biases: IntArray,
+        knots: FloatArray,
+    ) -> _Following:
+        """With the window's considered errors, if any, and those of the frames' times at knots (m,).
 
-        The window's prior on what all share follows the errors too: other windows had the same.
+        The window's prior on what all share follows the constant errors too: other windows had the same.
         """
         if window.considered is None:
             return cls(system, None, None)
+        constant = len(window.considered.covariance)
+        covariance = np.zeros((constant + len(knots), constant + len(knots)))
+        covariance[:constant, :constant] = window.considered.covariance
+        covariance[constant:, constant:] = window.considered.stamp_covariance(knots)
         jacobian = shared_jacobian(window.priors.layout, values.atUnit3(G(0)))
         # an upper-arm IMU adds rows at the end, which the excerpts were solved without
-        shared = np.zeros((window.priors.layout.size, window.considered.covariance.shape[0]))
-        shared[: len(window.considered.shared)] = window.considered.shared
-        pull = np.zeros((system.extras.start, window.considered.covariance.shape[0]))
+        shared = np.zeros((window.priors.layout.size, len(covariance)))
+        shared[: len(window.considered.shared), :constant] = window.considered.shared
+        pull = np.zeros((system.extras.start, len(covariance)))
         pull[system.border_rows(shared_keys(window, biases))] = jacobian.T @ np.linalg.solve(
             window.priors.shared.covariance, shared
         )
-        return cls(system, system.shared_sensitivity(pull), window.considered.covariance)
+        return cls(system, system.shared_sensitivity(pull), covariance)
 
-    def of_variables(self, keys: Sequence[int]) -> FloatArray:
-        """Covariances (k, d, d) of variables in time, all of one dimension."""
+    def of_variables(self, keys: Sequence[int], at_strap: bool = False) -> FloatArray:
+        """Covariances (k, d, d) of variables in time, all of one dimension.
+
+        Poses `at_strap` are the tracked point's, which may be off the sensor: the answer is to be there.
+        """
         covariance = self.system.covariances(keys)
         if self.shared is None or self.covariance is None:
             return covariance
         follows = self.system.sensitivities(keys, self.shared)
+        if at_strap:
+            follows[:, 3:, STRAP_PLACE] += np.eye(3)  # its place is p + R l, and l may be l + dl
         return np.asarray(covariance + follows @ self.covariance @ np.swapaxes(follows, 1, 2))
 
 
@@ -279,7 +324,10 @@ def _covariances(following: _Following, window: Window, R: FloatArray) -> tuple[
     interpolated between.
     """
     t, nodes = window.t, _covariance_nodes(window)
-    body = following.of_variables([X(i) for i in nodes])
+    body = following.of_variables(
+        [X(i) for i in nodes],
+        at_strap=any(is_place(each.joint, window) for each in window.joint_measurements),
+    )
     velocity = following.of_variables([V(i) for i in nodes])
     order = np.array([3, 4, 5, 0, 1, 2])
     body = body[:, order][:, :, order]

@@ -11,12 +11,14 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..recording import Recording
+from ..result.verdict import intervals_plain
 from .arm_info import ArmInfo, describe_arm, finite
 from .recording.read import METADATA, open_recording
 from .recording.select import select_recordings
 from .recording.selection import Selection
 from .recording.stream_names import named_side, role
 from .recording.streams import RecordingFile, TopicInfo
+from .result.read import stated_estimates
 from .result.write import RESULT
 
 _DEPTH = ("sensor_msgs/msg/Image", "sensor_msgs/Image", "foxglove.RawImage", "foxglove.CompressedImage")
@@ -90,6 +92,9 @@ class RecordingInfo:
         All arms can be recovered, and nothing says that no answer could be trusted.
     result : bool
         The file holds a recovery already.
+    verdicts : list of dict
+        On each arm of that: `arm` ("" for the only one), `trusted`, `verdict`, and `untrusted`, times that
+        are not to be trusted where the rest is.
     notes : list of str
         What was dropped, decided or wrong.
     """
@@ -117,6 +122,7 @@ class RecordingInfo:
     allows: str = ""
     ready: bool = False
     result: bool = False
+    verdicts: list[dict[str, object]] = field(default_factory=list)
     upper_imu: str = ""
     trunk_imu: str = ""
     notes: list[str] = field(default_factory=list)
@@ -185,6 +191,9 @@ def describe(
         _take(info, recordings)
     info.optional = _optional(file, recordings[0] if recordings else None)
     info.result = any(RESULT in name for name in file.metadata)
+    for arm, estimates in stated_estimates(file.metadata).items():
+        verdict: dict[str, object] = {"arm": arm, "trusted": estimates.trusted, "verdict": estimates.verdict}
+        info.verdicts.append(verdict | {"untrusted": intervals_plain(estimates.untrusted)})
     return info
 
 

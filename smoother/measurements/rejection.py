@@ -37,6 +37,7 @@ class Rejection(IntEnum):
     RESIDUAL = 7
     FAR = 8
     INTERPOLATED = 9
+    CONTRADICTED = 10
 
 
 #: The reasons by their code.
@@ -51,4 +52,5 @@ REASONS = (
     Reason("residual", "does not agree with the recovered motion"),
     Reason("far away", "farther from the camera than it can see"),
     Reason("interpolated", "on a line or a cubic: a program filled a gap, no camera saw it"),
+    Reason("contradicted", "a block of samples that all the rest of the recording contradicts"),
 )

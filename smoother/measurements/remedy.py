@@ -32,12 +32,15 @@ class Remedy:
         Sensors ("accelerometer", "gyroscope") whose sign is turned.
     camera_frame : CameraFrame, optional
         What the camera's axes are in truth.
+    sides : bool
+        The person's left arm is called the right one, and the other way round.
     """
 
     mirror: str = ""
     swap: tuple[str, ...] = ()
     negate: tuple[str, ...] = ()
     camera_frame: CameraFrame | None = None
+    sides: bool = False
 
     def __post_init__(self) -> None:
         if self.mirror not in ("", *AXES):
@@ -60,6 +63,7 @@ class Remedy:
         options = [
             ("mirror", self.mirror),
             ("swap", ",".join(self.swap)),
+            ("swap", "left,right" if self.sides else ""),
             ("negate", ",".join(self.negate)),
             ("camera-frame", str(self.camera_frame or "")),
         ]
@@ -78,7 +82,11 @@ class Remedy:
         if not self.options:
             return recording
         store = store or Store()
-        imu, arm, trunk = recording.imu, recording.arm, recording.trunk
+        imu, arm, trunk, opposite = recording.imu, recording.arm, recording.trunk, recording.opposite
+        if self.sides:
+            if opposite is None:
+                raise RecordingError(f"{recording.name}: the camera saw one arm, so sides cannot be swapped")
+            arm, opposite = opposite, arm
         for sensor in self.negate:
             imu = _negated(imu, sensor, store)
         if self.mirror:
@@ -86,6 +94,9 @@ class Remedy:
             if trunk is not None and trunk.other_arm is not None:
                 position = _mirrored(trunk.other_arm.position, AXES.index(self.mirror), store)
                 trunk = replace(trunk, other_arm=replace(trunk.other_arm, position=position))
+            if opposite is not None:
+                position = _mirrored(opposite.position, AXES.index(self.mirror), store)
+                opposite = replace(opposite, position=position)
         if self.swap:
             arm = _swapped(arm, self.swap, store)
         return replace(
@@ -93,6 +104,7 @@ class Remedy:
             imu=imu,
             arm=arm,
             trunk=trunk,
+            opposite=opposite,
             camera_frame=self.camera_frame or recording.camera_frame,
             notes=(*recording.notes, *self._notes()),
             undone=(*recording.undone, *self.each_option),
@@ -105,6 +117,8 @@ class Remedy:
         if self.swap:
             first, second = self.swap
             notes.append(f"{first} and {second} were swapped (--swap {first},{second})")
+        if self.sides:
+            notes.append("left and right of the skeleton were swapped (--swap left,right)")
         if self.camera_frame is not None:
             notes.append(f"the camera's axes were taken as {self.camera_frame} (--camera-frame)")
         return notes

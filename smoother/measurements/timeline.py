@@ -10,7 +10,7 @@ from ..array_types import BoolArray, FloatArray
 from ..recording import JointState, Recording
 from .segment import SegmentTraits, traits_of
 from .timestamps import dejitter, split_at_pauses
-from .visibility import enough_joints
+from .visibility import MISSING_S, enough_joints
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,13 @@ class Timeline:
     def synthetic_stamps(self) -> bool:
         """The camera's frames were spread evenly by a program instead of measured."""
         return self.traits.synthetic_stamps
+
+    def usual_gap_s(self, frame_t_s: FloatArray) -> float:
+        """Median length of the times in which the frames (F,) did not see the forearm, s; 1 without any."""
+        seen_t = np.asarray(frame_t_s)[self.visible]
+        away_s = np.diff(seen_t)
+        gaps_s = away_s[(away_s > MISSING_S) & (np.diff(np.flatnonzero(self.visible)) > 1)]
+        return float(np.median(gaps_s)) if len(gaps_s) else 1.0
 
     def length_s(self) -> float:
         """Time in all segments together, s."""

@@ -22,6 +22,9 @@ ANGLE_WORDS = {
     "shoulder_rotation_trunk": "shoulder rotation against the trunk",
 }
 
+#: Angles between two directions: from 0 to 180 degrees.
+UNSIGNED = ("elbow_flexion", "shoulder_elevation", "shoulder_elevation_trunk")
+
 
 @dataclass(frozen=True)
 class MeasureDefinition:
@@ -85,12 +88,13 @@ def definitions() -> dict[str, MeasureDefinition]:
     by_key: dict[str, MeasureDefinition] = {}
     for angle in MEASURED_ANGLES:
         words = ANGLE_WORDS[angle]
+        ends = (0.0, 180.0) if angle in UNSIGNED else (-INFINITE, INFINITE)
         by_key[f"{angle}_range_deg"] = MeasureDefinition(f"{words}, range", "deg", 0.0, 360.0)
-        by_key[f"{angle}_min_deg"] = MeasureDefinition(f"{words}, smallest", "deg")
-        by_key[f"{angle}_max_deg"] = MeasureDefinition(f"{words}, largest", "deg")
+        by_key[f"{angle}_min_deg"] = MeasureDefinition(f"{words}, smallest", "deg", *ends)
+        by_key[f"{angle}_max_deg"] = MeasureDefinition(f"{words}, largest", "deg", *ends)
         for percentile in PERCENTILES:
             which = "median" if percentile == 50 else f"{percentile} % percentile"
-            by_key[f"{angle}_p{percentile}_deg"] = MeasureDefinition(f"{words}, {which}", "deg")
+            by_key[f"{angle}_p{percentile}_deg"] = MeasureDefinition(f"{words}, {which}", "deg", *ends)
         by_key[f"{angle}_peak_speed_deg_s"] = MeasureDefinition(f"{words}, peak speed", "deg/s", 0.0)
     return by_key | _OF_HAND
 

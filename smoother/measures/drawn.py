@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from ..array_types import FloatArray
 from ..linalg import rotate_covariance
 from ..result import Recovery
+from .elbow_bend import ElbowBend
+from .intervals import FEWEST_DRAWS
 from .layout import SESSION, Layout, Place
 from .motion import Motion, motion_of
 
@@ -26,13 +28,32 @@ class DrawnFigures:
         Where to measure.
     motion : Motion
         The answer's, whose grid they share.
+
+    Attributes
+    ----------
+    answer : Motion
+        The answer's without what its errors add to the elbow's flexion.
+    bend : ElbowBend or None
+        By how much; None where too few motions were drawn.
     """
 
     def __init__(self, recovery: Recovery, layout: Layout, motion: Motion) -> None:
         self.count = 0 if recovery.draws is None else len(recovery.draws)
         self._by_place: dict[Place, dict[str, FloatArray]] = {}
+        cutoff_hz = layout.settings.smoothing.cutoff_hz
+
+        def drawn_of(k: int) -> Motion:
+            return motion_of(drawn_motion(recovery, k), motion.grid, cutoff_hz)
+
+        self.bend = None
+        if recovery.draws is not None and self.count >= FEWEST_DRAWS:
+            self.bend = ElbowBend.of(motion, (drawn_of(k) for k in range(FEWEST_DRAWS)))
+        self.answer = motion if self.bend is None else self.bend.corrected(motion)
         for k in range(self.count):
-            drawn = motion_of(drawn_motion(recovery, k), motion.grid, layout.settings.smoothing.cutoff_hz)
+            drawn = drawn_of(k)
+            if self.bend is not None and recovery.draws is not None:
+                rng = np.random.default_rng([recovery.draws.seed, k, 1])
+                drawn = self.bend.corrected_draw(drawn, float(rng.uniform()))
             for place, figures in layout.figures(drawn).items():
                 of_place = self._by_place.setdefault(place, {})
                 for key, figure in figures.items():

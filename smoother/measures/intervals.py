@@ -6,7 +6,8 @@ the smoothest motion that fits. So draws lie to one side of the answer, and by m
 the truth (on simulated arms, docs/measures.md). Quantiles of the draws as they are then miss the truth, and
 the basic bootstrap's, mirrored about the answer (Davison, Hinkley, Bootstrap Methods and their Application,
 1997, section 5.2), overshoot to the other side. The spread of the draws about their own median is therefore
-laid about the answer's value. Whole numbers (counts, reached or not) do not shift: their quantiles count.
+laid about the answer's value; where draws are at the end of the values that exist, so is the interval. Whole
+numbers (counts, reached or not) do not shift: their quantiles count.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def interval(value: float, drawn: FloatArray, definition: MeasureDefinition) -> 
         low, _, high = np.quantile(drawn, levels, method="inverted_cdf")
         low, high = min(low, value), max(high, value)
     else:
-        low, middle, high = np.quantile(drawn, levels)
-        low, high = low + value - middle, high + value - middle
+        least, middle, most = np.quantile(drawn, levels)
+        low = definition.low if least <= definition.low else least + value - middle
+        high = definition.high if most >= definition.high else most + value - middle
     low, high = np.clip([low, high], definition.low, definition.high)
     return float(low), float(high), float(drawn.std(ddof=1))

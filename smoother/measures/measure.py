@@ -40,6 +40,8 @@ class Measure:
         How many draws the interval is of; 0 = there is no interval.
     note : str
         What to know of it; where the value is nan, why.
+    untrusted_share : float, 0 to 1
+        How much of it rests on samples that are not to be trusted (`Recovery.trusted`).
     """
 
     key: str
@@ -56,6 +58,7 @@ class Measure:
     end_s: float
     n_draws: int
     note: str = ""
+    untrusted_share: float = 0.0
 
     @property
     def is_known(self) -> bool:
@@ -75,6 +78,7 @@ class Measure:
             "high": self.high,
             "unit": self.unit,
             "recovered_share": self.recovered_share,
+            "untrusted_share": self.untrusted_share,
             "sigma": self.sigma,
             "name": self.name,
             "start_s": self.start_s,

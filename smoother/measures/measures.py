@@ -88,7 +88,8 @@ class Measures:
             "movement": pa.int32(),
             "n_draws": pa.int32(),
             **dict.fromkeys(
-                ("value", "low", "high", "sigma", "recovered_share", "start_s", "end_s"), pa.float64()
+                ("value", "low", "high", "sigma", "recovered_share", "untrusted_share", "start_s", "end_s"),
+                pa.float64(),
             ),
         }
         columns = {

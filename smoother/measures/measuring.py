@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from .drawn import DrawnFigures
 from .figure import UNKNOWN, Figure
 from .intervals import FEWEST_DRAWS, interval
 from .layout import SESSION, Figures, Layout, Place
-from .low_pass import grid_of
+from .low_pass import grid_of, nearest_rows
 from .measure import Measure
 from .measures import Measures
 from .motion import Motion, motion_of
@@ -36,6 +36,8 @@ class Measuring:
         The figures of the answer.
     drawn : DrawnFigures
         Those of the drawn motions.
+    untrusted : dict of Place to dict of str to Figure
+        The answer's figures with the share that rests on samples not to be trusted; empty where all are.
     """
 
     recovery: Recovery
@@ -43,6 +45,7 @@ class Measuring:
     layout: Layout
     answer: dict[Place, Figures]
     drawn: DrawnFigures
+    untrusted: dict[Place, Figures]
 
     @classmethod
     def of(cls, recovery: Recovery, settings: MeasureSettings) -> Measuring:
@@ -51,7 +54,12 @@ class Measuring:
         motion = motion_of(recovery, grid, settings.smoothing.cutoff_hz)
         layout = Layout.of(motion, settings)
         drawn = DrawnFigures(recovery, layout, motion)
-        return cls(recovery, motion, layout, layout.figures(motion), drawn)
+        untrusted = {}
+        if len(grid.t_s) and not recovery.trusted.all():
+            # a figure's share is of the samples that the motion has as occluded
+            wrong = np.asarray(~recovery.trusted[nearest_rows(recovery.t_s, grid.t_s)])
+            untrusted = layout.figures(replace(drawn.answer, occluded=wrong))
+        return cls(recovery, motion, layout, layout.figures(drawn.answer), drawn, untrusted)
 
     def rows(self, place: Place) -> list[Measure]:
         """The measures of the session, a movement or a repetition."""
@@ -66,8 +74,9 @@ class Measuring:
     def _row(self, place: Place, key: str, figure: Figure) -> Measure:
         scope, number = place
         definition = definition_of(key)
-        low, high, sigma = interval(figure.value, self.drawn.values(place, key), definition)
+        low, high, sigma = self.interval(place, key, figure.value)
         start_s, end_s = self.times(place)
+        untrusted = float(np.nan_to_num(self.untrusted.get(place, {}).get(key, UNKNOWN).share))
         return Measure(
             key,
             definition.name,
@@ -82,8 +91,22 @@ class Measuring:
             start_s,
             end_s,
             self.drawn.count if np.isfinite(low) else 0,
-            "" if np.isfinite(figure.value) else self._why(key),
+            self._on_gaps(untrusted) if np.isfinite(figure.value) else self._why(key),
+            untrusted,
         )
+
+    def _on_gaps(self, untrusted: float) -> str:
+        """In words how much rests on gaps that are not trusted; "" where all of the recording is not."""
+        if untrusted <= 0.0 or self.recovery.estimates.trusted is False:
+            return ""
+        return f"Rests to {max(100.0 * untrusted, 1.0):.0f} % on gaps that are not trusted."
+
+    def interval(self, place: Place, key: str, value: float) -> tuple[float, float, float]:
+        """The 95 % interval about a measure's value, and its standard deviation; nan without draws."""
+        low, high, sigma = interval(value, self.drawn.values(place, key), definition_of(key))
+        if self.drawn.bend is not None and key in ELBOW_ANGLES and np.isfinite(low):
+            low = self.drawn.bend.lower(low)
+        return low, high, sigma
 
     def times(self, place: Place) -> tuple[float, float]:
         """From when to when, s; nan where there is no answer."""
@@ -115,6 +138,12 @@ class Measuring:
         if key.startswith("repetition"):
             return "No round of an exercise comes again often enough."
         return "There is no movement of the hand to measure."
+
+
+#: Measures that are a flexion of the elbow, not a difference or a part of the time.
+ELBOW_ANGLES = frozenset(
+    f"elbow_flexion_{what}_deg" for what in ("min", "max", *(f"p{percentile}" for percentile in PERCENTILES))
+)
 
 
 def _keys_of(angle: str) -> list[str]:

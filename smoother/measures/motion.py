@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
-from ..joint_angles import defined, recovery_angles, torso_axes
+from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
 from .low_pass import TimeGrid, on_grid, slope
@@ -55,6 +55,8 @@ class Motion:
         camera; None where the direction of gravity is not known.
     side : str
         "left", "right" or "".
+    bend : ndarray, shape (n, 3), rad, or None
+        Rotation vector from the upper arm's direction to the forearm's, in the IMU's axes.
     """
 
     grid: TimeGrid
@@ -67,6 +69,7 @@ class Motion:
     missing: dict[str, str]
     R_K_T: FloatArray | None
     side: str
+    bend: FloatArray | None = None
 
     @property
     def speed(self) -> FloatArray:
@@ -114,6 +117,7 @@ def motion_of(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Motion:
         missing,
         _thorax(even),
         even.side,
+        elbow_bend(even),
     )
 
 

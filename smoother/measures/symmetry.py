@@ -140,6 +140,7 @@ def both_arms(left: Measuring, right: Measuring) -> BothArms:
                 high=high,
                 sigma=sigma,
                 recovered_share=0.5 * (one.recovered_share + other.recovered_share),
+                untrusted_share=0.5 * (one.untrusted_share + other.untrusted_share),
                 start_s=min(one.start_s, other.start_s),
                 end_s=max(one.end_s, other.end_s),
                 n_draws=count if np.isfinite(low) else 0,

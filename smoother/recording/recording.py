@@ -74,8 +74,13 @@ class Recording:
         The camera's number of the person, where several are told apart.
     trunk : TrunkSensors, optional
         An IMU on the same person's trunk.
+    opposite : JointTracks, optional
+        The camera's joints of the same person's other arm, on the camera's clock as it was recorded.
     undone : tuple of str
         Mistakes of the set-up that were undone in it, as options: "--mirror x".
+    clocks_unrelated : bool
+        The IMU's clock and the camera's have nothing in common (files of two devices that each count from
+        zero): the motion has to prove that they belong together.
     """
 
     imu: ImuStream
@@ -93,6 +98,8 @@ class Recording:
     body: int | None = None
     trunk: TrunkSensors | None = None
     undone: tuple[str, ...] = ()
+    clocks_unrelated: bool = False
+    opposite: JointTracks | None = None
 
     @property
     def arm_label(self) -> str:

@@ -47,10 +47,10 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
     for axis in AXES:
         remedy = Remedy(mirror=axis)
         if _in_front(recording, remedy):
-            yield _by(remedy, f"the skeleton seems mirrored ({axis})", "mirror")
-    yield _by(Remedy(negate=("accelerometer",)), "the accelerometer's sign seems turned")
-    yield _by(Remedy(negate=("gyroscope",)), "the gyroscope's sign seems turned")
-    yield _by(Remedy(negate=("accelerometer", "gyroscope")), "the sensor's axes seem left-handed")
+            yield by_remedy(remedy, f"the skeleton seems mirrored ({axis})", "mirror")
+    yield by_remedy(Remedy(negate=("accelerometer",)), "the accelerometer's sign seems turned")
+    yield by_remedy(Remedy(negate=("gyroscope",)), "the gyroscope's sign seems turned")
+    yield by_remedy(Remedy(negate=("accelerometer", "gyroscope")), "the sensor's axes seem left-handed")
     yield Alternative(
         "the gyroscope's rates seem 57 times too small (rad/s converted as if they were deg/s)",
         lambda given: _turning(given, DEGREES),
@@ -74,7 +74,8 @@ def alternatives(recording: Recording) -> Iterator[Alternative]:
     )
 
 
-def _by(remedy: Remedy, mistake: str, kind: str = "") -> Alternative:
+def by_remedy(remedy: Remedy, mistake: str, kind: str = "") -> Alternative:
+    """The alternative that some options undo."""
     return Alternative(mistake, remedy.applied, f"run again with {remedy.options}", remedy, kind or mistake)
 
 

@@ -28,7 +28,7 @@ from ..result import Recovery
 from ..selfcal.closed_form import ClosedForm, closed_form
 from ..selfcal.coarse_clock import synchronise_coarsely
 from ..selfcal.excerpts import informative_recording
-from .alternatives import Alternative, alternatives, frames_with_down
+from .alternatives import Alternative, alternatives, by_remedy, frames_with_down
 from .limb_lengths import swapped_joints
 from .trust import GRAVITY_DEG, LEVER_ARM_M, input_faults
 
@@ -75,12 +75,18 @@ def with_cause(
         By which the camera's stamps were moved, where one was given.
     """
     estimates = recovery.estimates
-    cause = None if estimates.trusted is not False else likeliest_cause(recording, given, measured)
-    if cause is None:
+    if estimates.trusted is not False or estimates.cause is not None:
         return recovery
+    cause = likeliest_cause(recording, given, measured)
+    return recovery if cause is None else distrusted(recovery, cause)
+
+
+def distrusted(recovery: Recovery, cause: Cause) -> Recovery:
+    """The recovery not to be trusted, with its cause as the first of the reasons."""
     estimates = replace(
-        estimates,
-        reasons=(cause.sentence, *estimates.reasons),
+        recovery.estimates,
+        trusted=False,
+        reasons=(cause.sentence, *recovery.estimates.reasons),
         cause=cause.sentence,
         remedies=tuple(remedy.options for remedy in cause.remedies),
     )
@@ -94,11 +100,11 @@ def naming_the_cause(
     """What cannot be solved is refused with its likeliest cause."""
     try:
         yield
-    except SolveError as error:
+    except (SolveError, CalibrationError) as error:
         cause = likeliest_cause(recording, given, measured)
         if cause is None:
             raise
-        raise SolveError(f"{str(error).rstrip('.')}; {cause.sentence}") from error
+        raise type(error)(f"{str(error).rstrip('.')}; {cause.sentence}") from error
 
 
 def likeliest_cause(
@@ -110,8 +116,8 @@ def likeliest_cause(
     camera's stamps were moved, where one was given.
     """
     for swapped in swapped_joints(recording.arm):
-        return _undone_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.undone)
-    recording = informative_recording(recording, Timeline.of(recording))
+        return undone_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.undone)
+    recorded, recording = recording, informative_recording(recording, Timeline.of(recording))
     hint = down_hint(recording)
     down = hint if hint.any() else None
     as_it_is = closed_form(recording, given)
@@ -131,7 +137,7 @@ def likeliest_cause(
                 "the calibration seems to be of another person or mounting: the recording fits without it;"
                 " run again without --calibration, or calibrate this mounting"
             )
-    candidates = _that_fit(recording, down, as_it_is)
+    candidates = [*_that_fit(recording, down, as_it_is), *_other_arm(recorded, as_it_is)]
     if candidates:
         return _named(candidates, recording.undone)
     is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
@@ -142,6 +148,19 @@ def likeliest_cause(
             " look at --side, --imu and the files"
         )
     return None
+
+
+def _other_arm(recording: Recording, as_it_is: ClosedForm) -> Iterator[tuple[float, Alternative]]:
+    """Misfit and alternative where the IMU turns with the person's other forearm, whatever its clock."""
+    if recording.opposite is None:
+        return
+    exchanged = by_remedy(Remedy(sides=True), "left and right of the skeleton seem exchanged")
+    try:
+        fit = closed_form(synchronise_coarsely(exchanged.undone(recording))[0])
+    except CalibrationError:  # the motion does not tell the clock
+        return
+    if fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit:
+        yield fit.misfit, exchanged
 
 
 def _fits_without(
@@ -205,11 +224,11 @@ def _named(candidates: list[tuple[float, Alternative]], given: tuple[str, ...]) 
     remedies = tuple(each.remedy for each in likely if each.remedy is not None)
     mistake = ", or ".join(each.mistake for each in likely)
     if len(remedies) == len(likely):
-        return _undone_by(mistake, remedies, given)
+        return undone_by(mistake, remedies, given)
     return Cause(f"{mistake}; {'; or '.join(each.advice for each in likely)}", remedies)
 
 
-def _undone_by(mistake: str, remedies: tuple[Remedy, ...], given: tuple[str, ...]) -> Cause:
+def undone_by(mistake: str, remedies: tuple[Remedy, ...], given: tuple[str, ...]) -> Cause:
     """A mistake that an option undoes; where that very option was given, it is what made the mistake."""
     made = [remedy.options for remedy in remedies if remedy.options in given]
     if made:

@@ -15,7 +15,7 @@ from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.shared import SharedLayout
 from ..window.trajectory import Trajectory
-from .samples import LINEAR_RAD, SectionAnswer, unknown_mounting, wide_turns
+from .samples import IMU_DELAY_S, LINEAR_RAD, SectionAnswer, turning, unknown_mounting, wide_turns
 
 #: Names of the columns of joints begin so.
 JOINT = "joint_"
@@ -74,7 +74,8 @@ def sample_draws(
     first = -answer.samples.start % plan.every
     samples = np.arange(first, len(imu_t), plan.every)
     t, nodes = imu_t[samples], trajectory.t
-    R = Rotation.from_quat(answer.quaternion[samples], scalar_first=True).as_matrix()
+    R_at_samples = Rotation.from_quat(answer.quaternion, scalar_first=True).as_matrix()
+    R = R_at_samples[samples]
     v = answer.velocity[samples]
     # 1. Between nodes: the cubic of position and velocity, a smooth curve through the turns.
     p = _hermite(nodes, drawn.position, drawn.velocity, t)
@@ -83,6 +84,9 @@ def sample_draws(
     p, r = _widened(p, r, interpolate(nodes, trajectory.pose_covariance, t))
     # 3. A clock that is off by a moment moves the whole path along itself.
     p = p + model.clock.local_sigma_s * plan.once("clock", 1)[:, :, None] * v
+    #    An IMU that is late shows the pose of a moment ago.
+    delay = IMU_DELAY_S * plan.once("delay", 1)[:, :, None]
+    p, r = p + delay * v, r + delay * turning(imu_t, R_at_samples)[samples]
     # 4. Joints follow the pose; their lever arms have errors of their own.
     columns = {"position": p, "rotation": r}
     levers = lever_errors(model, layout, plan)

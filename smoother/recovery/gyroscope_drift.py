@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..array_types import FloatArray
+from ..measurements.segment import without_spikes
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import ImuStream
 from ..result import Recovery
@@ -33,11 +34,14 @@ class GyroscopeDrift:
         How far the answer turned against the gyroscope.
     sigma_deg : ndarray, shape (n,), degrees
         Of the orientations at both ends.
+    turn : ndarray, shape (n, 3), degrees
+        The same as `angle_deg` as rotation vectors in {K}.
     """
 
     at_s: FloatArray
     angle_deg: FloatArray
     sigma_deg: FloatArray
+    turn: FloatArray
 
 
 def gyroscope_drift(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArray) -> GyroscopeDrift:
@@ -67,7 +71,8 @@ def gyroscope_drift(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArr
         rows = slice(first, first + len(batch))
         row = rows.stop
         times = t[rows]
-        steps = _unfelt(batch, np.asarray(imu.gyro[rows]) - gyroscope_bias, usual)
+        rate = without_spikes(imu.select(rows)).gyro - gyroscope_bias
+        steps = _unfelt(batch, np.asarray(rate), usual)
         added = total + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
         total = added[-1]
         mine = np.flatnonzero((at >= times[0]) & (at <= times[-1]))
@@ -76,8 +81,9 @@ def gyroscope_drift(recovery: Recovery, imu: ImuStream, gyroscope_bias: FloatArr
         spread = np.einsum("nii->n", batch.pose_covariance[nearest, 3:, 3:])
         sigma[mine] = np.degrees(np.sqrt(np.maximum(spread, 0.0)))
     apart = round(OVER_S / STEP_S)
-    angle = np.degrees(np.linalg.norm(sums[apart:] - sums[:-apart], axis=1))
-    return GyroscopeDrift(at[apart:] - 0.5 * OVER_S, angle, np.hypot(sigma[apart:], sigma[:-apart]))
+    turn = np.degrees(sums[apart:] - sums[:-apart])
+    angle, spread = np.linalg.norm(turn, axis=1), np.hypot(sigma[apart:], sigma[:-apart])
+    return GyroscopeDrift(at[apart:] - 0.5 * OVER_S, angle, spread, turn)
 
 
 def _unfelt(batch: Recovery, rate: FloatArray, usual_s: float) -> FloatArray:

@@ -1,17 +1,24 @@
-"""Signs that the IMU's samples say little, whatever the set-up: rate, zeros, plateaus, jumps, pauses."""
+"""Signs that the IMU's samples say little, whatever the set-up.
+
+Rate, zeros, plateaus, jumps, pauses, and a specific force that is not gravity's where nothing else acts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from ..array_types import FloatArray
+from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
 from ..measurements.segment import spikes as jumps
 from ..measurements.timeline import Timeline
+from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import ImuStream, Recording
+from ..rotation import Rotation, chained
+from ..units import STANDARD_GRAVITY
 
 #: An IMU slower than this, Hz, says too little; one slower than the second is used with care.
 TOO_SLOW_HZ, SLOW_HZ = 15.0, 38.0
@@ -23,6 +30,25 @@ PLATEAU_SHARE = 0.02
 SILENT_SAMPLES = 3
 #: So much of a gap, s, within a pause of the IMU is motion that nothing measured.
 UNSEEN_S = 0.3
+#: The accelerometer's scale is off where specific force differs from gravity by a larger part: used with
+#: care, and not to be trusted.
+SCALE_CARE, SCALE_WRONG = 0.05, 0.15
+#: And by so many of its sigmas.
+CARE_SIGMAS, WRONG_SIGMAS = 2.0, 3.0
+#: Specific force is averaged over so long a time, s, or a shorter recording of so much at least; at most so
+#: many times in a recording.
+FORCE_S, LEAST_FORCE_S, MOST_FORCES = 4.0, 1.5, 300
+#: By how much velocity differs between two moments, m/s; the bias of an accelerometer, m/s^2 an axis: one of
+#: 0.1 g along one axis is known of sound recordings.
+VELOCITY_CHANGE, ACCELEROMETER_BIAS = 0.7, 0.05 * STANDARD_GRAVITY
+#: The least sigma of such an average, m/s^2, and the length of a residual, in sigmas, that counts in full.
+FORCE_SIGMA, HUBER = 0.05, 1.5
+#: How much of what turning takes of a plain mean a wrong gyroscope may leave out: all of it.
+GYROSCOPE_FAULT = 1.0
+#: A gyroscope that makes the means smaller than the plain ones, by this part, contradicts the accelerometer.
+CONTRADICTION = 0.98
+#: A range that was taken as another one is off by one of these factors, within this part.
+RANGES, RANGE_TOLERANCE = (0.25, 0.5, 2.0, 4.0), 0.1
 
 
 def input_faults(recording: Recording) -> Iterator[str]:
@@ -73,15 +99,21 @@ def paused_in_gaps(recording: Recording) -> Iterator[str]:
 def clipped(imu: ImuStream, least_share: float) -> Iterator[str]:
     """Plateaus at the end of a sensor's range, where a larger share of the samples stands on them."""
     for name, values, unit in (("accelerometer", imu.acc, "m/s^2"), ("gyroscope", imu.gyro, "rad/s")):
-        limits, at_end = [], np.zeros(len(imu), dtype=bool)
-        for axis in np.asarray(values).T:
-            for limit in _plateaus(axis):
-                limits.append(limit)
-                at_end |= np.abs(axis) == limit
+        at_end, limits = _at_a_ranges_end(values)
         if limits and at_end.mean() > least_share:
             share = f" in {100 * at_end.mean():.0f} % of its samples" if least_share else ""
             what = "set a wider range" if least_share else "fast movement is less certain"
             yield f"the {name} was clipped at about {max(limits):.0f} {unit}{share}: {what}"
+
+
+def _at_a_ranges_end(values: FloatArray) -> tuple[BoolArray, list[float]]:
+    """Samples (N,) of a sensor (N, 3) that stand at the end of its range, and where that is."""
+    limits, at_end = [], np.zeros(len(values), dtype=bool)
+    for axis in np.asarray(values).T:
+        for limit in _plateaus(axis):
+            limits.append(limit)
+            at_end |= np.abs(axis) == limit
+    return at_end, limits
 
 
 def spikes(imu: ImuStream) -> Iterator[str]:
@@ -90,6 +122,125 @@ def spikes(imu: ImuStream) -> Iterator[str]:
     if count:
         samples, were = ("1 sample", "was") if count == 1 else (f"{count} samples", "were")
         yield f"{samples} of the gyroscope jumped away and back and {were} replaced"
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """How large specific force is where gravity alone acts.
+
+    Attributes
+    ----------
+    ratio : float
+        Of its size to gravity's; 1 for a sound accelerometer, whatever its bias.
+    sigma : float
+        Standard deviation of the ratio, what a bias may explain included.
+    """
+
+    ratio: float
+    sigma: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether it differs from 1 so far that nothing is to be trusted."""
+        return abs(self.ratio - 1.0) > max(SCALE_WRONG, WRONG_SIGMAS * self.sigma)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether it differs from 1 by less than that, and by more than its sigma allows."""
+        return not self.is_wrong and abs(self.ratio - 1.0) > max(SCALE_CARE, CARE_SIGMAS * self.sigma)
+
+
+def force_scale(imu: ImuStream, gyroscope_bias: FloatArray) -> ForceScale | None:
+    """The accelerometer's scale by gravity, without a moment of rest; None where the recording cannot tell.
+
+    Over some seconds the gyroscope takes specific force to one frame, where its mean is gravity but for the
+    change of velocity over that time. The size of the mean is scale * g + d . b with the direction d of up in
+    the sensor's axes and the bias b: a bias shows by changing with the pose, and what it may explain where
+    the pose stays the same is left in sigma. So is a gyroscope that is wrong, by how much a mean loses that
+    follows no turn.
+
+    Parameters
+    ----------
+    imu : ImuStream
+    gyroscope_bias : ndarray, shape (3,), rad/s
+        As it was estimated.
+    """
+    at_end, _ = _at_a_ranges_end(imu.gyro)
+    whole = (window for window in _windows(imu) if at_end[window].mean() <= PLATEAU_SHARE)
+    rows = [row for window in whole if (row := _mean_force(imu, window, gyroscope_bias)) is not None]
+    if not rows:
+        return None
+    size, up, sigma, lost, plain = (np.array([row[k] for row in rows]) for k in range(5))
+    if np.average(size, weights=sigma**-2) < CONTRADICTION * np.average(plain, weights=sigma**-2):
+        return None  # a gyroscope of the other sign, say: not the accelerometer's fault
+    basis = np.column_stack([np.full(len(size), STANDARD_GRAVITY), up, -STANDARD_GRAVITY * lost])
+    prior = np.diag([1e-9, *[ACCELEROMETER_BIAS**-2] * 3, GYROSCOPE_FAULT**-2])
+    weight = sigma**-2
+    for _ in range(10):  # Huber's: a jolt or a knock is no gravity
+        normal = basis.T @ (weight[:, None] * basis) + prior
+        found = np.linalg.solve(normal, basis.T @ (weight * size))
+        far = np.abs(size - basis @ found) / sigma / HUBER
+        weight = sigma**-2 / np.maximum(far, 1.0)
+    return ForceScale(float(found[0]), float(np.sqrt(np.linalg.inv(normal)[0, 0])))
+
+
+def wrong_scale(scale: ForceScale | None) -> Iterator[str]:
+    """A specific force that is far from gravity: a unit, a range or a scale that is wrong."""
+    if scale is None or not scale.is_wrong:
+        return
+    factor = min(RANGES, key=lambda each: abs(scale.ratio / each - 1.0))
+    close = abs(scale.ratio / factor - 1.0) < RANGE_TOLERANCE
+    cause = f"as if its range were {factor:g} times as wide" if close else "its unit or its scale is wrong"
+    yield (
+        f"the accelerometer reads {scale.ratio * STANDARD_GRAVITY:.1f} m/s^2 where gravity alone acts (9.8):"
+        f" {cause}; look at the unit and range that it was exported with, or calibrate it"
+        " (`unocclude calibrate imu`)"
+    )
+
+
+def doubtful_scale(scale: ForceScale | None) -> Iterator[str]:
+    """A specific force that is somewhat off gravity."""
+    if scale is not None and scale.is_doubtful:
+        what = "much" if scale.ratio > 1.0 else "little"
+        yield (
+            f"the accelerometer reads {100 * abs(scale.ratio - 1.0):.0f} % too {what} where gravity alone"
+            " acts: calibrate it (`unocclude calibrate imu`)"
+        )
+
+
+def _windows(imu: ImuStream) -> Iterator[slice]:
+    """Rows of times of `FORCE_S`, or the whole of a shorter recording, without a pause in them."""
+    t = np.asarray(imu.t_s)
+    if len(t) < SILENT_SAMPLES or t[-1] - t[0] < LEAST_FORCE_S:
+        return
+    usual = float(np.median(np.diff(t)))
+    length_s = min(FORCE_S, float(t[-1] - t[0]))
+    count = int(np.clip((t[-1] - t[0]) // (0.5 * length_s), 1, MOST_FORCES))
+    for start_s in np.linspace(t[0], t[-1] - length_s, count):
+        first, last = np.searchsorted(t, [start_s, start_s + length_s + 0.5 * usual])
+        if last - first > SILENT_SAMPLES and np.diff(t[first:last]).max() <= PAUSE_SAMPLES * usual:
+            yield slice(int(first), int(last))
+
+
+def _mean_force(
+    imu: ImuStream, window: slice, gyroscope_bias: FloatArray
+) -> tuple[float, FloatArray, float, float, float] | None:
+    """Size, up in the sensor's axes (3,), sigma of the size; the plain mean's loss by turning, its size."""
+    t, force = np.asarray(imu.t_s[window]), np.asarray(imu.acc[window])
+    rate = np.asarray(imu.gyro[window]) - gyroscope_bias
+    length = np.linalg.norm(force, axis=1)
+    if not (length > 0.0).all():
+        return None
+    step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None]
+    R = chained(Rotation.from_rotvec(step).as_matrix())
+    mean = np.einsum("nij,nj->i", R, force) / len(t)
+    size = float(np.linalg.norm(mean))
+    if size == 0.0:
+        return None
+    scatter = min(VELOCITY_CHANGE / float(t[-1] - t[0]), float(length.std()))
+    lost = 1.0 - float(np.linalg.norm((force / length[:, None]).mean(axis=0)))
+    plain = float(np.linalg.norm(force.mean(axis=0)))
+    return size, R.mean(axis=0).T @ mean / size, float(np.hypot(FORCE_SIGMA, scatter)), lost, plain
 
 
 def _plateaus(axis: FloatArray) -> list[float]:

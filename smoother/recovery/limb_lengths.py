@@ -1,4 +1,4 @@
-"""What the camera alone says of the joints' names: a bone keeps its length, whatever the arm does."""
+"""Whether joints go by their own names: a bone keeps its length, and the sensor sits near the wrist."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..array_types import FloatArray
+from ..calibration import ArmCalibration
 from ..linalg import robust_sigma
 from ..recording import JointTracks
 
@@ -20,6 +21,11 @@ NEARER = 0.6
 #: From the elbow the hand is 1.24 times as far as the wrist in the median of 670 arms of a Kinect v1, 1.02
 #: times at least.
 HAND_NEARER = 0.93
+#: A sensor nearer to the joint called elbow than to the wrist by this, m, and by so many sigmas, is on
+#: a forearm whose joints are exchanged; unless the camera shows the names to be right: the wrist's distance
+#: from the shoulder varies by this, m, and the elbow's by less than this part of it.
+NEARER_M, NEARER_SIGMAS = 0.05, 4.0
+BENT_M, STEADY_PART = 0.025, 0.7
 
 
 class SwappedJoints(NamedTuple):
@@ -35,6 +41,10 @@ SWAPPED = SwappedJoints(
 )
 HAND_AT_ELBOW = SwappedJoints(
     ("elbow", "wrist"), "elbow and wrist seem swapped: the hand is nearer to the elbow than to the wrist"
+)
+SENSOR_AT_ELBOW = SwappedJoints(
+    ("elbow", "wrist"),
+    "elbow and wrist seem swapped: the sensor moves as if it sat near the joint called elbow",
 )
 HAND_BEFORE_WRIST = SwappedJoints(
     ("wrist", "hand"), "wrist and hand seem swapped: the hand is nearer to the elbow than the wrist is"
@@ -59,6 +69,33 @@ def swapped_joints(arm: JointTracks) -> Iterator[SwappedJoints]:
         yield HAND_AT_ELBOW
     elif _middle(to_elbow_m) < HAND_NEARER * _middle(_distances(arm, "elbow", "wrist")):
         yield HAND_BEFORE_WRIST
+
+
+def sensor_at_elbow(arm: JointTracks, found: ArmCalibration | None) -> Iterator[SwappedJoints]:
+    """Where the sensor sits at the joint called elbow, and the camera does not show that it is one.
+
+    Parameters
+    ----------
+    arm : JointTracks
+    found : ArmCalibration, optional
+        With lever arms that the motion gave.
+    """
+    levers = {} if found is None else found.lever_arms
+    if not {"elbow", "wrist"} <= set(levers):
+        return
+    elbow, wrist = levers["elbow"], levers["wrist"]
+    nearer_m = float(np.linalg.norm(wrist.position_m) - np.linalg.norm(elbow.position_m))
+    sigma_m = float(np.hypot(elbow.sigma_m, wrist.sigma_m).max())
+    if not nearer_m > max(NEARER_M, NEARER_SIGMAS * sigma_m):
+        return
+    arm = arm.select(slice(None, None, max(len(arm) // MOST_FRAMES, 1)))
+    steady_m, bent_m = (_variation(_distances(arm, "shoulder", joint)) for joint in ("elbow", "wrist"))
+    to_elbow_m, to_wrist_m = (_middle(_distances(arm, "hand", joint)) for joint in ("elbow", "wrist"))
+    names_are_right = (bent_m > BENT_M and steady_m < STEADY_PART * bent_m) or (
+        to_wrist_m < NEARER * to_elbow_m
+    )
+    if not names_are_right:
+        yield SENSOR_AT_ELBOW
 
 
 def _distances(arm: JointTracks, first: str, second: str) -> FloatArray:

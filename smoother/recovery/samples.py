@@ -12,17 +12,23 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, rotate_covariance
 from ..measurements.alignment import lever_of, located
+from ..measurements.clock import Clock
+from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.cut import PreparedSegment
+from ..window.problem import States
 from ..window.trajectory import BLEND_HALF_S, Trajectory, at_times, joint_from_pose
 
 #: What a sensor whose mounting the motion did not show may be off by: on the arm, m, and turned, rad.
 UNKNOWN_LEVER_M = 0.08
 UNKNOWN_RAD = 1.0
+#: How late an IMU's samples are by its own filters, which no stamp says, s: a consumer gyroscope's low-pass
+#: at 100 Hz takes 2.8 ms (InvenSense, MPU-6000 register map, DLPF_CFG 2); in BROAD it is 4 ms.
+IMU_DELAY_S = 0.003
 #: Where an angle's sigma reaches this, the linearised problem says half of what is open, rad (seen on arms
 #: that hang still: 28 degrees off with 15 stated).
 LINEAR_RAD = 0.2
@@ -92,10 +98,11 @@ def sample_section(
     end_s = min(trajectory.t[-1], prepared.end_s + BLEND_HALF_S)
     first, last = np.searchsorted(imu_t, start_s), np.searchsorted(imu_t, end_s, side="right")
     t = imu_t[first:last]
-    states = at_times(trajectory, prepared.signal, t)
-    pose = widen_turns(interpolate(trajectory.t, trajectory.pose_covariance, t))
-    # a clock that is off by a moment moves the whole path along itself
-    pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
+    states, pose = poses_at(trajectory, prepared.signal, clock, t)
+    velocity = interpolate(trajectory.t, trajectory.velocity_covariance, t)
+    if len(t) > 1:
+        acceleration = IMU_DELAY_S * np.gradient(states.v, t, axis=0)
+        velocity += acceleration[:, :, None] * acceleration[:, None, :]
     joints = {joint: _joint(joint, states.R, states.p, pose, calibration, trajectory, t) for joint in names}
     place_m, turn_rad = unknown_mounting(model)  # joints that are seen are known all the same
     pose += np.diag([place_m**2] * 3 + [turn_rad**2] * 3)
@@ -109,7 +116,7 @@ def sample_section(
         quaternion=Rotation.from_matrix(states.R).as_quat(scalar_first=True),
         velocity=states.v,
         pose_covariance=pose,
-        velocity_covariance=interpolate(trajectory.t, trajectory.velocity_covariance, t),
+        velocity_covariance=velocity,
         joints={joint: place for joint, (place, _) in joints.items()},
         joint_covariance={joint: covariance for joint, (_, covariance) in joints.items()},
         border_s=segment.core_start_s,
@@ -122,6 +129,29 @@ def sample_section(
         reason=segment.reason[own],
         gravity=trajectory.gravity.mean(axis=0),
     )
+
+
+def poses_at(
+    trajectory: Trajectory, signal: InertialSignal, clock: Clock, t: FloatArray
+) -> tuple[States, FloatArray]:
+    """States at times (n,) on the IMU's clock, and the pose's covariance (n, 6, 6) there."""
+    states = at_times(trajectory, signal, t)
+    pose = widen_turns(interpolate(trajectory.t, trajectory.pose_covariance, t))
+    # a clock that is off by a moment moves the whole path along itself
+    pose[:, :3, :3] += clock.local_sigma_s**2 * states.v[:, :, None] * states.v[:, None, :]
+    # an IMU that is late shows the pose of a moment ago
+    twist = np.concatenate([states.v, turning(t, states.R)], axis=1)
+    pose += IMU_DELAY_S**2 * twist[:, :, None] * twist[:, None, :]
+    return states, pose
+
+
+def turning(t: FloatArray, R: FloatArray) -> FloatArray:
+    """Angular velocities (n, 3) rad/s in {K} of orientations (n, 3, 3) at times (n,), s."""
+    if len(t) < 2:
+        return np.zeros((len(t), 3))
+    step = R[1:] @ np.swapaxes(R[:-1], 1, 2)  # small: its antisymmetric part is the rotation vector
+    rate = 0.5 * (step[:, [2, 0, 1], [1, 2, 0]] - step[:, [1, 2, 0], [2, 0, 1]]) / np.diff(t)[:, None]
+    return np.concatenate([rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]])
 
 
 def unknown_mounting(model: SelfCalibration) -> tuple[float, float]:

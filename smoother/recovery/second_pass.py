@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,13 +10,15 @@ from ..graph.optimise import LONG_S
 from ..graph.solve import Settled, settle, solution_of
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
+from ..window.block_shift import BlockShift
 from ..window.drawn_trajectory import merge_draws
 from ..window.problem import Window
-from ..window.solution import Message
+from ..window.solution import Message, Solution
 from ..window.trajectory import merge_windows
 from .drawn_samples import SectionDraws, sample_draws
 from .first_pass import SecondJob
 from .samples import SectionAnswer, sample_section
+from .self_check import HiddenStretch, hide_and_recover
 from .task import SectionState, Task
 from .upper_samples import UpperAnswer, sample_upper
 
@@ -37,6 +39,8 @@ class SecondAnswer:
         Of an upper-arm IMU at the same samples.
     unexplained : tuple of Gap
         Long gaps whose motion the model does not explain.
+    check : SectionCheck
+        Of the camera against the rest.
     draws : SectionDraws or None
         Motions drawn from the posterior; None where not asked for.
     """
@@ -44,8 +48,28 @@ class SecondAnswer:
     answer: SectionAnswer
     messages: list[Message]
     unexplained: tuple[Gap, ...]
+    check: SectionCheck
     upper: UpperAnswer | None = None
     draws: SectionDraws | None = None
+
+
+@dataclass(frozen=True)
+class SectionCheck:
+    """What a section says of the camera against the rest.
+
+    Attributes
+    ----------
+    shifts : tuple of BlockShift
+    stretches : tuple of HiddenStretch
+    """
+
+    shifts: tuple[BlockShift, ...]
+    stretches: tuple[HiddenStretch, ...]
+
+    @classmethod
+    def of(cls, solutions: Sequence[Solution], stretches: Sequence[HiddenStretch]) -> SectionCheck:
+        """Of all windows together."""
+        return cls(tuple(shift for solution in solutions for shift in solution.shifts), tuple(stretches))
 
 
 def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
@@ -70,7 +94,8 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
     windows = [each.window for each in settled]
     solutions = [
-        solution_of(each, with_covariance=True, with_message=False, plan=task.plan) for each in settled
+        solution_of(each, with_covariance=True, with_message=False, plan=task.plan, with_blocks=True)
+        for each in settled
     ]
     trajectory = merge_windows(state.prepared.t, windows, solutions)
     answer = sample_section(
@@ -96,7 +121,13 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
         drawn = merge_draws(state.prepared.t, windows, solutions)
         layout = task.prior.layout
         draws = sample_draws(answer, state.imu_t[rows], drawn, trajectory, task.model, layout, task.plan)
-    return SecondAnswer(answer, [solution.message for solution in solutions], unexplained, upper, draws)
+    check = SectionCheck.of(
+        solutions,
+        hide_and_recover(replace(state.prepared, start=trajectory.states), windows, job.priors, task),
+    )
+    return SecondAnswer(
+        answer, [solution.message for solution in solutions], unexplained, check, upper, draws
+    )
 
 
 def _settled(job: SecondJob, task: Task) -> tuple[SectionState, list[Settled] | None]:

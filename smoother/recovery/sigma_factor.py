@@ -13,6 +13,7 @@ from ..recording import FOREARM_JOINTS
 from ..result import Draws, Recovery
 from ..runtime.column import batches
 from ..window.trajectory import share_after
+from .self_check import HiddenStretch, summary
 
 #: Gaps longer than the longest hidden one by this factor deserve a word.
 BEYOND = 1.5
@@ -40,9 +41,33 @@ def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Reco
     """
     if factors is None or not recovery.gaps:
         return recovery
+    applied = tuple(round(factors.at(gap.length_s), 4) for gap in recovery.gaps)
+    _widen(recovery, applied)
+    notes = (*recovery.notes, _note(applied, factors, max(gap.length_s for gap in recovery.gaps)))
+    return replace(recovery, notes=notes, estimates=replace(recovery.estimates, sigma_factors=applied))
+
+
+def with_self_check(recovery: Recovery, stretches: Sequence[HiddenStretch]) -> Recovery:
+    """The recovery with its self-check, and sigma in gaps as wide as the hidden stretches ask for.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    stretches : sequence of HiddenStretch
+        That were hidden and recovered. Where a calibration has given factors already, they change nothing.
+    """
+    check = summary(stretches)
+    if recovery.estimates.sigma_factors:
+        check = replace(check, sigma_factor=1.0)
+    if check.sigma_factor > 1.0 and recovery.gaps:
+        _widen(recovery, [check.sigma_factor] * len(recovery.gaps))
+    return replace(recovery, estimates=replace(recovery.estimates, self_check=check))
+
+
+def _widen(recovery: Recovery, applied: Sequence[float]) -> None:
+    """The covariance of positions in every gap times its factor's square, in place; drawn motions too."""
     starts = np.searchsorted(recovery.t_s, [gap.start_s for gap in recovery.gaps], "left")
     stops = np.searchsorted(recovery.t_s, [gap.end_s for gap in recovery.gaps], "right")
-    applied = tuple(round(factors.at(gap.length_s), 4) for gap in recovery.gaps)
     for start, stop, factor in zip(starts.tolist(), stops.tolist(), applied, strict=True):
         for batch in recovery.rows(slice(start, stop)).batches():  # slices: they share the columns' memory
             hidden = np.where(batch.occluded, factor, 1.0)
@@ -53,8 +78,6 @@ def with_sigma_factors(recovery: Recovery, factors: SigmaFactors | None) -> Reco
                     covariance *= hidden[:, None, None] ** 2
     if recovery.draws is not None:
         _widen_draws(recovery.draws, recovery.gaps, applied)
-    notes = (*recovery.notes, _note(applied, factors, max(gap.length_s for gap in recovery.gaps)))
-    return replace(recovery, notes=notes, estimates=replace(recovery.estimates, sigma_factors=applied))
 
 
 def _widen_draws(draws: Draws, gaps: Sequence[Gap], factors: Sequence[float]) -> None:

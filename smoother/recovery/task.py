@@ -34,6 +34,8 @@ from .sections import Sections
 
 #: With more windows than this the first pass asks some of each section only, so many in all.
 ASKED_WINDOWS = 40
+#: Visible stretches that are hidden to check the answer, of a recording, about, and of a section at most.
+STRETCHES, MOST_IN_SECTION = 12, 6
 #: With so many sections the clock is found anew from all of them: it wanders over a long recording.
 CLOCK_SECTIONS = 5
 
@@ -63,6 +65,10 @@ class Task:
         So many windows of each section it asks for what all share; 0 = all.
     plan : DrawPlan or None
         Of the motions to draw from the posterior in the second pass; None where not asked for.
+    stretches : int
+        So many visible stretches of each section are hidden to check the answer.
+    usual_gap_s : float, s
+        How long the recording's gaps are.
     """
 
     model: SelfCalibration
@@ -75,9 +81,18 @@ class Task:
     with_clock: bool
     asked_windows: int
     plan: DrawPlan | None = None
+    stretches: int = 0
+    usual_gap_s: float = 1.0
 
     @classmethod
-    def of(cls, recording: Recording, sections: Sections, model: SelfCalibration, config: Config) -> Task:
+    def of(
+        cls,
+        recording: Recording,
+        sections: Sections,
+        model: SelfCalibration,
+        config: Config,
+        usual_gap_s: float = 1.0,
+    ) -> Task:
         """The task of a recording whose sections are cut."""
         present = recording.arm.present
         length_s = config.windows.length_s
@@ -95,6 +110,8 @@ class Task:
             magnetometer=with_field,
             with_clock=len(sections) >= CLOCK_SECTIONS,
             asked_windows=-(-ASKED_WINDOWS // len(sections)) if some else 0,
+            stretches=min(-(-STRETCHES // len(sections)), MOST_IN_SECTION),
+            usual_gap_s=usual_gap_s,
         )
 
     def refined(

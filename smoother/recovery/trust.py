@@ -18,20 +18,26 @@ from ..config import Anatomy
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
 from ..measurements.rejection import Rejection
 from ..recording import FOREARM_JOINTS, JOINTS, CameraFrame, Recording
-from ..result import Recovery
-from .change_signs import camera_pushed, skeleton_filled, strap_slipped
+from ..result import Recovery, SelfCheck
+from ..result.verdict import gap_verdicts
+from ..selfcal.pairing import doubtful, unproved
+from .change_signs import camera_pushed, camera_turned, skeleton_filled, strap_slipped
 from .imu_signs import (
     PLATEAU_SHARE,
     SLOW_HZ,
     TOO_SLOW_HZ,
     clipped,
+    doubtful_scale,
+    force_scale,
     input_faults,
     paused_in_gaps,
     rate,
     spikes,
+    wrong_scale,
     zeros,
 )
 from .limb_lengths import swapped_joints
+from .lost_samples import lost_samples
 
 #: Lengths of the upper arm and of the forearm, joint to joint as cameras place them, m; children from three
 #: years on.
@@ -57,6 +63,10 @@ MEASURED_SIGMAS, MEASURED_S = 4.0, 0.01
 #: Elbow to "wrist" against the upper arm, and in m, from here on: the wrist is likely to be the hand
 #: (Kinect v1: 0.79 to 0.99 to the wrist, 0.94 to 1.23 to the hand).
 HAND_RATIO, HAND_M = 1.02, 0.32
+#: A shorter gap hides nothing that a verdict could rest on, s.
+SHORTEST_GAP_S = 0.25
+#: More hidden stretches than this share may not fail.
+FAILED_SHARE = 0.25
 #: Of frames, at most so many are looked at.
 MOST_FRAMES = 20_000
 
@@ -89,28 +99,38 @@ def judged(
     moved : Clock, optional
         By which the camera's stamps were moved before the fine search.
     """
+    scale = force_scale(recording.imu, _gyroscope_bias(recovery))
+    lost = lost_samples(recovery, recording)
     reasons = (
         # what is wrong with the input comes before what follows of it
         *rate(recording.imu, TOO_SLOW_HZ),
         *zeros(recording.imu),
         *clipped(recording.imu, PLATEAU_SHARE),
+        *wrong_scale(scale),
         *_mirror_image(recording),
+        *lost.reasons,
         *strap_slipped(recording.imu, _gyroscope_bias(recovery), recovery),
         *(swapped.sentence for swapped in swapped_joints(recording.arm)),
+        *unproved(recovery.estimates.pairing),
         *misfits,
         *_measured_clock(recovery, measured),
         *_anatomy(recovery.calibration, anatomy, FAR_FROM_AXIS_M),
         *_gravity(recovery, recording),
         *_clock(recovery, moved),
         *_camera(recovery, FAR_M),
+        *camera_turned(recovery, recording, _gyroscope_bias(recovery)),
+        *_self_check(recovery.estimates.self_check),
     )
     cautions = (
+        *recovery.estimates.cautions,
+        *doubtful(recovery.estimates.pairing),
         *open_questions,
         *_anatomy(recovery.calibration, anatomy, FROM_AXIS_M),
         *_camera(recovery, NEAR_M),
         *rate(recording.imu, SLOW_HZ),
         *_hand_as_wrist(recovery.calibration, anatomy),
         *clipped(recording.imu, 0.0),
+        *doubtful_scale(scale),
         *spikes(recording.imu),
         *paused_in_gaps(recording),
         *camera_pushed(recovery, recording),
@@ -118,9 +138,50 @@ def judged(
     )
     if reasons:  # what else is wrong with the input is the likeliest cause
         reasons = tuple(dict.fromkeys((*input_faults(recording), *reasons)))
-    cautions = tuple(caution for caution in cautions if caution not in reasons)
-    estimates = replace(recovery.estimates, trusted=not reasons, reasons=reasons, cautions=cautions)
+    cautions = tuple(caution for caution in dict.fromkeys(cautions) if caution not in reasons)
+    estimates = replace(
+        recovery.estimates,
+        trusted=not reasons,
+        reasons=reasons,
+        cautions=cautions,
+        untrusted=(*recovery.estimates.untrusted, *lost.untrusted),
+    )
     return replace(recovery, estimates=estimates)
+
+
+def with_gap_verdicts(recovery: Recovery) -> Recovery:
+    """The recovery with the verdict that its gaps ask for: none to be trusted, or some of them only.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        With a verdict of the whole, and intervals that are not trusted among its estimates.
+    """
+    estimates = recovery.estimates
+    verdicts = gap_verdicts(recovery.gaps, True, (), estimates.untrusted)
+    doubtful_gaps = [each for each in verdicts if not each.trusted]
+    if estimates.trusted is False or not doubtful_gaps:
+        return recovery
+    whole = [each for each in verdicts if each.end_s - each.start_s >= SHORTEST_GAP_S]
+    if whole and not any(each.trusted for each in whole):
+        reasons = tuple(dict.fromkeys(why for each in doubtful_gaps for why in each.reasons))
+        estimates = replace(estimates, trusted=False, reasons=reasons)
+    else:
+        numbers = [str(number) for number, each in enumerate(verdicts, start=1) if not each.trusted]
+        which = (
+            f"gaps {', '.join(numbers[:-1])} and {numbers[-1]} are" if numbers[1:] else f"gap {numbers[0]} is"
+        )
+        estimates = replace(estimates, cautions=(f"{which} not to be trusted", *estimates.cautions))
+    return replace(recovery, estimates=estimates)
+
+
+def _self_check(check: SelfCheck | None) -> Iterator[str]:
+    """Hidden stretches that were not recovered: as large a share as gaps would be."""
+    if check is not None and check.failed > max(1, FAILED_SHARE * check.stretches):
+        yield (
+            f"{check.failed} of {check.stretches} visible stretches that were hidden as a test could not be"
+            " recovered within what sigma says"
+        )
 
 
 def _mirror_image(recording: Recording) -> Iterator[str]:

@@ -8,14 +8,17 @@ from collections.abc import Iterator, Sequence
 from html import escape
 
 from ..evaluation.compare import Comparison
+from ..evaluation.summary import trust_word
 from ..evaluation.validate import Validation
 from ..recording import CameraFrame, Recording, Truth
 from ..result import Recovery, arm_tags
+from ..result.untrusted import untrusted_gaps
+from .chart import NOT_TRUSTED, badge
 from .method_comparison import sections as of_comparison
 from .method_comparison import verdict
 from .page import in_motion, origin, sections
 from .sheet import Html, qualified, table, write_sheet
-from .summary import summary
+from .summary import summary, tone
 
 #: An arm's recording, answer, and what it was held against, where it was.
 Arm = tuple[Recording | None, Recovery] | tuple[Recording | None, Recovery, Validation | None, Truth | None]
@@ -49,7 +52,7 @@ def write_arms_report(
     recoveries = [arm[1] for arm in arms]
     marks = [_mark(tag) for tag in arm_tags(recoveries)]
     paragraphs = []
-    for arm in arms:
+    for arm in sorted(arms, key=lambda arm: arm[1].estimates.trusted is not False):  # the worst first
         paragraphs += [f"{_name(arm[1])}: {text}" for text in summary(arm[1], _of(arm)[0])]
     write_sheet(
         path,
@@ -57,6 +60,7 @@ def write_arms_report(
         origin(recoveries[0]),
         paragraphs,
         _sections(arms, marks, camera_frame),
+        tone=tone(recoveries),
         force=force,
     )
 
@@ -67,10 +71,16 @@ def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | No
         for arm, mark in zip(arms, marks, strict=True)
     ]
     rows = [
-        (link, len(arm[1].gaps), f"{sum(gap.length_s for gap in arm[1].gaps):.1f}", arm[1].estimates.verdict)
+        (
+            link,
+            len(arm[1].gaps),
+            f"{sum(gap.length_s for gap in arm[1].gaps):.1f}",
+            Html(_trusted(arm[1])),
+            arm[1].estimates.verdict,
+        )
         for link, arm in zip(links, arms, strict=True)
     ]
-    yield table(("arm", "gaps", "hidden, s", "verdict"), rows)
+    yield table(("arm", "gaps", "hidden, s", "trusted", "verdict"), rows)
     frame = next((arm[0].camera_frame for arm in arms if arm[0] is not None), None) or frame
     yield in_motion([(arm[1], _of(arm)[1]) for arm in arms], frame)
     for arm, mark in zip(arms, marks, strict=True):
@@ -78,6 +88,15 @@ def _sections(arms: Sequence[Arm], marks: Sequence[str], frame: CameraFrame | No
         for section in sections(arm[1], arm[0], *_of(arm), frame, alone=False):
             yield qualified(section, mark)
         yield "</section>"
+
+
+def _trusted(recovery: Recovery) -> str:
+    """Whether an arm's answer is to be trusted, as a word in its colour."""
+    trusted, untrusted = recovery.estimates.trusted, len(untrusted_gaps(recovery))
+    word = trust_word(trusted, len(recovery.gaps), untrusted)
+    if trusted is False:
+        return badge(NOT_TRUSTED)
+    return badge(word, "care") if untrusted else escape(word) or "–"
 
 
 def _of(arm: Arm) -> tuple[Validation | None, Truth | None]:

@@ -64,13 +64,22 @@ def charted(heading: str, caption: str, drawing: str) -> str:
     return f'<div class="together">{headed(heading, caption)}{drawing}</div>'
 
 
-def badge(word: str) -> str:
-    """A word in the colour of its meaning, with a sign for those who do not see colours."""
-    sign, kind = _BADGES.get(word, ("", "open"))
+#: The word for what is not to be trusted.
+NOT_TRUSTED = "not to be trusted"
+
+
+def badge(word: str, kind: str = "") -> str:
+    """A word in the colour of its meaning, with a sign for those who do not see colours.
+
+    `kind` is the colour of a word that is not one of the usual ones: "wrong", "care", "same", "open".
+    """
+    sign, kind = _BADGES.get(word, (_SIGNS.get(kind, ""), kind or "open"))
     return f'<span class="word {kind}">{sign}{escape(word)}</span>'
 
 
+_SIGNS = {"care": "! ", "wrong": "✕ "}
 _BADGES = {
+    NOT_TRUSTED: ("✕ ", "wrong"),
     "clearly more": ("▲ ", "more"),
     "clearly less": ("▼ ", "less"),
     "no clear change": ("● ", "same"),

@@ -266,6 +266,12 @@ def _limits(arms: Sequence[Measures]) -> str:
     sentences: list[str] = []
     for arm in arms:
         mark = of_arm(arm, arms)
+        doubtful = [row for row in arm.session if is_main(row.key) and row.is_known and row.note]
+        if doubtful:
+            most = max(row.untrusted_share for row in doubtful)
+            names = [row.name for row in doubtful]
+            words = f"up to {100 * most:.0f} %" if len(names) > 1 else f"{100 * most:.0f} %"
+            sentences.append(f"{listed(names)}{mark} rests to {words} on gaps that are not trusted")
         why: dict[str, list[str]] = {}
         for row in arm.session:
             if not row.is_known and row.note and is_main(row.key):

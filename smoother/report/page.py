@@ -23,13 +23,14 @@ from .path3d import flat_views
 from .player import player
 from .points import points
 from .sheet import Html, bullets, figure, headed, listing, write_sheet
-from .summary import summary
+from .summary import summary, tone
 from .traces import angles, coordinates, residuals, uncertainty
 from .trust import against_truth, calibration_curves, share_inside, timeline
 from .truth_comparison import compared
 
 _SEEN = '<span class="seen">blue</span> where the camera saw the forearm'
 _RECOVERED = '<span class="recovered">orange</span> where it was hidden and was recovered'
+_UNTRUSTED = '<span class="untrusted">red</span> where the answer is not to be trusted'
 _REFERENCE = " The dashed line is the reference."
 
 
@@ -73,6 +74,7 @@ def write_report(
         origin(recovery),
         summary(recovery, validation),
         sections(recovery, recording, validation, truth, camera_frame),
+        tone=tone([recovery]),
         force=force,
     )
 
@@ -100,7 +102,8 @@ def sections(
     frame = frame if recording is None else recording.camera_frame or frame
     estimates = found_in(recovery, recording)
     if len(recovery):
-        yield listing("For the next recording", advice(recovery, estimates))
+        wrong = recovery.estimates.trusted is False
+        yield listing("What to do" if wrong else "For the next recording", advice(recovery, estimates))
         if alone:
             yield in_motion([(recovery, truth)], frame)
         yield from _figures(recovery, truth, frame)
@@ -133,17 +136,29 @@ def in_motion(arms: Sequence[tuple[Recovery, Truth | None]], frame: CameraFrame 
     reference = _REFERENCE if any(truth is not None for _, truth in arms) else ""
     what = "The recovered arm" if len(arms) == 1 else "The recovered arms"
     joint = "wrist" if any("wrist" in recovery.joints for recovery, _ in arms) else "sensor"
+    colours = _colours([recovery for recovery, _ in arms])
+    ellipse = f", the ellipse two standard deviations of where the {joint} is"
+    if not any(recovery.trusted.any() for recovery, _ in arms):
+        ellipse = ""
     return player(
         "The arm in motion" if len(arms) == 1 else "The arms in motion",
         Html(
-            f"{what}, {_SEEN}, {_RECOVERED}; grey is the camera's own skeleton (dotted where it"
-            " only guessed), the square is the sensor, the ellipse two standard deviations of where the"
-            f" {joint} is.{reference} Axes are the camera's{_directions(frame)}. On paper: the whole path,"
-            " and the arm at some instants."
+            f"{what}, {colours}; grey is the camera's own skeleton (dotted where it only guessed), the"
+            f" square is the sensor{ellipse}.{reference} Axes are the camera's{_directions(frame)}. On paper:"
+            " the whole path, and the arm at some instants."
         ),
         arms,
         frame,
     )
+
+
+def _colours(recoveries: Sequence[Recovery]) -> str:
+    """What the colours mean that are there."""
+    if not any(recovery.trusted.any() for recovery in recoveries):
+        return f"{_UNTRUSTED[: _UNTRUSTED.index('</span>')]}</span>: the answer is not to be trusted"
+    if all(recovery.trusted.all() for recovery in recoveries):
+        return f"{_SEEN} and {_RECOVERED}"
+    return f"{_SEEN}, {_RECOVERED} and {_UNTRUSTED}"
 
 
 def _directions(frame: CameraFrame | None) -> str:
@@ -158,19 +173,20 @@ def _figures(recovery: Recovery, truth: Truth | None, frame: CameraFrame | None)
             " closer together in the gaps."
         )
     reference = _REFERENCE if truth is not None else ""
+    colours = _colours([recovery])
     recovery = recovery.rows(decimate(recovery.occluded))
     yield _figure(
         "The path, flat",
         f"The path of the sensor on the forearm in two flat views, to the same scale.{decimated}",
         flat_views(recovery, truth, frame),
     )
+    around = _BAND if recovery.trusted.any() else _NO_BAND
     shown = points(recovery, truth)
     buttons = " Buttons choose the point: a joint, or the sensor itself." if len(shown) > 1 else ""
     yield _figure(
         "Coordinates over time",
-        f"Curves are {_SEEN} and {_RECOVERED}; gaps are shaded. Grey dots are the camera's own samples. The"
-        " pale blue band is two standard deviations (sigma) to either side: 95 of 100 true values should lie"
-        f" in it.{reference}{buttons} Drag over a time to enlarge it, double-click to come back.",
+        f"Curves are {colours}; gaps are shaded. Grey dots are the camera's own samples."
+        f" {around}{reference}{buttons} Drag over a time to enlarge it, double-click to come back.",
         coordinates(recovery, shown, frame),
     )
     yield _figure(
@@ -207,8 +223,19 @@ def _figure(heading: str, caption: str, plot: go.Figure | None) -> str:
 
 
 def _trust(recovery: Recovery, truth: Truth | None) -> Iterator[str]:
+    if recovery.estimates.trusted is not False:
+        yield _consistency(recovery, truth)
+    if recovery.residuals is not None:
+        heading = "Rejected camera samples"
+        yield (_figure(heading, _REJECTED, timeline(recovery)) or headed(heading)) + tables.rejections(
+            recovery
+        )
+
+
+def _consistency(recovery: Recovery, truth: Truth | None) -> str:
+    """Whether what is stated holds: against the camera, and against a reference."""
     camera, reference = camera_residuals(recovery), against_truth(recovery, truth)
-    yield _figure(
+    return _figure(
         "Whether sigma is consistent with the errors",
         "Left: for every probability, the share of samples that lie inside the region in which this"
         " probability is stated to lie. Right: the stated standard deviation of samples against their actual"
@@ -220,11 +247,6 @@ def _trust(recovery: Recovery, truth: Truth | None) -> Iterator[str]:
         + f" {share_inside(camera, reference)}",
         calibration_curves(camera, reference),
     )
-    if recovery.residuals is not None:
-        heading = "Rejected camera samples"
-        yield (_figure(heading, _REJECTED, timeline(recovery)) or headed(heading)) + tables.rejections(
-            recovery
-        )
 
 
 def _mounting(recovery: Recovery, estimates: ArmEstimates | None) -> str:
@@ -243,6 +265,11 @@ _GAPS = (
     "Times in which the camera did not see the forearm. A gap seen on both sides is held by the camera before"
     " and after it; one seen on one side only is not."
 )
+_BAND = (
+    "The pale blue band is two standard deviations (sigma) to either side: 95 of 100 true values should lie"
+    " in it."
+)
+_NO_BAND = "No band of sigma is drawn: it would not hold."
 _ERRORS = (
     "rms: root mean square. NEES: mean squared error in standard deviations; 1 where the stated uncertainty"
     " is consistent with the errors, above 1 where it is over-confident. In the last column 95 % is"

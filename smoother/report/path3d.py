@@ -11,7 +11,7 @@ from ..recording import CameraFrame, Truth
 from ..result import Recovery
 from .decimate import decimate, split_line
 from .space import upwards
-from .style import OCCLUDED, TRUTH, VISIBLE, axis_names, curve, dress
+from .style import OCCLUDED, TRUTH, UNTRUSTED, VISIBLE, axis_names, curve, dress
 
 #: How many arms are drawn.
 MOST_ARMS = 8
@@ -34,8 +34,12 @@ def flat_views(recovery: Recovery, truth: Truth | None, frame: CameraFrame | Non
     )
     figure = make_subplots(rows=1, cols=2, subplot_titles=titles)
     index = decimate(recovery.occluded)
-    visible, hidden = split_line(recovery.position[index], recovery.occluded[index])
+    good, distrusted = split_line(recovery.position[index], ~recovery.trusted[index])
+    visible, hidden = split_line(good, recovery.occluded[index])
     lines = [("seen", visible, VISIBLE, "solid"), ("recovered", hidden, OCCLUDED, "solid")]
+    if np.isfinite(distrusted).any():
+        lines = [line for line in lines if np.isfinite(line[1]).any()]
+        lines.append(("not to be trusted", distrusted, UNTRUSTED, "dot"))
     if truth is not None and len(truth):
         lines.append(("reference", truth.position[decimate(np.zeros(len(truth), bool))], TRUTH, "dot"))
     for column, ((right, mirrored), (upward, flipped)) in enumerate(views, start=1):

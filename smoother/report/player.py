@@ -12,6 +12,7 @@ from ..array_types import FloatArray
 from ..linalg import interpolate, median_rate_hz
 from ..recording import CameraFrame, Truth
 from ..result import Recovery
+from ..result.untrusted import untrusted_times
 from .path3d import CHAIN, instants
 from .sheet import Html, data_block, headed
 from .space import packed, seen_from, switch, upwards, view_of
@@ -83,7 +84,8 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
     -------
     arm : dict
         Plain values, tracks packed: `joints`, `camera`, `truth` (n, 3 joints), `sensor` (n, 3), `sigma`
-        (n, 6; lower Cholesky factor of the covariance of the point `tip`), `tracked` (n, a bit a joint).
+        (n, 6; lower Cholesky factor of the covariance of the point `tip`; nothing where the answer is not to
+        be trusted), `tracked` (n, a bit a joint). `untrusted` has start and end of the times that are not.
     """
     names = [joint for joint in CHAIN if joint in recovery.joints]
     start, end = float(recovery.t_s[0]), float(recovery.t_s[-1])
@@ -101,6 +103,7 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
         "step": (end - start) / (count - 1),
         "count": count,
         "gaps": [[float(gap.start_s), float(gap.end_s)] for gap in recovery.gaps],
+        "untrusted": [[start, end] for start, end in untrusted_times(recovery)],
         "sensor": packed(interpolate(recovery.t_s, recovery.position, t)),
     }
     if names:
@@ -112,10 +115,11 @@ def played_arm(recovery: Recovery, truth: Truth | None, most_bytes: float) -> di
         stacked = [np.full((len(truth), 3), np.nan) if each is None else each for each in columns]
         reference = np.concatenate([*stacked, truth.position], axis=1)
         arm["truth"] = packed(interpolate(truth.t_s, reference, t))
-    if covariance is not None:
-        arm["sigma"] = packed(
-            _roots(covariance[np.searchsorted(recovery.t_s, t).clip(max=len(recovery) - 1)])
-        )
+    if covariance is not None and recovery.trusted.any():
+        row = np.searchsorted(recovery.t_s, t).clip(max=len(recovery) - 1)
+        roots = _roots(covariance[row])
+        roots[~recovery.trusted[row]] = np.nan
+        arm["sigma"] = packed(roots)
     return arm
 
 
@@ -162,10 +166,9 @@ def _extent(recovery: Recovery) -> FloatArray:
 
 def _controls(arms: Sequence[dict[str, Any]]) -> str:
     """Legend, slider with the gaps marked on it, buttons, and what the keys do."""
-    switches = [
-        ("path", f"path of the {arms[0]['tip']}", "var(--seen)"),
-        ("trail", "last 2 s", "var(--seen)"),
-    ]
+    sound = any("sigma" in arm or not arm["untrusted"] for arm in arms)
+    colour = "var(--seen)" if sound else "var(--untrusted)"
+    switches = [("path", f"path of the {arms[0]['tip']}", colour), ("trail", "last 2 s", colour)]
     if any("sigma" in arm for arm in arms):
         switches.append(("sigma", "2 sigma", "var(--recovered)"))
     if any("camera" in arm for arm in arms):

@@ -20,6 +20,8 @@ from ..runtime.atomic import writing
 MOST_ROWS = 500
 #: A page with fewer headings needs no list of contents.
 FEWEST_CONTENTS = 4
+#: Tones of a page's first sentences: what it is about is not to be trusted, or not everywhere.
+ALARM, CARE = "alarm", "care"
 #: Stands for the sections while the page around them is put together.
 _HERE = "<!-- sections -->"
 #: The page's programs, in the order in which they run; Plotly's only where a figure needs it.
@@ -40,6 +42,7 @@ def write_sheet(
     sections: Iterable[str],
     *,
     two_pages: bool = False,
+    tone: str = "",
     force: bool = False,
 ) -> None:
     """Write one HTML page that needs no network and no other file.
@@ -56,6 +59,8 @@ def write_sheet(
         HTML, made by `figure`, `space`, `picture`, `listing` and `tabulated`.
     two_pages : bool
         Print it in small type: what is short fits on two pages.
+    tone : str
+        `ALARM` or `CARE`: the first sentences stand in red or amber.
     force : bool
         Overwrite a page that exists.
 
@@ -82,7 +87,7 @@ def write_sheet(
             version=escape(__version__),
         )
         before, after = page.split(_HERE)
-        file.write(f'{before}<div class="summary">{paragraphs}</div>{contents}')
+        file.write(f'{before}<div class="summary{f" {tone}" if tone else ""}">{paragraphs}</div>{contents}')
         for section in body:
             file.write(f"\n{section}")
         file.write(after)

@@ -14,7 +14,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
-from .sheet import Html, figure, label, listing, tabulated, write_sheet
+from ..evaluation.summary import trust_word
+from .chart import NOT_TRUSTED, badge
+from .sheet import ALARM, Html, figure, label, listing, tabulated, write_sheet
 from .style import OCCLUDED, VISIBLE, dress
 
 if TYPE_CHECKING:
@@ -53,19 +55,23 @@ def write_study(
     recovered = rows.filter(pc.equal(rows["status"], "done"))
     failed = rows.filter(pc.equal(rows["status"], "failed"))
     columns = {name: _numbers(recovered, name) for name in _PLOTTED}
+    sound = columns["trusted"] != 0  # nan where nobody judged
+    for name in ("sigma_max_m", "sigma_max_deg", "clock_offset_s"):
+        columns[name] = np.where(sound, columns[name], np.nan)
     sections = [_failures(failed)] if len(failed) else []
     if len(recovered):
-        order = worst_first(columns["sigma_max_m"])
+        order = worst_first(columns["sigma_max_m"], columns["trusted"], columns["gaps_untrusted"])
         sections += [
             figure(
                 "Distributions",
                 "One count a recording. Sigma is one standard deviation of the IMU's position on its worst"
-                " axis, the largest of all gaps. The outermost bars also count what lies beyond them.",
+                " axis, the largest of all gaps. The outermost bars also count what lies beyond them."
+                + _without(int((~sound).sum())),
                 _distributions(columns),
             ),
             figure(
                 "Gaps and what they cost",
-                "A point a recording; the worst ones if there are very many.",
+                "A point a recording; the worst ones if there are very many." + _without(int((~sound).sum())),
                 _scatter(recovered, columns, order),
             ),
             _worst(recovered, order[:MOST_WORST], Path(path), Path(folder)),
@@ -77,18 +83,32 @@ def write_study(
         f"{len(rows)} recordings",
         _verdict(rows, recovered, failed, columns),
         sections,
+        tone=ALARM if not sound.all() else "",
         force=force,
     )
 
 
-def worst_first(sigma_m: FloatArray) -> np.ndarray:
-    """(N,) places in the order to look at them: largest sigma first, those without a gap last."""
-    return np.argsort(-np.nan_to_num(sigma_m, nan=-1.0), kind="stable")
+def _without(distrusted: int) -> str:
+    """A caption's last sentence: whose sigma is not drawn."""
+    return f" Sigma of the {distrusted} results that are not to be trusted is left out." if distrusted else ""
+
+
+def worst_first(sigma_m: FloatArray, trusted: FloatArray, gaps_untrusted: FloatArray) -> np.ndarray:
+    """(N,) places in the order to look at them.
+
+    What is not to be trusted, what is not in some gaps, then the largest sigma; those without a gap last.
+
+    Parameters
+    ----------
+    sigma_m, trusted, gaps_untrusted : ndarray, shape (N,)
+        Columns as numbers; nan where there is nothing.
+    """
+    return np.lexsort((-np.nan_to_num(sigma_m, nan=-1.0), ~(gaps_untrusted > 0), trusted != 0))
 
 
 _PLOTTED = (
     *("duration_s", "occluded_s", "gap_longest_s", "sigma_max_m", "sigma_max_deg"),
-    *("clock_offset_s", "seconds", "notes"),
+    *("clock_offset_s", "seconds", "notes", "trusted", "gaps_untrusted"),
 )
 
 
@@ -106,6 +126,14 @@ def _verdict(
     yield f"{len(recovered)} of {len(rows)} recordings were recovered, {len(failed)} failed"
     if not len(recovered):
         return
+    distrusted = int((columns["trusted"] == 0).sum())
+    partly = int(((columns["trusted"] == 1) & (columns["gaps_untrusted"] > 0)).sum())
+    if distrusted:
+        which = "result is" if distrusted == 1 else "results are"
+        yield f"{distrusted} {which} not to be trusted: do not use these figures. The table begins with them"
+    if partly:
+        which = "result has" if partly == 1 else "results have"
+        yield f"{partly} {which} gaps that are not to be trusted"
     recorded, occluded, spent = (
         float(columns[name].sum()) for name in ("duration_s", "occluded_s", "seconds")
     )
@@ -177,14 +205,15 @@ def _scatter(recovered: pa.Table, columns: dict[str, FloatArray], order: np.ndar
 def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> str:
     """The worst recordings, each with a link to its output."""
     heads = (
-        *("recording", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
+        *("recording", "trusted", "largest sigma, cm", "largest sigma, deg", "longest gap, s", "gaps"),
         *("occluded, s", "length, s", "notes"),
     )
     rows = [
         (
             Html(f'<a href="{escape(_link(row["output"], path, folder))}">{escape(row["recording"])}</a>'),
-            _scaled(row["sigma_max_m"], 100),
-            *(_scaled(row[name]) for name in ("sigma_max_deg", "gap_longest_s")),
+            _trust(row),
+            *((None, None) if row["trusted"] is False else _sigmas(row)),
+            _scaled(row["gap_longest_s"]),
             row["gaps"],
             *(_scaled(row[name]) for name in ("occluded_s", "duration_s")),
             row["notes"],
@@ -196,8 +225,26 @@ def _worst(recovered: pa.Table, order: np.ndarray, path: Path, folder: Path) -> 
         if len(recovered) > len(rows)
         else ""
     )
-    caption = f"By the largest sigma of their gaps; names lead to the outputs.{more}"
+    caption = (
+        "What is not to be trusted first, without its sigma and with the reason; then by the largest sigma of"
+        f" the gaps. Names lead to the outputs.{more}"
+    )
     return tabulated("Worst recordings first", caption, heads, rows)
+
+
+def _trust(row: dict[str, Any]) -> Html:
+    """Whether a recording's result is to be trusted, as a word in its colour, and why it is not."""
+    word = trust_word(row["trusted"], row["gaps"], row["gaps_untrusted"])
+    if row["trusted"] is False:
+        why = str(row["verdict"] or "").removeprefix("Not to be trusted: ")
+        return Html(f"{badge(NOT_TRUSTED)} {escape(why)}")
+    if row["gaps_untrusted"]:
+        return Html(badge(word, "care"))
+    return Html(escape(word) or "–")
+
+
+def _sigmas(row: dict[str, Any]) -> tuple[str | None, str | None]:
+    return _scaled(row["sigma_max_m"], 100), _scaled(row["sigma_max_deg"])
 
 
 def _link(output: str, path: Path, folder: Path) -> str:

@@ -9,13 +9,16 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
 from ..array_types import BoolArray, FloatArray
-from ..measurements.visibility import Gap
 from ..recording import CameraFrame
+from ..result import Recovery
+from ..result.untrusted import partly_untrusted, untrusted_times
 from .decimate import split_line
 
 #: Told apart by readers with any colour vision.
 VISIBLE, OCCLUDED, TRUTH, CAMERA = "#0072B2", "#D55E00", "#111111", "#8a8a8a"
-SHADE = "rgba(213, 94, 0, 0.13)"
+#: What is not to be trusted; its lines are dotted, too.
+UNTRUSTED = "#b00020"
+SHADE, SHADE_UNTRUSTED = "rgba(213, 94, 0, 0.13)", "rgba(176, 0, 32, 0.24)"
 BAND = "rgba(0, 114, 178, 0.20)"
 JOINT_COLOURS = {
     "shoulder": "#CC79A7",
@@ -96,27 +99,76 @@ def dots(
 
 
 def seen_and_recovered(
-    t: ArrayLike, values: FloatArray, occluded: BoolArray, width: float = 1.8, prefix: str = ""
+    t: ArrayLike,
+    values: FloatArray,
+    occluded: BoolArray,
+    width: float = 1.8,
+    prefix: str = "",
+    *,
+    trusted: BoolArray | None = None,
 ) -> list[go.Scatter]:
-    """The two lines of a value: where the camera saw the arm, and where it was recovered."""
+    """The lines of a value: where the camera saw the arm, where it was recovered, where it is not trusted.
+
+    Only the last one where nothing is to be trusted.
+
+    Parameters
+    ----------
+    t, values : array_like, shape (n,)
+    occluded : ndarray of bool, shape (n,)
+    width : float
+        Of the lines.
+    prefix : str
+        Before their names.
+    trusted : ndarray of bool, shape (n,), optional
+        Where it is to be trusted; None for everywhere. The third line is there where it is not everywhere.
+    """
+    wrong = []
+    if trusted is not None and not trusted.all():
+        values, distrusted = split_line(values, ~trusted)
+        wrong = [curve(t, distrusted, f"{prefix}not to be trusted", UNTRUSTED, width, "dot")]
+        if not trusted.any():
+            return wrong
     visible, hidden = split_line(values, occluded)
     return [
         curve(t, visible, f"{prefix}seen", VISIBLE, width),
         curve(t, hidden, f"{prefix}recovered", OCCLUDED, width),
+        *wrong,
     ]
 
 
-def shade(figure: go.Figure, gaps: tuple[Gap, ...]) -> None:
-    """Shade the gaps over the whole height (the longest if very many), and show the player's time there."""
-    longest = sorted(gaps, key=lambda gap: -gap.length_s)[:MOST_SHADES]
-    shade_times(figure, [(gap.start_s, gap.end_s) for gap in longest])
+def shade(figure: go.Figure, recovery: Recovery) -> None:
+    """Shade the gaps over the whole height (the longest if very many), and show the player's time there.
+
+    Gaps, and other times of a result that is trusted elsewhere, are red where they are not to be trusted.
+    """
+    both = sorted(zip(recovery.gaps, recovery.gap_verdicts, strict=True), key=lambda each: -each[0].length_s)
+    gaps = [(gap.start_s, gap.end_s, verdict.trusted) for gap, verdict in both[:MOST_SHADES]]
+    red = [(start, end) for start, end, trusted in gaps if not trusted]
+    if partly_untrusted(recovery):
+        red += untrusted_times(recovery)
+    shade_times(figure, [(start, end) for start, end, trusted in gaps if trusted], _joined(red))
     figure.update_layout(meta={"time": True})
 
 
-def shade_times(figure: go.Figure, times: Sequence[tuple[float, float]]) -> None:
-    """Shade times (start, end) over the whole height."""
-    # as one shape: hundreds of them are slow to draw
-    path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in times)
-    plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "fillcolor": SHADE}
-    shapes = [{**plain, "path": path, "line": {"width": 0}}] if path else []
+def _joined(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Times in order, those that overlap as one."""
+    joined: list[tuple[float, float]] = []
+    for start, end in sorted(times):
+        if joined and start <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(joined[-1][1], end))
+        else:
+            joined.append((start, end))
+    return joined
+
+
+def shade_times(
+    figure: go.Figure, times: Sequence[tuple[float, float]], untrusted: Sequence[tuple[float, float]] = ()
+) -> None:
+    """Shade times (start, end) over the whole height; untrusted ones in red."""
+    plain = {"type": "path", "xref": "x", "yref": "paper", "layer": "below", "line": {"width": 0}}
+    shapes = []
+    for each, colour in ((times, SHADE), (untrusted, SHADE_UNTRUSTED)):
+        # as one shape: hundreds of them are slow to draw
+        path = " ".join(f"M {start:.4f},0 V 1 H {end:.4f} V 0 Z" for start, end in each)
+        shapes += [{**plain, "path": path, "fillcolor": colour}] if path else []
     figure.update_layout(shapes=shapes)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..evaluation.coverage import camera_residuals
 from ..evaluation.metrics import Figures
-from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures
+from ..evaluation.summary import GapSummary, gap_summaries, sigma_figures
 from ..evaluation.validate import Validation
 from ..linalg import median_rate_hz
 from ..measurements.timestamps import pauses
 from ..measurements.visibility import occluded_at
-from ..result import Recovery
+from ..result import Estimates, Recovery
+from ..result.untrusted import MOST_NAMED, partly_untrusted, untrusted_sentences
+from .sheet import ALARM, CARE
 
 #: A gap that is less certain than this needs care, m (one standard deviation).
 WEAK_M = 0.05
@@ -24,19 +28,69 @@ OVER_CONFIDENT = 2.0
 
 
 def summary(recovery: Recovery, validation: Validation | None) -> list[str]:
-    """Sentences, a paragraph each."""
+    """Sentences, a paragraph each: the verdict first, of what is not to be trusted its cause and remedy."""
     if not len(recovery):
         return ["The result holds no sample."]
     gaps = gap_summaries(recovery)
-    paragraphs = [recovery.estimates.verdict, _what_was_hidden(recovery, gaps)]
-    if gaps:
-        paragraphs.append(_how_well(recovery, gaps))
-    if validation is not None:
-        paragraphs.append(_against_reference(validation))
+    check = recovery.estimates.self_check
+    checked = "" if check is None else check.sentence
+    reference = "" if validation is None else _against_reference(validation)
+    if recovery.estimates.trusted is False:
+        paragraphs = [
+            *_what_is_wrong(recovery.estimates),
+            checked,
+            _what_was_hidden(recovery, gaps),
+            reference,
+        ]
+        return [paragraph for paragraph in paragraphs if paragraph]
+    trusted = [gap for gap in gaps if gap.trusted is not False]
     doubt = _camera_doubts(recovery)
-    consistent = _consistent(validation) and not doubt and recovery.estimates.trusted is not False
-    paragraphs += [doubt, _what_to_trust(gaps, consistent)]
+    consistent = _consistent(validation) and not doubt
+    paragraphs = [
+        recovery.estimates.verdict,
+        checked,
+        _untrusted(recovery),
+        _what_was_hidden(recovery, gaps),
+        _how_well(recovery, gaps, trusted),
+        reference,
+        doubt,
+        _what_to_trust(trusted, consistent, "gap" if len(trusted) == len(gaps) else "other gap"),
+    ]
     return [paragraph for paragraph in paragraphs if paragraph]
+
+
+def tone(recoveries: Sequence[Recovery]) -> str:
+    """The tone of the first sentences: red where a result is not to be trusted, amber where a part is not."""
+    if any(recovery.estimates.trusted is False for recovery in recoveries):
+        return ALARM
+    return CARE if any(partly_untrusted(recovery) for recovery in recoveries) else ""
+
+
+def _what_is_wrong(estimates: Estimates) -> list[str]:
+    """The cause with what mends it, the other signs, and that the figures are withdrawn."""
+    said = [estimates.verdict]
+    remedies = [remedy for remedy in estimates.remedies if remedy not in estimates.verdict]
+    if remedies:
+        said.append(f"Run `unocclude smooth` again with {' or '.join(remedies)}.")
+    signs = [reason for reason in estimates.reasons if reason != estimates.cause] if estimates.cause else []
+    if signs:
+        said.append(f"What shows it: {'; '.join(signs)}.")
+    said.append(
+        "Do not use the figures of this result. What it stated of its uncertainty holds only for a sound"
+        " set-up and is withdrawn from this page; curves and pictures are left, in red, to help to find the"
+        " cause."
+    )
+    return said
+
+
+def _untrusted(recovery: Recovery) -> str:
+    """Which gaps and times are not to be trusted, and why; "" where all are."""
+    sentences = untrusted_sentences(recovery)
+    if not sentences:
+        return ""
+    more = f"; and {len(sentences) - MOST_NAMED} more" if len(sentences) > MOST_NAMED else ""
+    named = "; ".join(sentences[:MOST_NAMED])
+    return f"Not to be trusted, and red on this page: {named}{more}. Leave them out; the rest stands."
 
 
 def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
@@ -59,19 +113,22 @@ def _what_was_hidden(recovery: Recovery, gaps: list[GapSummary]) -> str:
     return f"{text}. What was hidden while the IMU paused is not counted." if paused else f"{text}."
 
 
-def _how_well(recovery: Recovery, gaps: list[GapSummary]) -> str:
-    sigma = recovery_figures(recovery)["sigma_m"]
-    assert isinstance(sigma, dict)
+def _how_well(recovery: Recovery, gaps: list[GapSummary], trusted: list[GapSummary]) -> str:
+    """What is stated of the gaps that are to be trusted."""
+    if not trusted:
+        return ""
+    sigma = sigma_figures(recovery, recovery.trusted)
     inside, outside = sigma["occluded"], sigma["visible"]
-    if inside["median"] is None:
+    if inside["median"] is None or inside["max"] is None:
         return "This method does not say how certain its answer is."
+    which = "gaps" if len(trusted) == len(gaps) else "other gaps"
     text = (
-        f"In the gaps the sensor's position is known to about {100 * inside['median']:.1f} cm"
+        f"In the {which} the sensor's position is known to about {100 * inside['median']:.1f} cm"
         f" (one standard deviation an axis; {100 * inside['max']:.1f} cm at the worst moment)"
     )
     if outside["median"] is not None:
         text += f", against {100 * outside['median']:.1f} cm while the camera sees the arm"
-    unanswered = [gap for gap in gaps if gap.answered < 1]
+    unanswered = [gap for gap in trusted if gap.answered < 1]
     tail = f" {len(unanswered)} of the gaps are not answered completely." if unanswered else ""
     return f"{text}.{tail}"
 
@@ -155,7 +212,7 @@ def _consistent(validation: Validation | None) -> bool:
     return not stated or max(stated) <= OVER_CONFIDENT
 
 
-def _what_to_trust(gaps: list[GapSummary], consistent: bool) -> str:
+def _what_to_trust(gaps: list[GapSummary], consistent: bool, gap_word: str) -> str:
     weak = [gap for gap in gaps if gap.is_weaker_than(WEAK_M)]
     one_sided = [gap for gap in gaps if gap.one_sided]
     parts = []
@@ -170,8 +227,8 @@ def _what_to_trust(gaps: list[GapSummary], consistent: bool) -> str:
         )
     if consistent and not parts and any(gap.sigma_max_m is not None for gap in gaps):
         parts.append(
-            f"No gap is less certain than {100 * WEAK_M:.0f} cm. In 95 of 100 cases a coordinate lies within"
-            " two standard deviations, the shaded band of the curves."
+            f"No {gap_word} is less certain than {100 * WEAK_M:.0f} cm. In 95 of 100 cases a coordinate lies"
+            " within two standard deviations, the shaded band of the curves."
         )
     return " ".join(parts)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from html import escape
 
 import numpy as np
 
@@ -11,40 +12,46 @@ from calib.motion.estimates import ArmEstimates
 from ..calibration import ArmCalibration
 from ..evaluation.measure_agreement import agreement_cells, pair_cells
 from ..evaluation.rejected import rejected
-from ..evaluation.summary import gap_summaries, recovery_figures
+from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures, sigma_figures
 from ..evaluation.validate import Validation
-from ..io.result.usable import usable
+from ..io.result.usable import certain
 from ..result import Estimates, Recovery
-from .sheet import bullets, headed, in_cm, table
+from .chart import NOT_TRUSTED, badge
+from .sheet import Html, bullets, headed, in_cm, table
 from .summary import WEAK_M
 
 #: Figures of a recovery that another section of the page shows.
 ELSEWHERE = (
     *("camera_sigma_m", "camera_effective_sigma_m", "joint_bias_m", "joint_bias_sigma_m"),
     *("accelerometer_bias", "gyroscope_bias", "given", "max_sigma_m"),
+    *("untrusted", "self_check", "pairing"),
 )
+WITHDRAWN = "withdrawn: the result is not to be trusted"
 
 
 def overview(recovery: Recovery) -> str:
     """What was recovered, in numbers."""
     figures = recovery_figures(recovery)
-    sigma = figures["sigma_m"]
-    assert isinstance(sigma, dict)
+    sigma = sigma_figures(recovery, recovery.trusted)
     offset = None
     if np.isfinite(recovery.clock_offset_s):
         offset = f"{1000 * recovery.clock_offset_s:.1f} ms"
         if np.isfinite(recovery.clock_offset_sigma_s):
             offset += f" ± {1000 * recovery.clock_offset_sigma_s:.1f} ms"
-    rows = [
+    withdrawn = WITHDRAWN if recovery.estimates.trusted is False else None
+    rows: list[tuple[str, object]] = [
         ("method", recovery.method),
         ("arm", recovery.side or "not stated"),
         ("samples of the forearm sensor", len(recovery)),
         ("sample rate, Hz", figures["rate_hz"]),
         ("samples without the camera", recovery.occluded.sum()),
         ("samples without an answer", len(recovery) - int(recovery.answered.sum())),
-        ("position, standard deviation while seen (median), cm", in_cm(sigma["visible"]["median"])),
-        ("position, standard deviation in gaps (median), cm", in_cm(sigma["occluded"]["median"])),
-        ("position, standard deviation in gaps (largest), cm", in_cm(sigma["occluded"]["max"])),
+        *(
+            (f"position, standard deviation {words}, cm", withdrawn or in_cm(sigma[part][which]))
+            for words, part, which in _SIGMAS
+        ),
+        ("samples that are not to be trusted", int(np.count_nonzero(~recovery.trusted))),
+        *_proofs(recovery.estimates),
         ("sensor's clock minus camera's clock", offset),
     ]
     if (unsure := _too_uncertain(recovery)) is not None:
@@ -57,11 +64,37 @@ def overview(recovery: Recovery) -> str:
     return table(("what", "value"), rows)
 
 
+_SIGMAS = (
+    ("while seen (median)", "visible", "median"),
+    ("in gaps (median)", "occluded", "median"),
+    ("in gaps (largest)", "occluded", "max"),
+)
+
+
+def _proofs(estimates: Estimates) -> list[tuple[str, object]]:
+    """Rows of the self-check and of the pairing; none where there is neither."""
+    rows: list[tuple[str, object]] = []
+    check, pairing = estimates.self_check, estimates.pairing
+    if check is not None and check.stretches:
+        lost = f", {check.unanswered} not recovered" if check.unanswered else ""
+        rows.append(("self-check: times that the arm was hidden", f"{check.stretches}{lost}"))
+        if np.isfinite(check.inside_95):
+            rows.append(
+                ("self-check: samples inside the stated 95 % region", f"{100 * check.inside_95:.0f} %")
+            )
+        rows.append(("self-check: sigma in gaps multiplied by", check.sigma_factor))
+    if pairing is not None:
+        chance = f" (chance agreement {100 * pairing.chance:.2g} %)" if np.isfinite(pairing.chance) else ""
+        words = "shown by the motion" if pairing.proved else f"not proved{chance}"
+        rows.append(("skeleton and sensor are of one motion", words))
+    return rows
+
+
 def _too_uncertain(recovery: Recovery) -> str | None:
     limit = recovery.estimates.max_sigma_m
     if limit is None:
         return None
-    unsure = int(recovery.answered.sum() - usable(recovery).sum())
+    unsure = int(recovery.answered.sum() - certain(recovery).sum())
     return f"{unsure} (above {100 * limit:g} cm)"
 
 
@@ -107,12 +140,10 @@ def gaps(recovery: Recovery) -> str:
             number,
             f"{summary.gap.start_s:.2f}",
             f"{summary.gap.length_s:.2f}",
-            in_cm(summary.sigma_max_m),
-            None if summary.sigma_max_deg is None else f"{summary.sigma_max_deg:.2f}",
-            None if summary.sigma_max_flexion_deg is None else f"{summary.sigma_max_flexion_deg:.1f}",
+            *_stated(summary),
             "one side only" if summary.one_sided else "both sides",
             f"{100 * summary.answered:.0f} %",
-            "take with care" if summary.one_sided or summary.is_weaker_than(WEAK_M) else "",
+            _remark(summary),
         )
         for number, summary in enumerate(summaries, start=1)
     ]
@@ -128,6 +159,25 @@ def gaps(recovery: Recovery) -> str:
         "",
     )
     return table(columns, rows)
+
+
+def _stated(summary: GapSummary) -> tuple[str | None, str | None, str | None]:
+    """What is stated of a gap, as cells; withdrawn where it is not to be trusted."""
+    if summary.trusted is False:
+        return None, None, None
+    deg, flexion_deg = summary.sigma_max_deg, summary.sigma_max_flexion_deg
+    return (
+        in_cm(summary.sigma_max_m),
+        None if deg is None else f"{deg:.2f}",
+        None if flexion_deg is None else f"{flexion_deg:.1f}",
+    )
+
+
+def _remark(summary: GapSummary) -> str:
+    """The last cell of a gap: whether to trust it, and why not."""
+    if summary.trusted is False:
+        return Html(f"{badge(NOT_TRUSTED)} {escape('; '.join(summary.reasons))}")
+    return "take with care" if summary.one_sided or summary.is_weaker_than(WEAK_M) else ""
 
 
 def validation(comparison: Validation) -> str:

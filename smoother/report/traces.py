@@ -40,18 +40,18 @@ def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | Non
     """Coordinates over time with their band of two sigmas; buttons choose the point."""
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     index = decimate(recovery.occluded)
-    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
     owner: list[str] = []
     for point in shown:
         for axis in range(3):
-            for trace in _coordinate(point, axis, t, index, occluded):
+            for trace in _coordinate(point, axis, t, index, occluded, trusted):
                 trace.update(visible=point is shown[0], showlegend=axis == 0)
                 figure.add_trace(trace, row=axis + 1, col=1)
                 owner.append(point.name)
     for axis, name in enumerate(axis_names(frame)):
         figure.update_yaxes(title_text=f"{name}, m", row=axis + 1, col=1)
     figure.update_xaxes(title_text=_TIME, row=3, col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     buttons = [
         {
             "label": point.name,
@@ -66,10 +66,10 @@ def coordinates(recovery: Recovery, shown: list[Point], frame: CameraFrame | Non
 
 
 def _coordinate(
-    point: Point, axis: int, t: FloatArray, index: np.ndarray, occluded: np.ndarray
+    point: Point, axis: int, t: FloatArray, index: np.ndarray, occluded: BoolArray, trusted: BoolArray
 ) -> list[go.Scatter]:
-    """Band, camera samples, line seen, line recovered and truth of one coordinate."""
-    value, sigma = point.position[index, axis], point.sigma[index, axis]
+    """Band where it is trusted, camera samples, line seen, line recovered and truth of one coordinate."""
+    value, sigma = point.position[index, axis], np.where(trusted, point.sigma[index, axis], np.nan)
     x, y = band(t, value - 2 * sigma, value + 2 * sigma)
     traces = [
         go.Scatter(
@@ -78,7 +78,7 @@ def _coordinate(
     ]
     if len(point.camera):
         traces.append(dots(point.camera_t_s, point.camera[:, axis], "camera", CAMERA, 3))
-    traces += seen_and_recovered(t, value, occluded)
+    traces += seen_and_recovered(t, value, occluded, trusted=trusted)
     if len(point.truth):
         rows = decimate(np.zeros(len(point.truth), bool))
         traces.append(curve(point.truth_t_s[rows], point.truth[rows, axis], "reference", TRUTH, 1.2, "dash"))
@@ -92,18 +92,18 @@ def angles(recovery: Recovery) -> go.Figure | None:
         return None
     figure = make_subplots(rows=len(rows), cols=1, shared_xaxes=True, vertical_spacing=0.07)
     index = decimate(recovery.occluded)
-    t = recovery.t_s[index]
-    sigma_deg = elbow_flexion_sigma(recovery)[index]
+    t, trusted = recovery.t_s[index], recovery.trusted[index]
+    sigma_deg = np.where(trusted, elbow_flexion_sigma(recovery)[index], np.nan)
     for row, (name, value) in enumerate(rows, start=1):
         if name == FLEXION and np.isfinite(sigma_deg).any():
             x, y = band(t, value[index] - 2 * sigma_deg, value[index] + 2 * sigma_deg)
             around = go.Scatter(x=x, y=y, fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
             figure.add_trace(around.update(name="+- 2 sigma"), row=row, col=1)
-        for line in seen_and_recovered(t, value[index], recovery.occluded[index]):
+        for line in seen_and_recovered(t, value[index], recovery.occluded[index], trusted=trusted):
             figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=f"{name}, degrees", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(rows), col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     return dress(figure, 180 + 190 * len(rows))
 
 
@@ -120,8 +120,12 @@ def _angles(recovery: Recovery) -> dict[str, FloatArray]:
 
 
 def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
-    """Stated uncertainty over time and, with a truth, the error beside it; None without either."""
-    sigma_cm, sigma_deg = 100 * recovery.worst_sigma_m, recovery.sigma_deg
+    """Stated uncertainty over time and, with a truth, the error beside it; None without either.
+
+    What is stated where the answer is not to be trusted is left out.
+    """
+    sigma_cm = np.where(recovery.trusted, 100 * recovery.worst_sigma_m, np.nan)
+    sigma_deg = np.where(recovery.trusted, recovery.sigma_deg, np.nan)
     errors = None if truth is None else sample_errors(recovery, truth)
     if not np.isfinite(sigma_cm).any() and errors is None:
         return None
@@ -139,7 +143,7 @@ def uncertainty(recovery: Recovery, truth: Truth | None) -> go.Figure | None:
             figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=name, rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=2, col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     return dress(figure, 480)
 
 
@@ -160,7 +164,7 @@ def residuals(recovery: Recovery) -> go.Figure | None:
         figure.update_yaxes(title_text=f"{JOINTS[i]}, cm", rangemode="tozero", row=row, col=1)
     figure.update_xaxes(title_text=_TIME, row=len(drawn), col=1)
     figure.add_trace(_crosses(np.array([None]), np.array([None])), row=1, col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     return dress(figure, 160 + 120 * len(drawn))
 
 

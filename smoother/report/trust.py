@@ -117,7 +117,7 @@ def timeline(recovery: Recovery) -> go.Figure | None:
             text=label(Reason(reason, why).sentence),
         )
         figure.add_trace(ticks.update(marker_line_width=1.6))
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     figure.update_yaxes(categoryorder="array", categoryarray=joints[::-1])
     figure.update_xaxes(title_text="time, s")
     return dress(figure, 150 + 55 * len(joints))

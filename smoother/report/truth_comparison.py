@@ -79,11 +79,11 @@ def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
     errors = sample_errors(recovery, truth)
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     index = decimate(recovery.occluded)
-    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
     for row, values in ((1, 100 * errors.distance_m), (2, errors.angle_deg)):
         if not np.isfinite(values).any():
             continue
-        for line in seen_and_recovered(t, values[index], occluded, 1.6, "sensor, "):
+        for line in seen_and_recovered(t, values[index], occluded, 1.6, "sensor, ", trusted=trusted):
             figure.add_trace(line.update(showlegend=row == 1, legendgroup=line.name), row=row, col=1)
     hidden = bool(np.isfinite(errors.distance_m).any())
     for joint, distance in errors.joint_distance_m.items():
@@ -92,7 +92,7 @@ def error_over_time(recovery: Recovery, truth: Truth) -> go.Figure:
     figure.update_yaxes(title_text="position error, cm", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="orientation error, degrees", rangemode="tozero", row=2, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     return dress(figure, 560)
 
 
@@ -101,15 +101,15 @@ def angle_curves(recovery: Recovery, angles: AngleComparison) -> go.Figure:
     names = angles.compared
     figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     index = decimate(recovery.occluded)
-    t, occluded = recovery.t_s[index], recovery.occluded[index]
+    t, occluded, trusted = recovery.t_s[index], recovery.occluded[index], recovery.trusted[index]
     for row, name in enumerate(names, start=1):
         answer, true = _unwound(angles, name)
-        lines = seen_and_recovered(t, answer[index], occluded, 1.6)
+        lines = seen_and_recovered(t, answer[index], occluded, 1.6, trusted=trusted)
         for line in [*lines, curve(t, true[index], "reference", TRUTH, 1.2, "dash")]:
             figure.add_trace(line.update(showlegend=row == 1), row=row, col=1)
         figure.update_yaxes(title_text=_broken(WORDS[name]), row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=len(names), col=1)
-    shade(figure, recovery.gaps)
+    shade(figure, recovery)
     return dress(figure, 120 + 170 * len(names))
 
 

@@ -7,5 +7,18 @@ from .estimates import Estimates
 from .frame_residuals import FrameResiduals
 from .recoveries import Recoveries, arm_tags, is_of_arm
 from .recovery import Recovery
+from .verdict import GapVerdict, Pairing, SelfCheck, UntrustedInterval
 
-__all__ = ["Draws", "Estimates", "FrameResiduals", "Recoveries", "Recovery", "arm_tags", "is_of_arm"]
+__all__ = [
+    "Draws",
+    "Estimates",
+    "FrameResiduals",
+    "GapVerdict",
+    "Pairing",
+    "Recoveries",
+    "Recovery",
+    "SelfCheck",
+    "UntrustedInterval",
+    "arm_tags",
+    "is_of_arm",
+]

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 #: Units of the columns, by the beginning or the end of their name; metres otherwise.
-_UNITS = (("t_s", "s"), ("occluded", ""), ("velocity", "m/s"), ("sigma_deg", "deg"))
+_UNITS = (("t_s", "s"), ("occluded", ""), ("trusted", ""), ("velocity", "m/s"), ("sigma_deg", "deg"))
 
 
 def flat_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -27,16 +27,24 @@ def flat_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return columns
 
 
-def arrow_table(columns: Mapping[str, np.ndarray]) -> pyarrow.Table:
-    """Columns as an Arrow table whose fields know their units; null where there is no answer."""
+def arrow_table(columns: Mapping[str, np.ndarray], count: int) -> pyarrow.Table:
+    """Columns as an Arrow table whose fields know their units; null where there is no answer.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (N,)
+        By name. `trusted` may be missing: the table then has it, with nothing but null.
+    count : int
+        N.
+    """
     import pyarrow as pa
 
-    arrays = [pa.array(np.ascontiguousarray(values), from_pandas=True) for values in columns.values()]
-    fields = [
-        pa.field(name, array.type, metadata={"unit": _unit(name)})
-        for name, array in zip(columns, arrays, strict=True)
-    ]
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    arrays = {
+        name: pa.array(np.ascontiguousarray(values), from_pandas=True) for name, values in columns.items()
+    }
+    arrays.setdefault("trusted", pa.nulls(count, pa.bool_()))
+    fields = [pa.field(name, array.type, metadata={"unit": _unit(name)}) for name, array in arrays.items()]
+    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
 
 
 def _unit(name: str) -> str:

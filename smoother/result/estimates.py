@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from ..recording import JOINTS
+from .verdict import Pairing, SelfCheck, UntrustedInterval, intervals_from_plain, intervals_plain
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,12 @@ class Estimates:
         The likeliest cause where it is not trusted, and what to do; the first of the reasons.
     remedies : tuple of str
         Options that undo the cause ("--mirror x"); of several either one may be meant.
+    untrusted : tuple of UntrustedInterval
+        Times that are not to be trusted where the rest is.
+    self_check : SelfCheck, optional
+        Visible stretches that were hidden and recovered.
+    pairing : Pairing, optional
+        Whether skeleton and IMU were shown to be of one motion.
     further : dict
         What else a file or a baseline states, by name.
     """
@@ -67,6 +74,9 @@ class Estimates:
     cautions: tuple[str, ...] = ()
     cause: str | None = None
     remedies: tuple[str, ...] = ()
+    untrusted: tuple[UntrustedInterval, ...] = ()
+    self_check: SelfCheck | None = None
+    pairing: Pairing | None = None
     further: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -84,12 +94,16 @@ class Estimates:
         """Plain values by name, as files and `--json` state them; what is not stated is left out."""
 
         def listed(value: Any) -> Any:
+            if isinstance(value, SelfCheck | Pairing):
+                return value.plain()
             if isinstance(value, dict):
                 return {name: listed(item) for name, item in value.items()}
             return list(value) if isinstance(value, tuple) else value
 
         stated = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "further"}
         plain = {name: listed(value) for name, value in stated.items() if value is not None and value != ()}
+        if self.untrusted:
+            plain["untrusted"] = intervals_plain(self.untrusted)
         return plain | dict(self.further)
 
     @classmethod
@@ -155,4 +169,7 @@ _KINDS: dict[str, Callable[[object], Any]] = {
     "cautions": _names,
     "cause": lambda value: value if isinstance(value, str) else None,
     "remedies": _names,
+    "untrusted": intervals_from_plain,
+    "self_check": SelfCheck.from_plain,
+    "pairing": Pairing.from_plain,
 }

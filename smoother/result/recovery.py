@@ -23,6 +23,7 @@ from .estimates import Estimates
 from .frame_residuals import BATCH_ROWS, FrameResiduals
 from .trunk_motion import TrunkMotion
 from .upper_motion import UpperMotion
+from .verdict import GapVerdict, gap_verdicts, trusted_at
 
 if TYPE_CHECKING:
     import pandas
@@ -140,12 +141,13 @@ class Recovery:
                 f"{gap.length_s:.2f}",
                 "no answer" if (sigma := self._largest_sigma_m(gap)) is None else f"{100 * sigma:.1f}",
                 "one side" if gap.open_start or gap.open_end else "both sides",
+                "yes" if verdict.trusted else f"no: {'; '.join(verdict.reasons)}",
             )
-            for gap in self.gaps[:MOST_GAPS]
+            for gap, verdict in zip(self.gaps[:MOST_GAPS], self.gap_verdicts, strict=False)
         ]
-        table = (
-            table_html(("gap from, s", "length, s", "largest sigma, cm", "seen from"), rows) if rows else ""
-        )
+        columns = ("gap from, s", "length, s", "largest sigma, cm", "seen from", "trusted")
+        shown = len(columns) if self.judged else len(columns) - 1
+        table = table_html(columns[:shown], [row[:shown] for row in rows]) if rows else ""
         more = len(self.gaps) - len(rows)
         return card_html(
             self._lines(), self._picture(), table, f"<p>.. and {more} gaps more</p>" if more else ""
@@ -170,6 +172,8 @@ class Recovery:
         else:
             lines.append("no gaps")
         lines.append(f"joints {', '.join(self.joints) or 'none'}")
+        if distrusted := sum(not verdict.trusted for verdict in self.gap_verdicts):
+            lines.append(f"{distrusted} of {len(self.gaps)} gaps not to be trusted")
         if self.estimates.verdict:
             lines.append(shorten(self.estimates.verdict, _VERDICT_LENGTH, placeholder=" .."))
         return lines
@@ -289,6 +293,22 @@ class Recovery:
         """(N,) square root of the trace of the orientation covariance, degrees."""
         return rotation_sigma_deg(self.pose_covariance[:, 3:, 3:])
 
+    @property
+    def trusted(self) -> BoolArray:
+        """(N,) whether a sample is to be trusted; all are where nobody judged."""
+        return trusted_at(self.t_s, self.estimates.trusted, self.estimates.untrusted)
+
+    @property
+    def gap_verdicts(self) -> tuple[GapVerdict, ...]:
+        """Of every gap, in the order of `gaps`, whether it is to be trusted, and why not."""
+        estimates = self.estimates
+        return gap_verdicts(self.gaps, estimates.trusted, estimates.reasons, estimates.untrusted)
+
+    @property
+    def judged(self) -> bool:
+        """Whether anybody judged it: `trusted` says nothing of a result that nobody did."""
+        return self.estimates.trusted is not None or bool(self.estimates.untrusted)
+
     def _of_each(self, value: Callable[[Recovery], NDArray], kind: type) -> NDArray:
         """(N,) a value of each sample, with little more than itself in memory."""
         values: NDArray = np.empty(len(self), kind)
@@ -307,7 +327,8 @@ class Recovery:
         qz), `velocity` (N, 3), `sigma` (N, 3), `sigma_deg` (N,), and for each joint found its
         position `elbow` (N, 3) .. and `elbow_sigma` (N, 3) ... Metres in the camera frame. With an
         IMU on the upper arm its `upper_imu`, `upper_imu_quaternion`, `upper_sigma` and `upper_sigma_deg`;
-        with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`.
+        with one on the trunk `trunk_quaternion` and `trunk_sigma_deg`. The last is `trusted` (N,), a mask of
+        the samples to be trusted; a result that nobody judged has none.
         """
         arrays: dict[str, FloatArray | BoolArray] = {
             "t_s": self.t_s,
@@ -326,7 +347,7 @@ class Recovery:
             arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
         if self.trunk is not None:
             arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
-        return arrays
+        return arrays | {"trusted": self.trusted} if self.judged else arrays
 
     def to_table(self) -> pyarrow.Table:
         """The columns of the CSV export, and the velocity, as an Arrow table.
@@ -334,13 +355,14 @@ class Recovery:
         Returns
         -------
         table : pyarrow.Table
-            A row a sample; null where there is no answer. `table.schema.field(NAME).metadata` has the unit.
+            A row a sample; null where there is no answer. `trusted`, the last column, is null in every row
+            of a result that nobody judged. `table.schema.field(NAME).metadata` has the unit.
             `.to_pandas()` gives a pandas table where pandas is installed.
         """
-        return arrow_table(flat_columns(self.to_arrays()))
+        return arrow_table(flat_columns(self.to_arrays()), len(self))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """The same as a pandas table.
+        """The same as a pandas table; `trusted` is of pandas' type "boolean", which has missing values.
 
         Raises
         ------
@@ -351,7 +373,9 @@ class Recovery:
             import pandas
         except ImportError as error:
             raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
-        return pandas.DataFrame(flat_columns(self.to_arrays()))
+        frame = pandas.DataFrame(flat_columns(self.to_arrays()))
+        frame["trusted"] = pandas.array(self.trusted if self.judged else [None] * len(self), dtype="boolean")
+        return frame
 
 
 def _zeros(values: FloatArray) -> FloatArray:

@@ -37,8 +37,8 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     Raises
     ------
     UnoccludeError
-        The output exists and `force` is not given, it is a device, the folder is missing, or writing failed
-        (full disk, no permission).
+        The output exists and `force` is not given (also where another process has written it meanwhile), it
+        is a device, the folder is missing, or writing failed (full disk, no permission).
     """
     check_output(path, force)
     if is_stream(path):
@@ -55,10 +55,16 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
             _give_mode(temporary, target)
             _sync(temporary)
             if os.name == "posix":  # elsewhere an open file cannot be moved
-                _replace(temporary, target)
+                _give_name(temporary, target, force)
         if os.name != "posix":
-            _replace(temporary, target)
+            _give_name(temporary, target, force)
         _sync_folder(target.parent)
+    except FileExistsError as error:
+        if error.filename2 is None:  # of another file, by who wrote to the temporary one
+            raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
+        raise UnoccludeError(
+            f"{path} was written by another command meanwhile; give another name, or --force to overwrite it."
+        ) from error
     except OSError as error:
         raise UnoccludeError(_sentence(Path(path), temporary, error)) from error
     finally:
@@ -102,9 +108,34 @@ def _check_kind(target: Path) -> None:
         raise UnoccludeError(f"{target} is a device or a socket, no file; name a file to write to.")
 
 
-def _replace(temporary: Path, target: Path) -> None:
+def _give_name(temporary: Path, target: Path, force: bool) -> None:
+    """Give the output its name in one step; of two without `force`, the second finds the name taken.
+
+    Raises
+    ------
+    FileExistsError
+        With both names.
+    """
     _check_kind(target)  # it may have become another thing meanwhile
-    os.replace(temporary, target)
+    if force:
+        os.replace(temporary, target)
+    elif os.name != "posix":
+        os.rename(temporary, target)  # replaces nothing there
+    else:
+        try:
+            os.link(temporary, target)  # as a move that replaces nothing
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links: the name is taken by an empty file first
+            _take_name(temporary, target)
+            os.replace(temporary, target)
+
+
+def _take_name(temporary: Path, target: Path) -> None:
+    try:
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+    except FileExistsError as error:
+        raise FileExistsError(error.errno, error.strerror, str(temporary), None, str(target)) from error
 
 
 def _give_mode(temporary: Path, target: Path) -> None:

@@ -28,6 +28,11 @@ def temporary_name(target: Path) -> Path:
     return target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{secrets.token_hex(12)}{_ENDING}")
 
 
+def is_temporary(name: str) -> bool:
+    """Whether a file's name is one that `temporary_name` gives."""
+    return _NAME.fullmatch(name) is not None
+
+
 @contextmanager
 def locked_folder(path: Path) -> Iterator[None]:
     """Make a folder that only its owner can enter, and keep it from being swept.
@@ -85,7 +90,7 @@ def sweep(folder: Path, again: bool = False) -> None:
         return
     _swept.add(folder)
     with suppress(OSError), os.scandir(folder) as entries:
-        for entry in [entry for entry in entries if _NAME.fullmatch(entry.name)]:
+        for entry in [entry for entry in entries if is_temporary(entry.name)]:
             with suppress(OSError):
                 _remove(Path(entry.path))
 

@@ -16,7 +16,14 @@ from ..array_types import FloatArray, IntArray
 from ..measurements.inertial import InertialSignal
 from ..measurements.segment import Segment
 from ..recording import JOINTS
-from ..window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE, STRAP_ERRORS, Considered
+from ..window.constant_errors import (
+    IMU_ERRORS,
+    JOINT_ERRORS,
+    SIZE,
+    STRAP_ERRORS,
+    STRAP_PLACE,
+    Considered,
+)
 from ..window.problem import Priors, Window
 from ..window.solution import Solution
 from .joint_bias import JointBias
@@ -26,6 +33,11 @@ from .pooled_evidence import PooledEvidence
 #: joint's, m, and how far a strap turns on the forearm as the posture changes, rad.
 JOINT_M = 0.010
 STRAP_RAD = np.radians(2.0)
+#: A joint's constant error is never taken for larger, m: an Azure Kinect's are 13 to 17 mm. On an arm that
+#: hardly turns a wrong mounting looks like such an error.
+LARGEST_JOINT_M = 0.025
+#: Where a tracked strap that stands for the IMU is from the chip in its case, m an axis (BROAD: 8 mm).
+STRAP_PLACE_M = 0.010
 #: For so many elements a share of that counts when the recording tells how large they are, in so many steps.
 WEIGHT, USUAL = 1.0, 0.6
 STEPS = 10
@@ -76,6 +88,7 @@ class ConstantErrors:
         prior: Priors,
         recording_of_window: IntArray,
         imu_sigma: float,
+        stamp_sigma_s: float = 0.0,
     ) -> ConstantErrors:
         """The errors as another round tells them.
 
@@ -89,25 +102,37 @@ class ConstantErrors:
             Recordings share the arm and the IMU; each has its own direction of gravity.
         imu_sigma : float
             Sigma of each element of `imu` before the recording speaks.
+        stamp_sigma_s : float, s
+            How far the frames' times may be off, beyond one offset for all; 0 where they were measured.
         """
-        joints = _told(windows)
+        place = "strap" not in prior.layout.joints  # a tracked strap then stands for the IMU
+        joints = _told(windows, place)
         before = np.concatenate([self.imu.ravel(), self.joints.error_m.ravel(), np.zeros(9)])
         pooled = PooledEvidence.of(windows, solutions, prior, recording_of_window, before)
-        sizes = _Sizes(imu_sigma, imu_sigma, JOINT_M if joints else 0.0, STRAP_RAD)
+        sizes = _Sizes(
+            imu_sigma, imu_sigma, JOINT_M if joints else 0.0, STRAP_RAD, STRAP_PLACE_M if place else None
+        )
         first = sizes
         for _ in range(STEPS):
             mean, covariance = pooled.posterior(sizes.covariance())
             sizes = sizes.updated(mean, covariance, joints, first)
-        # the strap's turning is not taken off: what is known of it widens the covariance all the same
-        covariance[STRAP_ERRORS, STRAP_ERRORS] += np.outer(mean[STRAP_ERRORS], mean[STRAP_ERRORS])
+        if place:  # the IMU's errors are taken off as they show without it: it takes a part of theirs
+            mean = mean.copy()
+            alone, _ = pooled.posterior(replace(sizes, strap_place_m=None).covariance())
+            mean[IMU_ERRORS] = alone[IMU_ERRORS]
+        # the strap's turning and place are not taken off: what is known of them widens the covariance
+        for rows in (STRAP_ERRORS, *((STRAP_PLACE,) if place else ())):
+            covariance[rows, rows] += np.outer(mean[rows], mean[rows])
         error_m = np.zeros((len(JOINTS), 3))
         if joints:
-            error_m = mean[JOINT_ERRORS].reshape(-1, 3)
-            error_m = error_m - error_m[[JOINTS.index(joint) for joint in joints]].mean(axis=0)
+            error_m = mean[JOINT_ERRORS].reshape(-1, 3).copy()
+            error_m -= error_m[[JOINTS.index(joint) for joint in joints]].mean(axis=0)
+            if place:
+                error_m[JOINTS.index("strap")] = 0.0
         return ConstantErrors(
             mean[IMU_ERRORS].reshape(2, 3, 3),
             JointBias(error_m, joints, sizes.joint_m),
-            Considered(covariance, pooled.shared_sensitivity()),
+            Considered(covariance, pooled.shared_sensitivity(), stamp_sigma_s),
         )
 
 
@@ -115,13 +140,15 @@ class ConstantErrors:
 class _Sizes:
     """How large an element of each kind of error is: a prior's sigmas, learnt from the recording.
 
-    Expectation-maximisation of the sigmas (Dempster, Laird and Rubin 1977) with a weak prior on them.
+    Expectation-maximisation of the sigmas (Dempster, Laird and Rubin 1977) with a weak prior on them. That of
+    a strap that stands for the IMU is not learnt; None where it is a joint like the others.
     """
 
     accelerometer: float
     gyroscope: float
     joint_m: float
     strap_rad: float
+    strap_place_m: float | None
 
     def covariance(self) -> FloatArray:
         """Of the errors, (SIZE, SIZE); no direction is exactly free of error."""
@@ -129,6 +156,8 @@ class _Sizes:
             np.square([self.accelerometer, self.gyroscope, max(self.joint_m, 1e-6), self.strap_rad]),
             [9, 9, 3 * len(JOINTS), 9],
         )
+        if self.strap_place_m is not None:
+            variance[STRAP_PLACE] = self.strap_place_m**2
         covariance = np.diag(variance)
         turn = np.zeros((3, SIZE))
         for row, (a, b) in zip(turn, GYROSCOPE_PAIRS, strict=True):
@@ -148,16 +177,24 @@ class _Sizes:
         return _Sizes(
             size(square[:9], 9, first.accelerometer),
             size(square[9:18], 6, first.gyroscope),
-            size(of_joints, 3 * len(joints), first.joint_m) if joints else 0.0,
+            min(size(of_joints, 3 * len(joints), first.joint_m), LARGEST_JOINT_M) if joints else 0.0,
             size(square[STRAP_ERRORS], 9, first.strap_rad),
+            self.strap_place_m,
         )
 
 
-def _told(windows: Sequence[Window]) -> tuple[str, ...]:
-    """Joints of the forearm with enough samples; none where there are not two."""
+def _told(windows: Sequence[Window], place: bool = True) -> tuple[str, ...]:
+    """Joints of the forearm with enough samples; none where there are not two.
+
+    A strap that stands for the IMU (`place`) is none of them.
+    """
     counts: dict[str, int] = {}
     for window in windows:
         for measured in window.joint_measurements:
             counts[measured.joint] = counts.get(measured.joint, 0) + len(measured.node)
-    joints = tuple(joint for joint, count in counts.items() if count >= FEWEST_SAMPLES)
+    joints = tuple(
+        joint
+        for joint, count in counts.items()
+        if count >= FEWEST_SAMPLES and not (place and joint == "strap")
+    )
     return joints if len(joints) > 1 else ()

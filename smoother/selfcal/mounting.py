@@ -112,7 +112,7 @@ def _direction_and_offset(
     offset_sigma_s: float,
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Grid over offsets and directions, refined twice; the margin is the loss saved against the opposite."""
-    directions = _sphere(400) if known is None else known[None]
+    directions = sphere(400) if known is None else known[None]
     offsets = OFFSETS_S
     choice = np.zeros(count)
     best = directions[0]
@@ -160,7 +160,7 @@ def _losses(segment: Segment, rows: BoolArray, offsets: FloatArray, directions: 
     return loss / DIRECTION_SIGMA_RAD**2
 
 
-def _sphere(count: int) -> FloatArray:
+def sphere(count: int) -> FloatArray:
     """Evenly spread directions (count, 3) (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
     polar, turn = np.arccos(1 - 2 * k / count), np.pi * (1 + np.sqrt(5)) * k

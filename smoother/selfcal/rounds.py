@@ -31,7 +31,7 @@ from ..window.priors import (
 )
 from ..window.trajectory import Trajectory
 from .camera_noise import joint_noise, sigma_by_joint
-from .clock_fit import refined_clocks
+from .clock_fit import SYNTHETIC_SIGMA_S, refined_clocks
 from .direction_check import reject_by_direction
 from .error_estimate import ConstantErrors
 from .excerpts import choose_excerpts
@@ -127,7 +127,12 @@ def self_calibrate(
         joint_sigma_m = sigma_by_joint(noise, config.camera.joint_sigma_m)
         before = prior, errors.joints, clocks
         errors = errors.updated(
-            windows, solutions, current.prior, current.recording_of_window, config.imu.scale_sigma
+            windows,
+            solutions,
+            current.prior,
+            current.recording_of_window,
+            config.imu.scale_sigma,
+            SYNTHETIC_SIGMA_S if any(synthetic) else 0.0,
         )
         clocks = refined_clocks(clocks, synthetic, windows, solutions, current.recording_of_window)
         prior = _recentred(estimate, start, given)

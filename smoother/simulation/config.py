@@ -133,6 +133,9 @@ class ArmSimulation(SensorErrors):
     )
     repetitions: int = Field(default=2, ge=1, description="how often the protocol `behind` is done")
     duration_s: float = Field(default=30.0, gt=1, description="length of `random` and `hang`, s")
+    flexion_rad: tuple[float, float] = Field(
+        default=(0.5, 2.0), description="the elbow's flexion in `random` lies between these two, rad"
+    )
     side: Literal["left", "right"] = "right"
     camera_frame: CameraFrame = CameraFrame.KINECT
     distance_m: float = Field(default=2.0, gt=0.8, description="person to camera, m")

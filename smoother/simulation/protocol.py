@@ -72,7 +72,9 @@ def _behind(repetitions: int, speed: float, rng: np.random.Generator) -> list[Pl
     return movements
 
 
-def _random_postures(end_s: float, speed: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _random_postures(
+    end_s: float, speed: float, flexion_rad: tuple[float, float], rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """Times (P,) and postures (P, 8) of an arm that moves about in front of the body without a rest."""
     count = int(np.ceil((end_s + 2 * PAD_S) / 0.45 * speed)) + 3
     times = -PAD_S + np.cumsum(rng.uniform(0.45, 0.9, count)) / speed
@@ -80,7 +82,7 @@ def _random_postures(end_s: float, speed: float, rng: np.random.Generator) -> tu
     points = np.tile(posture("reach"), (count, 1))
     points[:, GIRDLE] += rng.normal(0, 0.008, (count, 3))
     points[:, SHOULDER] += rng.uniform(-0.65, 0.65, (count, 3))
-    points[:, FLEXION] = rng.uniform(0.5, 2.0, count)
+    points[:, FLEXION] = rng.uniform(*flexion_rad, count)
     points[:, PRONATION] = rng.uniform(0.5, 2.4, count)
     used = int(np.searchsorted(times, end_s + PAD_S)) + 1
     return times[:used], points[:used]
@@ -109,7 +111,7 @@ def perform(config: ArmSimulation, rng: np.random.Generator) -> Performance:
         movements, start = [], hang
     angles = follow(start, movements, t_s)
     if config.protocol == "random" and not config.still_all:
-        free = wander(*_random_postures(duration, config.speed, rng))(t_s)
+        free = wander(*_random_postures(duration, config.speed, config.flexion_rad, rng))(t_s)
         # After a still start the random motion fades in.
         weight = ramp(t_s, config.still_start_s, 1.5) if config.still_start_s > 0 else np.ones(len(t_s))
         angles += weight[:, None] * (free - angles)

@@ -58,6 +58,8 @@ COLUMNS: tuple[tuple[str, str, str, str], ...] = (
     ("arms", "int64", "", "recovered arms; the figures are the worst of them, and sums of gaps and samples"),
     ("arm_figures", "string", "", "with several arms: JSON, a list with these columns' figures of each"),
     ("trusted", "bool", "", "the result is to be trusted; of several arms, each of them"),
+    ("verdict", "string", "", "in a sentence; of several arms, each one's"),
+    ("gaps_untrusted", "int64", "", "gaps that are not to be trusted; all where the result is not"),
     ("recorded_day", "double", "d", "from a day that the study chose at random for this person"),
     ("measures", "measures", "", "with --measures: the measures of each arm's session"),
     ("seconds", "double", "s", "time it took, reading and writing included"),
@@ -123,13 +125,15 @@ def figures_of(recording: Recording, recovery: Recovery) -> Row:
         "clock_offset_s": _number(recovery.clock_offset_s),
         "clock_offset_sigma_s": _number(recovery.clock_offset_sigma_s),
         "trusted": recovery.estimates.trusted,
+        "verdict": recovery.estimates.verdict,
+        "gaps_untrusted": sum(gap["trusted"] is False for gap in gaps),
         "notes": len(notes),
         "note_texts": notes,
     }
 
 
 #: How the figures of several arms become those of their recording; others are the largest.
-_SUMMED = ("samples", "answered", "gaps", "occluded_s")
+_SUMMED = ("samples", "answered", "gaps", "gaps_untrusted", "occluded_s")
 
 
 def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Sequence[str] = ()) -> Row:
@@ -151,6 +155,8 @@ def figures_of_arms(results: Sequence[tuple[Recording, Recovery]], left_out: Seq
         elif isinstance(value, int | float) or value is None:
             together[name] = max(values, default=None)
     texts = list(dict.fromkeys([*(note for arm in arms for note in arm["note_texts"]), *left_out]))
+    said = [(recovery.arm_label, recovery.estimates.verdict) for _, recovery in results]
+    together["verdict"] = " ".join(f"{label.capitalize()}: {verdict}" for label, verdict in said if verdict)
     # a clock belongs to one arm's IMU: those of several stand with the arms
     together |= {"clock_offset_s": None, "clock_offset_sigma_s": None}
     together |= {"note_texts": texts, "notes": len(texts), "arms": len(arms)}
@@ -164,6 +170,11 @@ def arms_of(row: Row) -> list[Row]:
     if not row.get("arm_figures"):
         return [row]
     return [row | arm for arm in json.loads(row["arm_figures"])]
+
+
+def least_trusted(row: Row) -> tuple[bool, bool, float]:
+    """By which rows are sorted: not to be trusted first, then some of their gaps, then the largest sigma."""
+    return row["trusted"] is not False, not row["gaps_untrusted"], -(row["sigma_max_m"] or 0.0)
 
 
 def _number(value: float) -> float | None:

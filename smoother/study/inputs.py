@@ -11,10 +11,13 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 from ..runtime.inputs import check_input
+from ..runtime.leftovers import is_temporary
 from .fingerprint import text_hash
 from .folder import StudyFolder
 
 ENDING = ".mcap"
+#: So many of the recordings that are left out are named.
+MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ def find_entries(source: str, output: Path) -> list[Entry]:
     if files and not recordings:
         raise UnoccludeError(f"{source} lies in {output}, where results go; give -o another folder")
     if not recordings:
-        raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here; name a folder that has some")
+        hidden = f"; {note}" if (note := left_out_note(source)) else "; name a folder that has some"
+        raise UnoccludeError(f"{source}: there is no recording ({ENDING}) here{hidden}")
     entries = {
         entry.path: entry
         for entry in (
@@ -79,6 +83,38 @@ def find_entries(source: str, output: Path) -> list[Entry]:
         )
     }
     return sorted(_told_apart(entries.values()), key=lambda entry: entry.name)
+
+
+def left_out_note(source: str) -> str:
+    """A sentence on the recordings of a folder or pattern whose names begin with a dot; "" without any.
+
+    Neither shells nor `find_entries` take them. A Mac's `._NAME` beside NAME is no recording, nor is an
+    output that is being written.
+    """
+    path = Path(source)
+    if path.is_dir():
+        files = [here / name for here, names in _folders(path) for name in names]
+    elif glob.has_magic(source) and not path.exists():
+        files = [Path(file) for file in glob.iglob(source, recursive=True, include_hidden=True)]
+    else:
+        return ""
+    hidden = sorted(str(file) for file in files if file.suffix == ENDING and _is_hidden(file))
+    if not hidden:
+        return ""
+    names = ", ".join(hidden[:MOST_NAMED]) + (" ..." if len(hidden) > MOST_NAMED else "")
+    if len(hidden) == 1:
+        return f"1 recording whose name begins with a dot is left out ({names}); rename it to include it"
+    return (
+        f"{len(hidden)} recordings whose names begin with a dot are left out ({names});"
+        " rename them to include them"
+    )
+
+
+def _is_hidden(file: Path) -> bool:
+    """Whether a file's name alone keeps it out of a study."""
+    name = file.name
+    of_mac = name.startswith("._") and file.with_name(name[2:]).exists()
+    return name.startswith(".") and not of_mac and not is_temporary(name)
 
 
 def _told_apart(entries: Iterable[Entry]) -> Iterator[Entry]:
@@ -100,7 +136,16 @@ def _as_text(name: str) -> str:
 
 def _below(folder: Path) -> list[Path]:
     """Recordings below a folder; not those of hidden folders, nor the outputs of other studies."""
-    files: list[Path] = []
+    return [
+        here / name
+        for here, names in _folders(folder)
+        for name in names
+        if name.endswith(ENDING) and not name.startswith(".")
+    ]
+
+
+def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Folders that may hold recordings, and the names of the files in each."""
     for place, folders, names in os.walk(folder):
         here = Path(place)
         folders[:] = [
@@ -108,8 +153,7 @@ def _below(folder: Path) -> list[Path]:
             for each in folders
             if not each.startswith(".") and not StudyFolder(here / each).mark.exists()
         ]
-        files += [here / each for each in names if each.endswith(ENDING) and not each.startswith(".")]
-    return files
+        yield here, names
 
 
 def _fixed_part(pattern: str) -> Path:

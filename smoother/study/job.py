@@ -127,6 +127,8 @@ class Job:
         }
         if error := row.get("error"):
             row["error"] = self._shown(str(error))
+        if verdict := row.get("verdict"):
+            row["verdict"] = self._shown(str(verdict))
         if notes := row.get("note_texts"):
             row["note_texts"] = [self._shown(text) for text in notes]
         return row
@@ -203,11 +205,13 @@ def _check_machine(job: Job, folder: StudyFolder) -> None:
             f"{host} does not see the study's folder {folder.path}; share it with all workers under this path"
         )
     check_input(job.source, RecordingError)
-    if not Path(job.source).is_file():
+    if os.path.isdir(job.source):
+        raise RecordingError(f"{job.source} is a folder; name the recordings in it")
+    if not os.path.isfile(job.source):
         raise _Surroundings(
             f"{host} does not see {job.source}; share the recordings with all workers under the same path"
         )
-    if job.calibration and not Path(job.calibration).is_file():
+    if job.calibration and not os.path.isfile(job.calibration):
         raise _Surroundings(f"{host} does not see the calibration {job.calibration}; share it likewise")
 
 

@@ -20,7 +20,7 @@ from .sessions import Attendance, by_folders, in_order, read_sessions
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
-    *("trusted", "recorded_day", "measures"),
+    *("trusted", "gaps", "gaps_untrusted", "recorded_day", "measures"),
 )
 _AGAIN = "run `unocclude batch` again with --measures"
 #: A measure of one session: arm, task, key.
@@ -173,7 +173,14 @@ def _progress(
         days=tuple(day - first_day for day in used.values()),
         series=tuple(_counted_together(series)),
         left_out=tuple(left_out),
-        notes=tuple(_notes([rows[each.recording] for each in attendances], used)),
+        notes=(
+            *(
+                _partly(each, rows[each.recording])
+                for each in attendances
+                if _has_doubts(rows[each.recording])
+            ),
+            *_notes([rows[each.recording] for each in attendances], used),
+        ),
     )
 
 
@@ -205,6 +212,18 @@ def _usable(row: Row) -> tuple[list[dict[str, Any]], list[str]]:
         else:
             usable += mine
     return usable, why
+
+
+def _has_doubts(row: Row) -> bool:
+    """Whether some gaps are not to be trusted of a result that takes part."""
+    return row["status"] == DONE and row["trusted"] is not False and bool(row["gaps_untrusted"])
+
+
+def _partly(attendance: Attendance, row: Row) -> str:
+    return (
+        f"session {attendance.session} ({attendance.recording}): {row['gaps_untrusted']} of {row['gaps']}"
+        " gaps are not to be trusted; what was measured in them may be wrong"
+    )
 
 
 def _value(attendance: Attendance, day: float, entry: Mapping[str, Any]) -> SessionValue:

@@ -86,6 +86,19 @@ class DrawPlan:
         root = root_of(self.shared / scale / scale[:, None])
         return scale, root, np.asarray(np.linalg.inv(root))
 
+    def considered_errors(self, t: FloatArray) -> FloatArray | None:
+        """Considered errors (count, SIZE + m) of a window with nodes (n,): constant ones, then at m knots.
+
+        The same at knots that windows share, but for what their ends differ in. None without any.
+        """
+        if self.considered is None or self.constant_errors is None:
+            return None
+        knots = self.considered.stamp_knots(float(t[0]), float(t[-1]))
+        if not len(knots):
+            return self.constant_errors
+        stamps = self.at_times("stamps", knots, 1)[:, :, 0] @ root_of(self.considered.stamp_covariance(knots))
+        return np.concatenate([self.constant_errors, stamps], axis=1)
+
     @cached_property
     def constant_errors(self) -> FloatArray | None:
         """Considered errors (count, SIZE), drawn once; None without any."""

@@ -12,7 +12,7 @@ from ..config import Config
 from ..linalg import robust_sigma
 from ..measurements.alignment import Alignment
 from ..measurements.segment import Segment
-from ..recording import JOINTS, ImuStream
+from ..recording import JOINTS, ImuStream, JointTracks
 from .cut import PreparedSegment
 from .problem import NoiseModel, Priors
 from .shared import Gaussian, SharedLayout, axes_across
@@ -23,6 +23,10 @@ GRAVITY_SIGMA_RAD = 0.2
 LEAST_DENSITY_SHARE = 0.3
 #: The upper arm's length varies by no more than this, m.
 LARGEST_UPPER_ARM_SIGMA_M = 0.04
+#: How the shoulder moves is read off means over this time, s, so many of them apart; of the largest moves the
+#: share beyond the quantile counts as jumps of the tracker. Fewer pairs say nothing.
+SHOULDER_STEP_S, SHOULDER_APART = 0.2, 2
+SHOULDER_QUANTILE, FEWEST_PAIRS = 0.98, 20
 
 
 @dataclass(frozen=True)
@@ -195,6 +199,45 @@ def with_measured_noise(config: Config, imu: ImuStream) -> Config:
         if (value := getattr(imu, name)) is not None and name not in config.imu.model_fields_set
     }
     return config.model_copy(update={"imu": config.imu.model_copy(update=measured)}) if measured else config
+
+
+def with_measured_shoulder(config: Config, arm: JointTracks) -> Config:
+    """The configuration with a shoulder that wanders as fast as the camera sees it move, if that is faster.
+
+    A shoulder that walks through the room, or a trunk that leans far, leaves a slow random walk behind; the
+    answer's shoulder would trail the camera's. What a configuration states itself counts more.
+
+    Parameters
+    ----------
+    config : Config
+    arm : JointTracks
+        Of which the tracked shoulder is read, in means over `SHOULDER_STEP_S`, so that its noise hardly
+        counts.
+
+    Returns
+    -------
+    config : Config
+        The same one where the shoulder moves no faster than it states.
+    """
+    rows = np.flatnonzero(arm.tracked("shoulder"))
+    if "shoulder_walk" in config.arm.model_fields_set or len(rows) < 2:
+        return config
+    step = np.floor((np.asarray(arm.t_s)[rows] - arm.t_s[rows[0]]) / SHOULDER_STEP_S).astype(int)
+    first = np.flatnonzero(np.diff(step, prepend=-1))
+    count = np.diff(np.append(first, len(rows)))
+    mean = np.add.reduceat(arm.joint("shoulder")[rows], first, axis=0) / count[:, None]
+    number = step[first]
+    later = np.searchsorted(number, number + SHOULDER_APART)
+    pairs = np.flatnonzero(later < len(number))
+    pairs = pairs[number[later[pairs]] == number[pairs] + SHOULDER_APART]
+    if len(pairs) < FEWEST_PAIRS:
+        return config
+    moved = np.sum((mean[later[pairs]] - mean[pairs]) ** 2, axis=1)
+    moved = np.minimum(moved, np.quantile(moved, SHOULDER_QUANTILE))  # a tracker jumps now and then
+    walk = round(float(np.sqrt(moved.mean() / 3.0 / (SHOULDER_APART * SHOULDER_STEP_S))), 3)
+    if walk <= config.arm.shoulder_walk:
+        return config
+    return config.model_copy(update={"arm": config.arm.model_copy(update={"shoulder_walk": walk})})
 
 
 def noise_of(config: Config, upper_arm_sigma_m: float) -> NoiseModel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..array_types import BoolArray, FloatArray
+from .block_shift import BlockShift
 from .constant_errors import ErrorEvidence
 from .drawn_window import WindowDraws
 from .problem import States
@@ -87,6 +88,8 @@ class Solution:
         None where the recording has no upper-arm IMU.
     draws : WindowDraws or None
         Drawn from the posterior; None where not asked for.
+    shifts : tuple of BlockShift
+        Blocks of the camera's samples against the rest; empty where not asked for.
     """
 
     index: int
@@ -105,3 +108,4 @@ class Solution:
     evidence: ErrorEvidence | None = None
     upper: UpperSolution | None = None
     draws: WindowDraws | None = None
+    shifts: tuple[BlockShift, ...] = ()

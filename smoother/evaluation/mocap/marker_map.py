@@ -26,7 +26,6 @@ plane of the first three (x cross the way to the third), y = z cross x.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +36,7 @@ from scipy.spatial.transform import Rotation
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...runtime.file_text import toml_text
+from ...runtime.file_text import read_toml
 from ...runtime.inputs import check_input
 
 #: Joints that a map may name.
@@ -87,10 +86,10 @@ def read_marker_map(path: Path | str) -> MarkerMap:
     path = Path(path)
     check_input(path, RecordingError)
     try:
-        document = tomllib.loads(toml_text(path))
+        document = read_toml(path)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+    except ValueError as error:  # also a number of thousands of digits
         raise RecordingError(f"{path} is not TOML: {error}") from error
     _known(document, ("markers", PLATE, "plate"), path, "the file")
     named = document.get("markers")

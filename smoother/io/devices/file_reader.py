@@ -6,8 +6,11 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from .head import read_head
+from .joint_columns import find_joint_columns
+from .missing_axes import MissingAxis, missing_axes, missing_axes_words
 from .protocol import DeviceFormat, ImuTable, SkeletonTable
 from .registry import format_named, recognise, unknown_file
+from .table_layout import layout_of
 
 Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
 
@@ -63,7 +66,9 @@ class FileReader:
         if key not in self._tables:
             try:
                 self._tables[key] = importer.read(path)
-            except RecordingError:
+            except RecordingError as error:
+                if missing := _missing(path, importer.kind):
+                    raise _lacks(path, importer, missing) from error
                 raise
             except Exception as error:  # a damaged file fails anywhere, in libraries too
                 raise RecordingError(
@@ -72,4 +77,36 @@ class FileReader:
                 ) from error
             if not self._tables[key]:
                 raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
+            _check_axes(path, importer, self._tables[key])
         return self._tables[key]
+
+
+def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:
+    """Refuse a table that lacks a column of a sensor or joint that nothing else in it gives; say the rest."""
+    missing = _missing(path, importer.kind)
+    if not missing:
+        return
+    if importer.kind == "skeleton":
+        raise _lacks(path, importer, missing)
+    for table in tables:
+        if isinstance(table, ImuTable) and (table.acc is None or table.gyro is None):
+            raise _lacks(path, importer, missing)
+    tables[0].notes.append(f"There is {missing_axes_words(missing)}: this vector was not read.")
+
+
+def _missing(path: Path, kind: str) -> list[MissingAxis]:
+    """Columns of a table's sensors, or of its arms' joints, that are not there while their siblings are."""
+    head = read_head(path)
+    layout = layout_of(head.lines) if head.text else None
+    if layout is None:
+        return []
+    if kind == "skeleton":
+        incomplete = find_joint_columns(layout.names).incomplete
+        return [each for each in missing_axes(layout.names) if set(each.present) & incomplete]
+    return [each for each in missing_axes(layout.names) if each.is_of_sensor]
+
+
+def _lacks(path: Path, importer: DeviceFormat, missing: list[MissingAxis]) -> RecordingError:
+    return RecordingError(
+        f"{path} ({importer.title}) has {missing_axes_words(missing)}; export it again with all three axes."
+    )

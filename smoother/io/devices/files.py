@@ -18,7 +18,7 @@ from .into_recording import add_imu, add_skeleton, times_of
 from .pairing import paired
 from .protocol import DeviceFormat, ImuTable, SkeletonTable
 from .repair import repaired_imu, repaired_skeleton
-from .starts import Timed, shifts
+from .starts import Timed, count_from_zero, shifts
 
 
 @dataclass(frozen=True)
@@ -116,12 +116,18 @@ def import_files(
     reports: list[FileReport] = []
     bodies = [_skeleton(reader, path, reports) for path in skeletons]
     sensors = _named([row for files in imus for row in _sensors(reader, files, reports)])
-    streams = [Timed(report.path, _all_times(tables), False) for tables, report in bodies]
-    streams += [Timed(topic, times_of(table), True) for topic, table, _ in sensors]
+    streams = [Timed(report.path, _all_times(tables), False, report.path) for tables, report in bodies]
+    streams += [Timed(topic, times_of(table), True, report.path) for topic, table, report in sensors]
     shift, sentences = shifts(streams, imu_starts_at_s)
+    if imu_starts_at_s is None and not sentences and count_from_zero(streams):
+        sentences = [
+            "Camera and IMU each count from zero, so nothing but the motion says how far apart they began and"
+            " whether they belong together (--imu-starts-at S where you know it)."
+        ]
 
     first = skeletons[0] if skeletons else imus[0].paths[0]
     file = RecordingFile(first, notes=sentences)
+    file.clocks_unrelated = imu_starts_at_s is None and bool(sentences)
     for number, (tables, report) in enumerate(bodies):
         report.topics.append("/skeleton" if number == 0 else f"/skeleton_{number + 1}")
         add_skeleton(file, tables, report.path, report.topics[-1], shift[number])

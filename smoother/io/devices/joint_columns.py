@@ -75,6 +75,8 @@ class JointColumns:
         Columns are named as normalised image coordinates.
     numbered : bool
         Joints are numbered, not named (33 landmarks).
+    incomplete : set of str
+        Columns of joints of an arm that have two axes and nowhere the third.
     """
 
     axes: dict[str, tuple[int, int, int]] = field(default_factory=dict)
@@ -87,6 +89,7 @@ class JointColumns:
     world: bool = False
     normalised: bool = False
     numbered: bool = False
+    incomplete: set[str] = field(default_factory=set)
 
     def has_arm(self) -> bool:
         """Whether there is a side with an elbow and a wrist or hand."""
@@ -131,9 +134,13 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
     for part in parts:
         by_key.setdefault(part.key, {}).setdefault(part.axis, part.at)
     by_key = _named(by_key, result)
+    lacking: dict[str, set[str]] = {}
     for key, columns in by_key.items():
         name = joint_name(key)
-        if name is None or not {0, 1, 2} <= columns.keys():
+        there = {0, 1, 2} & columns.keys()
+        if name is not None and name.joint and name.kind != "skin" and len(there) == 2:
+            lacking[name.joint] = {names[columns[axis]] for axis in there}
+        if name is None or len(there) < 3:
             continue
         triple = (columns[0], columns[1], columns[2])
         if name.joint and name.kind != "skin":
@@ -143,6 +150,9 @@ def find_joint_columns(names: Sequence[str]) -> JointColumns:
                     result.confidence[name.joint] = columns[None]
         elif name.part not in ARM:
             result.rest.append((name, triple))
+    result.incomplete = {
+        name for joint, there in lacking.items() if joint not in result.axes for name in there
+    }
     _bookkeeping(names, result)
     return result
 
@@ -189,7 +199,7 @@ def _named(
     numbers: dict[int, dict[int | None, int]] = {}
     for key, columns in by_key.items():
         digits = [word for word in key.split() if word.isdigit()]
-        if len(digits) == 1 and {0, 1, 2} <= columns.keys() and joint_name(key) is None:
+        if len(digits) == 1 and len({0, 1, 2} & columns.keys()) >= 2 and joint_name(key) is None:
             numbers.setdefault(int(digits[0]), columns)
     if any(name is not None and name.joint for name in map(joint_name, by_key)) or not numbers:
         return by_key

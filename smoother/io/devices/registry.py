@@ -7,7 +7,9 @@ from importlib import import_module
 
 from ...errors import RecordingError
 from .head import first_rows, no_table
+from .missing_axes import missing_axes, missing_axes_words
 from .protocol import DeviceFormat, FileHead
+from .table_layout import layout_of
 
 #: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
 FORMATS: tuple[str, ...] = (
@@ -101,10 +103,17 @@ def unknown_file(head: FileHead) -> RecordingError:
     if what := no_table(head.raw, head.text):
         return RecordingError(f"{head.path} {what}")
     return RecordingError(
-        f"{head.path} is of no known format; it begins with: {first_rows(head)}. Known are {keys()}"
+        f"{head.path} is of no known format{_lacking(head)}; it begins with: {first_rows(head)}. Known are"
+        f" {keys()}"
         " (`unocclude import formats`); for any other table `unocclude import describe"
         f" {head.path}` prints a recording.toml."
     )
+
+
+def _lacking(head: FileHead) -> str:
+    layout = layout_of(head.lines) if head.text else None
+    missing = [] if layout is None else missing_axes(layout.names)
+    return f" (it has {missing_axes_words(missing)})" if missing else ""
 
 
 def keys() -> str:

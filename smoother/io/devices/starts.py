@@ -10,6 +10,8 @@ from ...array_types import FloatArray
 
 #: Streams that share less than this, s, or less than this part of the shorter one, share no clock.
 SHARED_S, SHARED_PART = 1.0, 0.05
+#: A clock that begins nearer to zero than this, s, counts from the file's own start.
+FROM_ZERO_S = 1.0
 
 
 @dataclass
@@ -24,11 +26,14 @@ class Timed:
         Increasing, on its own clock.
     is_imu : bool
         An IMU, not a camera.
+    source : str
+        The file; "" where it does not matter.
     """
 
     label: str
     t_s: FloatArray
     is_imu: bool
+    source: str = ""
 
 
 def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[list[float], list[str]]:
@@ -85,6 +90,20 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
             " (--imu-starts-at S where it cannot)."
         )
     return shift, sentences
+
+
+def count_from_zero(streams: list[Timed]) -> bool:
+    """Whether cameras and IMUs each count from zero, so that nothing says when one started after the other.
+
+    Parameters
+    ----------
+    streams : list of Timed
+        All cameras and IMUs, as recorded; of one file, they share its clock.
+    """
+    first = [float(stream.t_s[0]) for stream in streams]
+    kinds = {stream.is_imu for stream in streams}
+    one_file = len({stream.source for stream in streams}) == 1 and bool(streams[0].source)
+    return len(kinds) == 2 and not one_file and max(abs(each) for each in first) < FROM_ZERO_S
 
 
 def _groups(rows: list[int], streams: list[Timed]) -> list[list[int]]:

@@ -56,7 +56,9 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
     -----
     Metres in the camera frame; `imu_q*` is the rotation IMU axes to camera; `t_s` is the IMU's own
     stamp with nine decimals; sigmas are one standard deviation an axis; velocity of the IMU, m/s.
-    `usable` (the last column) is 1 where there is an answer, below the limit on sigma if one was set.
+    `trusted` is 1 where the answer is to be trusted, 0 where it is not, and empty where nobody judged it;
+    `usable` (the last column) is 1 where there is an answer that is not distrusted, below the limit on sigma
+    if one was set.
 
     Raises
     ------
@@ -64,10 +66,12 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
         The file exists and `force` is not given, or it cannot be written.
     """
     header, values = csv_columns(recovery)
-    header, good = [*header, "usable"], usable(recovery).astype(int)
+    header = [*header, "trusted", "usable"]
+    marks = 2 * recovery.trusted.astype(np.uint8) + usable(recovery)
+    words = np.array(["0,0", "0,1", "1,0", "1,1"] if recovery.judged else [",0", ",1"] * 2)
     stamp = nanoseconds(recovery.t_s, recovery.origin_ns)
     occluded = recovery.occluded.astype(int)
-    line = "%s%d.%09d,%d" + ",%.9f" * values.shape[1] + ",%d\n"
+    line = "%s%d.%09d,%d" + ",%.9f" * values.shape[1] + ",%s\n"
     with writing(path, force) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
         file.write(",".join(header) + "\n")
         for start in range(0, len(stamp), _ROWS):
@@ -75,13 +79,13 @@ def export_csv(recovery: Recovery, path: str | os.PathLike[str], force: bool = F
             whole, rest = np.divmod(np.abs(stamp[part]), 1_000_000_000)
             sign = np.where(stamp[part] < 0, "-", "").tolist()
             heads = zip(sign, whole.tolist(), rest.tolist(), occluded[part].tolist(), strict=True)
-            rows = zip(heads, values[part].tolist(), good[part].tolist(), strict=True)
+            rows = zip(heads, values[part].tolist(), words[marks[part]].tolist(), strict=True)
             text = "".join([line % (*head, *row, last) for head, row, last in rows])
             file.write(text.replace("nan", ""))
 
 
 def csv_columns(recovery: Recovery) -> tuple[list[str], FloatArray]:
-    """Header of the export, and its number columns (N, C) between `t_s`, `occluded` and `usable`."""
+    """Header of the export, and its number columns (N, C) between `t_s`, `occluded` and the marks."""
     groups = column_groups(recovery)
     header = ["t_s", "occluded", *(name for group in groups for name in group.names)]
     return header, np.concatenate([group.values for group in groups], axis=1)

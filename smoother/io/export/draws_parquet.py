@@ -14,7 +14,7 @@ from ...result import Draws, Recovery
 from ...result.draws import turned_by
 from ...runtime.atomic import writing
 from ..mcap.stamps import nanoseconds
-from .parquet import METADATA_KEY
+from .parquet import METADATA_KEY, trusted_array
 
 #: Numbers are rounded to so many parts of a metre, which is 8 micrometres, and of one.
 _PARTS = 2.0**17
@@ -40,9 +40,10 @@ def export_draws(
 ) -> None:
     """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer.
 
-    Columns: `motion` (from 0), `t_s`, `stamp_ns`, `imu_x` .. `imu_qz`, and each joint's place; metres in the
-    camera's frame, to a hundredth of a millimetre. The file's metadata has the key `unocclude`: a JSON object
-    with the program's version, the name, the side, how many motions there are and the seed.
+    Columns: `motion` (from 0), `t_s`, `stamp_ns`, `imu_x` .. `imu_qz`, each joint's place, and `trusted`, the
+    answer's at that time; metres in the camera's frame, to a hundredth of a millimetre. The file's metadata
+    has the key `unocclude`: a JSON object with the program's version, the name, the side, how many motions
+    there are and the seed.
 
     Parameters
     ----------
@@ -68,6 +69,7 @@ def export_draws(
     assert draws is not None
     answer = recovery.rows(np.clip(np.searchsorted(recovery.t_s, draws.t_s), 0, len(recovery) - 1))
     stamp = nanoseconds(draws.t_s, recovery.origin_ns)
+    trusted = trusted_array(answer)
     about: dict[str, str | int] = {"version": version, "name": recovery.name, "side": recovery.side}
     about |= {"motions": len(draws), "seed": draws.seed}
     with writing(path, force) as temporary:
@@ -75,7 +77,8 @@ def export_draws(
         for k in range(len(draws)):
             columns: dict[str, NDArray] = {"motion": np.full(len(stamp), k, np.int32)}
             columns |= {"t_s": stamp * 1e-9, "stamp_ns": stamp, **_motion(answer, draws, k)}
-            table = pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()})
+            arrays = {name: pa.array(each, from_pandas=True) for name, each in columns.items()}
+            table = pa.table(arrays | {"trusted": trusted})
             if writer is None:
                 schema = table.schema.with_metadata({METADATA_KEY: json.dumps(about).encode()})
                 # numbers of one size, byte by byte, shrink best
@@ -84,7 +87,7 @@ def export_draws(
                     temporary,
                     schema,
                     compression="zstd",
-                    use_dictionary=[name for name in columns if name not in split],
+                    use_dictionary=[name for name in arrays if name not in split],
                     use_byte_stream_split=split,
                 )
             writer.write_table(table.cast(schema))

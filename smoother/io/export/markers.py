@@ -11,6 +11,7 @@ from ...errors import UnoccludeError
 from ...joint_angles import torso_axes
 from ...recording import JOINTS, JointState
 from ...result import Recovery
+from ...result.untrusted import untrusted_sentences
 from ..result.usable import usable
 from .c3d import C3dContent
 from .grid import Grid, at_grid, constant_step, frames_at_grid, nearest
@@ -167,11 +168,11 @@ def opensim_axes(recovery: Recovery, level_down: FloatArray | None = None) -> Fl
 def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str) -> C3dContent:
     """What the C3D file of a recovery holds."""
     answers = table.sigma_m.shape[1]
-    good = usable(recovery)[nearest(recovery.t_s, table.grid)]
-    channels = {
-        "occluded": (table.occluded.astype(float), "1"),
-        "usable": (good.astype(float), "1"),
-    }
+    near = nearest(recovery.t_s, table.grid)
+    channels = {"occluded": (table.occluded.astype(float), "1")}
+    if recovery.judged:
+        channels["trusted"] = (recovery.trusted[near].astype(float), "1")
+    channels["usable"] = (usable(recovery)[near].astype(float), "1")
     for name, sigma in zip(table.names[:answers], table.sigma_m.T, strict=True):
         channels[f"sigma_{name}"] = (np.where(np.isfinite(sigma), 1000.0 * sigma, -1.0), "mm")
     start, end = table.grid.t_s[0], table.grid.t_s[-1]
@@ -190,7 +191,12 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
         "START_S": [f"{start:.9f}"],
         "ORIGIN_NS": [str(recovery.origin_ns)],
         "RESIDUALS": [_RESIDUALS],
-        "CHANNELS": ["occluded, usable: 0 or 1. sigma_*: one standard deviation an axis, -1 = not known."],
+        "VERDICT": [recovery.estimates.verdict or "nobody judged"],
+        "UNTRUSTED": list(untrusted_sentences(recovery)) or ["none"],
+        "CHANNELS": [
+            "occluded, trusted, usable: 0 or 1 (trusted is missing where nobody judged)."
+            " sigma_*: one standard deviation an axis, -1 = not known."
+        ],
         "NOTES": list(recovery.notes) or ["none"],
     }
     return C3dContent(

@@ -11,6 +11,7 @@ from ...array_types import BoolArray, FloatArray
 from ...errors import UnoccludeError
 from ...joint_angles import defined, recovery_angles, wrapped_deg
 from ...result import Recovery
+from ...result.untrusted import untrusted_sentences
 from ...runtime.atomic import writing
 from .grid import Grid, at_grid, constant_step, nearest, unbroken
 
@@ -35,6 +36,8 @@ class MotTable:
         False where the method has no answer and a straight line bridges it.
     notes : tuple of str
         What a reader must know, one sentence each.
+    trusted : ndarray of bool, shape (G,), optional
+        Which rows are to be trusted; None where nobody judged.
     """
 
     t_s: FloatArray
@@ -43,6 +46,7 @@ class MotTable:
     occluded: BoolArray
     answered: BoolArray
     notes: tuple[str, ...]
+    trusted: BoolArray | None = None
 
 
 def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
@@ -99,13 +103,15 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
     place = np.arange(len(answered))
     bridged = {name: np.interp(place, place[answered], values[answered]) for name, values in angles.items()}
     answered_part = answered[part]
+    near = nearest(recovery.t_s, grid)[part]
     return MotTable(
         grid.t_s[part],
         grid.rate_hz,
         {name: values[part] for name, values in bridged.items()},
-        recovery.occluded[nearest(recovery.t_s, grid)][part],
+        recovery.occluded[near],
         answered_part,
         _notes(answered_part, len(answered) - len(answered_part), grid.rate_hz, isb_angles),
+        recovery.trusted[near] if recovery.judged else None,
     )
 
 
@@ -128,7 +134,10 @@ def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery,
     UnoccludeError
         The file exists and `force` is not given, or it cannot be written.
     """
-    columns = [*table.angles, "occluded", "answered"]
+    marks = {"occluded": table.occluded, "answered": table.answered}
+    if table.trusted is not None:
+        marks["trusted"] = table.trusted
+    columns = [*table.angles, *marks]
     side = f" {recovery.side} arm" if recovery.side else ""
     title = " ".join(f"unocclude {recovery.method}{side} {recovery.name}".split())
     head = [
@@ -141,19 +150,29 @@ def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery,
         "Angles in degrees, coordinates of MoBL-ARMS; ISB's axial rotation is shoulder_rot - elv_angle.",
         "occluded: 1 where the camera did not see the forearm. answered: 0 where a straight line bridges",
         f"a stretch without an answer. Times count from {recovery.origin_ns} ns of the IMU's clock.",
+        *_trust_lines(recovery),
         "",
         "endheader",
         "\t".join(["time", *columns]),
     ]
     values = np.column_stack(list(table.angles.values()))
-    flags = np.column_stack([table.occluded, table.answered]).astype(int)
-    line = "%.9f" + "\t%.9f" * values.shape[1] + "\t%d\t%d\n"
+    flags = np.column_stack(list(marks.values())).astype(int)
+    line = "%.9f" + "\t%.9f" * values.shape[1] + "\t%d" * flags.shape[1] + "\n"
     with writing(path, force) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         file.write("\n".join(head) + "\n")
         for start in range(0, len(values), _ROWS):
             part = slice(start, start + _ROWS)
             rows = zip(table.t_s[part].tolist(), values[part].tolist(), flags[part].tolist(), strict=True)
             file.write("".join([line % (time, *row, *flag) for time, row, flag in rows]))
+
+
+def _trust_lines(recovery: Recovery) -> list[str]:
+    """Lines of the header: what the column `trusted` says, the verdict, and what is not to be trusted."""
+    if not recovery.judged:
+        return []
+    lines = ["trusted: 0 where the answer is not to be trusted.", recovery.estimates.verdict]
+    lines += [f"Not to be trusted: {each}" for each in untrusted_sentences(recovery)]
+    return [" ".join(line.split()) for line in lines if line]
 
 
 def _known(recovery: Recovery, joint: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ...array_types import BoolArray, FloatArray, IntArray
@@ -13,7 +14,7 @@ from ...linalg import median_rate_hz
 from ...recording import JOINTS, JointState, JointTracks, Truth
 from ...result import Recovery
 from ...result.frame_residuals import BATCH_ROWS
-from ..result.drawing import CAMERA, CHAIN, GUESSED, RECOVERED, VISIBLE, Color
+from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color
 
 TIMELINE = "time"
 #: Pictures a second in space; curves have every sample.
@@ -31,7 +32,7 @@ ARM_COLORS: dict[str, Color] = {
     "yellow": (0.94, 0.75, 0.20, 1.0),
     "white": (0.90, 0.90, 0.90, 1.0),
 }
-_STATES = ("seen", "occluded", "no answer")
+_STATES = ("seen", "occluded", "not to be trusted", "no answer")
 
 
 class RerunArm:
@@ -98,7 +99,7 @@ class RerunArm:
             if joint in batch.joints:
                 places[:, place] = batch.joints[joint]
         places[:, -1] = batch.position
-        shade = np.array([packed(VISIBLE), packed(RECOVERED)])[batch.occluded.astype(int)]
+        shade = np.array([packed(color) for color in ANSWER])[_kind(batch)]
         self._bones("after", batch.t_s, places[:, :-1], shade, _BONE_M)
         self._dots("after/joints", batch.t_s, places, np.repeat(shade[:, None], places.shape[1], 1), _JOINT_M)
         point, covariance = self.point_of(batch)
@@ -159,8 +160,8 @@ class RerunArm:
             self._curve("elbow_flexion", "two_sigma", batch.t_s, band)
 
     def _gaps(self) -> None:
-        """Seen, occluded or without an answer, where it changes."""
-        states = np.where(self.recovery.answered, self.recovery.occluded.astype(np.int8), np.int8(2))
+        """Seen, occluded, not to be trusted or without an answer, where it changes."""
+        states = np.where(self.recovery.answered, _kind(self.recovery), np.int8(len(ANSWER)))
         turns = np.flatnonzero(np.diff(states, prepend=-1))
         names = [_STATES[state] for state in states[turns]]
         columns = self.rr.StateChange.columns(state=names)
@@ -195,7 +196,7 @@ class RerunArm:
         names = [f"{self.label}{self.point} {axis}" for axis in _AXES]
         lines = rr.SeriesLines(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
         log(f"curves/sigma/{self.name}", lines, static=True)
-        colors = np.array([packed(VISIBLE), packed(RECOVERED), packed(GUESSED)], np.uint32)
+        colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
         log(f"gaps/{self.name}", rr.StateConfiguration(values=_STATES, colors=colors), static=True)
 
     def _bones(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
@@ -227,6 +228,11 @@ class RerunArm:
         if len(t_s):
             time = self.rr.TimeColumn(TIMELINE, duration=t_s)
             self.stream.send_columns(f"{self.space}/{path}", [time], columns)
+
+
+def _kind(batch: Recovery) -> NDArray[np.int8]:
+    """(n,) which of the colours of the answer a sample has."""
+    return np.where(batch.trusted, batch.occluded.astype(np.int8), np.int8(DISTRUST))
 
 
 def packed(color: Color) -> int:

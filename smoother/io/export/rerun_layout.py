@@ -99,7 +99,7 @@ def _space(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> A
         )
     return rrb.Spatial3DView(
         origin="scene",
-        name="blue: seen, orange: recovered, grey: the camera's",
+        name="blue: seen, orange: recovered, dark red: not to be trusted, grey: the camera's",
         overrides={f"{arm.space}/trail": rrb.VisibleTimeRanges(trail) for arm in arms},
         eye_controls=eye,
     )

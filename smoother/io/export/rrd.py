@@ -13,6 +13,7 @@ from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...recording import Truth
 from ...result import Recovery
+from ...result.untrusted import untrusted_sentences
 from ...runtime.atomic import writing
 from ...runtime.extra import extra_module
 from ..result.world import common_down, world_axes
@@ -117,7 +118,11 @@ def _notes(recoveries: Sequence[Recovery]) -> str:
     for recovery in recoveries:
         side = f"{recovery.side} arm, " if recovery.side else ""
         lines += [f"### {recovery.name}: {side}{recovery.method}", recovery.estimates.verdict]
+        lines += [f"- Not to be trusted: {each}" for each in untrusted_sentences(recovery)]
+        if (check := recovery.estimates.self_check) is not None:
+            lines.append(check.sentence)
         lines += [f"- {note}" for note in recovery.notes]
     lines.append("Blue: the camera saw the forearm. Orange: recovered. Grey: the camera's own joints.")
+    lines.append("Dark red: the answer is not to be trusted.")
     lines.append("Green: the truth, where there is one. Ellipsoid: 2 sigma. Trail: 2 s.")
     return "\n\n".join(line for line in lines if line)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Annotated, Unpack
 
@@ -14,7 +13,7 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
-from ...runtime.file_text import toml_text
+from ...runtime.file_text import read_toml
 from ...runtime.inputs import check_input, inside
 from ..devices.head import shown
 from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
@@ -122,7 +121,7 @@ def _describe(folder: Path) -> _Description:
     path = folder / "recording.toml"
     check_input(path, RecordingError)
     try:
-        return _Description.model_validate(tomllib.loads(toml_text(path)))
+        return _Description.model_validate(read_toml(path))
     except FileNotFoundError:
         there = (
             "the folder does not exist" if not folder.is_dir() else "it describes the files of a recording"
@@ -138,7 +137,9 @@ def _describe(folder: Path) -> _Description:
             f"is {shown(repr(first['input']), 60)}, but: {first['msg'][:1].lower()}{first['msg'][1:]}",
         )
         raise RecordingError(f"{path}: {where} {what}; mend it.") from error
-    except (ValueError, RecursionError, OSError) as error:  # also a number of thousands of digits
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:  # also a number of thousands of digits
         raise RecordingError(f"{path} is not readable TOML: {error}.") from error
 
 
@@ -185,6 +186,9 @@ def _add_columns(
     streams += [Timed(f"imu.{name}", times_of(table), True) for name, table in sensors.items()]
     shift, sentences = shifts(streams)
     file.notes += sentences
+    described = [*imus.values(), *([camera] if camera is not None else [])]
+    # what is counted at a rate has no clock at all
+    file.clocks_unrelated = bool(sentences) or any(keys.rate_hz is not None for keys in described)
     moved = iter(shift)
     if file.arms:
         shift_ns = round(next(moved) * 1e9)

@@ -13,7 +13,7 @@ from .imu_choice import forearm_imus
 from .motion_agreement import agreement_far_apart, motion_agreement
 from .people import people
 from .selection import StreamChoice
-from .stream_names import is_named, named_side, role, topics_of
+from .stream_names import OTHER_SIDE, is_named, named_side, role, topics_of
 from .streams import ArmFrames, ImuSamples, RecordingFile
 from .truth_choice import choose_truth
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 _ENOUGH, _LEAD = 0.4, 0.1
 #: Where clocks are far apart the correlation of a pair must reach this.
 _ENOUGH_SHIFTED = 0.6
+_ONLY_ONE_ARM = (
+    "the skeleton shows the {} arm only: give --swap left,right if the camera's program exchanged the two"
+)
 
 
 def choose(
@@ -67,8 +70,8 @@ def choose(
     pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
     if not pairs:
         raise RecordingError(
-            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)}; "
-            "choose with --imu, --skeleton, --side or --body."
+            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)};"
+            f" {_why_no_pair(imus, file.arms, side)}."
         )
     if prefer_side and not side:
         preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
@@ -147,9 +150,39 @@ def arms_asked_for(
         ]
         raise RecordingError(
             f"{file.path}: no tracked arm fits {' '.join(asked)}; it has "
-            f"{', '.join(arm.label for arm in seen)}."
+            f"{', '.join(arm.label for arm in seen)}{_what_fits(seen, skeleton, side)}."
         )
     return fitting
+
+
+def _what_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
+    """What to give instead of options that no arm fits, for the end of a sentence."""
+    named = named_side(skeleton or "")
+    if named and not side and any(arm.side == named for arm in seen):
+        return f"; a topic may hold both arms: for the {named} one give --side {named}"
+    sides = {arm.side for arm in seen}
+    if side and sides == {OTHER_SIDE[side]}:
+        return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"
+    return ""
+
+
+def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames], side: str | None) -> str:
+    """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
+    worn = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    if len(worn) != 1 or not (named := worn.pop()):
+        return "choose with --imu, --skeleton, --side or --body"
+    other, topic = OTHER_SIDE[named], imus[0].topic
+    if {arm.side for arm in arms if arm.tracked} == {other}:
+        return (
+            f"{topic} is on the {named} arm by its name, and {_ONLY_ONE_ARM.format(other)}; if the IMU was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    if side == other:
+        return (
+            f"{topic} is on the {named} arm by its name: leave --side out, or give --side {named}; if it was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    return "choose with --imu, --skeleton, --side or --body"
 
 
 def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:

@@ -54,7 +54,9 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
         matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
         if len(matches) != 1:
             what = "more than one IMU fits" if matches else "no IMU fits"
-            raise RecordingError(f"{file.path}: {what} --imu {name}; it has {listed}.")
+            raise RecordingError(
+                f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
+            )
         return matches
     candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm", "trunk")]
     if not candidates:
@@ -63,3 +65,13 @@ def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
         )
     named = [s for s in candidates if role(s) == "forearm" or named_side(s.topic, s.frame_id)]
     return named or candidates
+
+
+def _what_fits(name: str, matches: list[ImuSamples], imus: list[ImuSamples]) -> str:
+    """What to give instead of a name that fits none or several IMUs, for the end of a sentence."""
+    forearms = [stream for stream in matches if role(stream) not in ("base", "upper_arm", "trunk")]
+    if len(forearms) == 1:
+        return f"; for the one on the forearm give --imu {forearms[0].topic}"
+    side = named_side(name)
+    may_be = any(named_side(stream.topic, stream.frame_id) in (side, "") for stream in imus)
+    return f"; for the {side} arm give --side {side}" if side and may_be else ""

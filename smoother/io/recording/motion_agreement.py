@@ -40,7 +40,7 @@ def motion_agreement(imu: ImuSamples, arm: ArmFrames) -> float:
     at, moved = _arm_motion(arm)
     if len(at) < 20:
         return 0.0
-    stamp, gyro = _gyro_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
+    stamp, gyro, _ = _samples_until(imu, int(at.max() + 1e9 * (_LAG_S + 2 * _MOTION_S)))
     if len(stamp) < 20:
         return 0.0
     zero = int(stamp[0])
@@ -67,27 +67,31 @@ def agreement_far_apart(imu: ImuSamples, arm: ArmFrames) -> tuple[float, float, 
     order = np.argsort(arm.stamp_ns, kind="stable")[:_MOTION_FRAMES]
     if not len(order):
         return 0.0, 0.0, False
-    stamp, gyro = _gyro_until(imu, int(arm.stamp_ns[order].max() + 1e9 * _FAR_S))
+    stamp, gyro, acc = _samples_until(imu, int(arm.stamp_ns[order].max() + 1e9 * _FAR_S))
+    stamp, first = np.unique(stamp, return_index=True)
     if len(stamp) < 2:
         return 0.0, 0.0, False
     zero = int(stamp[0])
-    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, gyro, gyro)
+    stream = ImuStream(imu.topic, (stamp - zero) / 1e9, acc[first], gyro[first])
     t_s = (arm.stamp_ns[order] - zero) / 1e9
     tracks = JointTracks(arm.topic, t_s, arm.position[order], arm.state[order])
     return shifted_agreement(stream, tracks, _LAG_S)
 
 
-def _gyro_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray]:
-    """Finite samples in the order of their stamps, up to the first after a time (all if stamps run back)."""
-    stamp, gyro = imu.stamp_ns, imu.gyro
+def _samples_until(imu: ImuSamples, stamp_ns: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Stamps, rates and accelerations of finite samples in order, up to the first after a time.
+
+    All of them where stamps run back.
+    """
+    stamp, gyro, acc = imu.stamp_ns, imu.gyro, imu.acc
     if (stamp[1:] >= stamp[:-1]).all():
         stop = int(np.searchsorted(stamp, stamp_ns, "right")) + 1
-        stamp, gyro = stamp[:stop], gyro[:stop]
+        stamp, gyro, acc = stamp[:stop], gyro[:stop], acc[:stop]
     else:
         order = np.argsort(stamp, kind="stable")
-        stamp, gyro = stamp[order], gyro[order]
-    finite = np.isfinite(gyro).all(axis=1)
-    return stamp[finite], gyro[finite]
+        stamp, gyro, acc = stamp[order], gyro[order], acc[order]
+    finite = np.isfinite(gyro).all(axis=1) & np.isfinite(acc).all(axis=1)
+    return stamp[finite], gyro[finite], acc[finite]
 
 
 def _arm_motion(arm: ArmFrames) -> tuple[FloatArray, FloatArray]:

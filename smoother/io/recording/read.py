@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
@@ -32,6 +33,10 @@ from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, Topic
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
 METADATA = "unocclude.recording"
+#: What its metadata says of `clocks` where those of IMU and camera have nothing in common.
+CLOCKS_UNRELATED = "unrelated"
+#: The option that exchanges the skeleton's arms.
+SWAPPED_SIDES = "--swap left,right"
 
 #: Of the notes in a file's metadata so many are repeated, and so much of each.
 _MOST_NOTES, _LONGEST_NOTE = 100, 1000
@@ -174,7 +179,8 @@ def read_recording(
     file = open_recording(path, store=store, truth=truth)
     if swap_sides:
         _swap_sides(file)
-    return select_recording(file, prefer_side=prefer_side, store=store, **selection)
+    recording = select_recording(file, prefer_side=prefer_side, store=store, **selection)
+    return replace(recording, undone=(*recording.undone, SWAPPED_SIDES)) if swap_sides else recording
 
 
 def read_recordings(
@@ -210,13 +216,14 @@ def read_recordings(
     file = open_recording(path, store=store, truth=truth)
     if swap_sides:
         _swap_sides(file)
-    return select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+    recordings = select_recordings(file, prefer_side=prefer_side, store=store, **selection)
+    return [replace(one, undone=(*one.undone, SWAPPED_SIDES)) if swap_sides else one for one in recordings]
 
 
 def _swap_sides(file: RecordingFile) -> None:
     for arm in file.arms:
         arm.side = OTHER_SIDE.get(arm.side, arm.side)
-    file.notes.append("left and right of the skeleton were swapped (--swap left,right)")
+    file.notes.append(f"left and right of the skeleton were swapped ({SWAPPED_SIDES})")
 
 
 def _gather(file: RecordingFile, decoders: list[AnyDecoder], store: Store) -> None:
@@ -254,6 +261,7 @@ def _take_metadata(file: RecordingFile) -> None:
             file.gravity_hint = unit(gravity)
             if not (np.isfinite(gravity).all() and abs(np.linalg.norm(file.gravity_hint) - 1) < 1e-6):
                 raise ValueError("gravity is no direction")
+        file.clocks_unrelated = record.get("clocks") == CLOCKS_UNRELATED
         notes = json.loads(record.get("notes", "[]"))
         file.notes += [printable(str(note)[:_LONGEST_NOTE]) for note in notes[:_MOST_NOTES]]
         file.notes += repair_notes(file.metadata)

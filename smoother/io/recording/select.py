@@ -18,7 +18,7 @@ from .choose_arms import choose_arms, left_out_words
 from .clean import clean_arm, clean_imu, clean_poses
 from .selection import Selection, StreamChoice
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
-from .trunk import trunk_of
+from .trunk import opposite_arm, trunk_of
 
 #: Stamps below this (some twelve days) count from a zero of their own, not from 1970.
 _SMALL_NS = 1_000_000 * SECOND_NS
@@ -125,6 +125,8 @@ class _CleanArm:
             upper_imu=None if self.upper is None else _imu_stream(self.upper, origin, store),
             body=self.choice.body,
             trunk=trunk,
+            clocks_unrelated=file.clocks_unrelated,
+            opposite=opposite_arm(file, self.choice, origin, store),
         )
 
 

@@ -176,6 +176,8 @@ class RecordingFile:
         Of the notes those on a damaged container.
     frames_without_body : int
         Skeleton messages were there, and none had a joint of an arm.
+    clocks_unrelated : bool
+        The IMUs' clock and the camera's have nothing in common.
     """
 
     path: Path
@@ -189,6 +191,7 @@ class RecordingFile:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     frames_without_body: int = 0
     damage: list[str] = field(default_factory=list)
+    clocks_unrelated: bool = False
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ...errors import RecordingError
 from ...recording import ImuStream, JointTracks, TrunkSensors
 from ...runtime.store import Store
 from ..mcap.stamps import seconds
@@ -45,14 +46,25 @@ def trunk_of(
     t_s = seconds(samples.stamp_ns, origin_ns, store)
     imu = ImuStream(samples.topic, t_s, samples.acc, samples.gyro)
     notes = [f"IMU {samples.topic} is on the trunk by its name.", *notes]
+    return TrunkSensors(imu, opposite_arm(file, choice, origin_ns, store)), notes
+
+
+def opposite_arm(
+    file: RecordingFile, choice: StreamChoice, origin_ns: int, store: Store
+) -> JointTracks | None:
+    """The camera's joints of the same person's other arm; None where there is none. Parameters as above."""
     mine = choice.arm
+    if not any({arm.side, mine.side} == {"left", "right"} for arm in file.arms):
+        return None
     others = [
         arm
         for arm in join_bodies(file.arms, store)[0]
         if (arm.topic, arm.body) == (mine.topic, mine.body) and {arm.side, mine.side} == {"left", "right"}
     ]
     if not others:
-        return TrunkSensors(imu), notes
-    other, _ = clean_arm(others[0], str(file.path), store)
-    frame_t = seconds(other.stamp_ns, origin_ns, store)
-    return TrunkSensors(imu, JointTracks(other.topic, frame_t, other.position, other.state)), notes
+        return None
+    try:
+        other, _ = clean_arm(others[0], str(file.path), store)
+    except RecordingError:  # that arm cannot be used, and nobody asked for it
+        return None
+    return JointTracks(other.topic, seconds(other.stamp_ns, origin_ns, store), other.position, other.state)

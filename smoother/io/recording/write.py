@@ -16,7 +16,7 @@ from ...runtime.atomic import writing
 from ..mcap.merge import Encoded, Outgoing, Output
 from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
-from .read import METADATA
+from .read import CLOCKS_UNRELATED, METADATA
 from .stream_names import OTHER_SIDE
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
@@ -59,6 +59,8 @@ def recording_streams(output: Output, file: RecordingFile) -> list[Outgoing]:
         metadata["camera_frame"] = str(file.camera_frame)
     if file.gravity_hint is not None:
         metadata["gravity"] = json.dumps([float(value) for value in file.gravity_hint])
+    if file.clocks_unrelated:
+        metadata["clocks"] = CLOCKS_UNRELATED
     scores = {
         poses.topic: [[run.start, run.stop] for run in runs(poses.score)]
         for poses in file.poses
@@ -81,6 +83,7 @@ def as_file(recording: Recording | Sequence[Recording]) -> RecordingFile:
     recordings = [recording] if isinstance(recording, Recording) else list(recording)
     first = recordings[0]
     file = RecordingFile(Path(first.name), camera_frame=first.camera_frame, gravity_hint=first.gravity_hint)
+    file.clocks_unrelated = any(one.clocks_unrelated for one in recordings)
     topics: set[str] = set()
     sides: set[tuple[int, str]] = set()
     others: dict[tuple[int, str], tuple[JointTracks, int]] = {}

@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_types import BoolArray, FloatArray, IntArray
+from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS
 from ..wire import protobuf_encode as wire
-from .drawing import CHAIN, RECOVERED, VISIBLE
+from .drawing import ANSWER, CHAIN
 
 #: Beads between two joints: 5 cm apart on an adult's arm.
 BETWEEN = 5
@@ -23,15 +23,15 @@ _FLOAT32, _UINT8 = 7, 1  # foxglove.PackedElementField.NumericType
 _STRIDE = 16
 
 
-def bead_clouds(position: FloatArray, occluded: BoolArray, frame_id: str) -> Iterator[wire.AlikeRows]:
+def bead_clouds(position: FloatArray, kind: IntArray, frame_id: str) -> Iterator[wire.AlikeRows]:
     """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns.
 
     Parameters
     ----------
     position : ndarray, shape (F, 5, 3), m
         Joints in the order of `JOINTS`, in the camera's frame; nan where there is none.
-    occluded : ndarray of bool, shape (F,)
-        Orange instead of blue.
+    kind : ndarray of int, shape (F,)
+        Which of the colours `drawing.ANSWER`.
     frame_id : str
         Of the camera. A frame without any joint has a cloud without beads, which clears the one before.
 
@@ -53,7 +53,7 @@ def bead_clouds(position: FloatArray, occluded: BoolArray, frame_id: str) -> Ite
             beads = np.empty((len(chosen), len(weights), _STRIDE), np.uint8)
             places = weights @ np.nan_to_num(position[chosen])
             beads[:, :, :12] = np.ascontiguousarray(places, "<f4").view(np.uint8)
-            beads[:, :, 12:] = _colors()[occluded[chosen].astype(int)][:, None]
+            beads[:, :, 12:] = _colors()[kind[chosen]][:, None]
             return {"beads": beads.view("<f8").reshape(len(chosen), -1)}  # slots copy eight bytes at a time
 
         yield rows, _template(len(weights), frame_id), columns
@@ -73,7 +73,7 @@ def _weights(present: tuple[int, ...]) -> FloatArray:
 
 @lru_cache(1)
 def _colors() -> NDArray[np.uint8]:
-    return np.round(255 * np.array([VISIBLE, RECOVERED])).astype(np.uint8)
+    return np.round(255 * np.array(ANSWER)).astype(np.uint8)
 
 
 @lru_cache(32)

@@ -15,6 +15,11 @@ from ..wire import protobuf_encode as wire
 Color = tuple[float, float, float, float]
 VISIBLE: Color = (0.10, 0.45, 0.75, 1.0)
 RECOVERED: Color = (0.90, 0.45, 0.05, 1.0)
+UNTRUSTED: Color = (0.72, 0.0, 0.16, 1.0)
+#: Colours of the answer: where the camera saw the arm, where it was recovered, where it is not to be trusted.
+ANSWER = (VISIBLE, RECOVERED, UNTRUSTED)
+#: Place of the last.
+DISTRUST = 2
 CAMERA: Color = (0.45, 0.45, 0.45, 1.0)
 GUESSED: Color = (0.75, 0.75, 0.75, 0.6)
 

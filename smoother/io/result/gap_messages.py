@@ -6,11 +6,16 @@ from collections.abc import Sequence
 
 from ...array_types import IntArray
 from ...measurements.visibility import Gap
+from ...result import GapVerdict
 from ..wire.schemas import message_class
 
 
 def gap_messages(
-    gaps: Sequence[Gap], start_ns: IntArray, end_ns: IntArray, side: str
+    gaps: Sequence[Gap],
+    start_ns: IntArray,
+    end_ns: IntArray,
+    side: str,
+    verdicts: Sequence[GapVerdict] | None = None,
 ) -> tuple[list[bytes], list[bytes]]:
     """Events (`foxglove.Event`) and lines (`foxglove.Log`), encoded.
 
@@ -22,6 +27,8 @@ def gap_messages(
         Stamps of their ends.
     side : str
         Of the arm; "" where it is not known.
+    verdicts : sequence of GapVerdict, optional
+        Whether each is to be trusted; None where nobody judged. An event then has no `trusted`.
 
     Returns
     -------
@@ -29,7 +36,8 @@ def gap_messages(
         One of each a gap.
     """
     events, lines = [], []
-    for gap, start, end in zip(gaps, start_ns.tolist(), end_ns.tolist(), strict=True):
+    judged: Sequence[GapVerdict | None] = [None] * len(gaps) if verdicts is None else verdicts
+    for gap, verdict, start, end in zip(gaps, judged, start_ns.tolist(), end_ns.tolist(), strict=True):
         event = message_class("foxglove.Event")()
         event.start_time.FromNanoseconds(start)
         event.end_time.FromNanoseconds(end)
@@ -37,6 +45,9 @@ def gap_messages(
         values |= {"side": side} if side else {}
         values |= {"open": "start"} if gap.open_start else {}
         values |= {"open": "end"} if gap.open_end else {}
+        if verdict is not None:
+            values["trusted"] = str(verdict.trusted).lower()
+            values |= {} if verdict.trusted else {"reasons": "; ".join(verdict.reasons)}
         for key, value in values.items():
             event.metadata.add(key=key, value=value)
         events.append(event.SerializeToString(deterministic=True))
@@ -44,6 +55,9 @@ def gap_messages(
         line.timestamp.FromNanoseconds(start)
         line.level = line.WARNING
         line.message = f"{side} forearm occluded for {gap.length_s:.2f} s".lstrip()
+        if verdict is not None and not verdict.trusted:
+            line.level = line.ERROR
+            line.message += f"; the answer is not to be trusted: {'; '.join(verdict.reasons)}"
         line.name = "unocclude"
         lines.append(line.SerializeToString(deterministic=True))
     return events, lines

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -89,6 +91,30 @@ def read_recovery(path: str | os.PathLike[str]) -> list[Recovery]:
             f"{path} holds no result; make one with `unocclude smooth REC.mcap -o OUT.mcap`."
         )
     return [_recovery(Path(path), container, tables, name) for name in names]
+
+
+def stated_estimates(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, Estimates]:
+    """What each arm of a result states besides its motion.
+
+    Parameters
+    ----------
+    metadata : mapping of str to mapping of str to str
+        A result file's metadata records.
+
+    Returns
+    -------
+    estimates : dict of str to Estimates
+        By the arm's name among several (`result.arm_tags`), "" for the only one. Arms whose figures are
+        damaged, or of another version, are left out.
+    """
+    found = {}
+    for name, values in metadata.items():
+        if name.partition("/")[0] == RESULT:
+            with suppress(*BROKEN_RESULT):
+                found[name.removeprefix(RESULT).lstrip("/")] = Estimates.from_plain(
+                    json.loads(values["figures"])
+                )
+    return found
 
 
 def _recovery(path: Path, container: Container, tables: dict[str, TopicTable], name: str) -> Recovery:

@@ -69,6 +69,7 @@ class RecoveryStreams:
         residuals = recovery.residuals
         self.residual_messages = None if residuals is None else ResidualMessages(residuals, frame_id)
         self.gap_start_s = np.array([gap.start_s for gap in recovery.gaps])
+        self.trusted = recovery.trusted
 
     def axes(self) -> list[TimeAxis]:
         """Times of the samples, the frames, the residuals, the gaps and the messages of drawn motions."""
@@ -181,12 +182,12 @@ class RecoveryStreams:
         after = np.full((len(nearest), len(JOINTS), 3), np.nan)
         for joint, position in {"strap": whole.position, **whole.joints}.items():
             after[:, JOINTS.index(joint)] = position[nearest]
-        shade = np.repeat(whole.occluded[nearest].astype(np.int64)[:, None], len(JOINTS), axis=1)
-        colors = (scene.VISIBLE, scene.RECOVERED)
+        kind = np.where(self.trusted[nearest], whole.occluded[nearest].astype(np.int64), scene.DISTRUST)
+        shade = np.repeat(kind[:, None], len(JOINTS), axis=1)
         name = f"arm{self.suffix.replace('/', '_')}"
-        for rows, template, columns in scene.drawings(after, shade, colors, self.frame_id, name):
+        for rows, template, columns in scene.drawings(after, shade, scene.ANSWER, self.frame_id, name):
             yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
-        for rows, template, columns in bead_clouds(after, whole.occluded[nearest], self.frame_id):
+        for rows, template, columns in bead_clouds(after, kind, self.frame_id):
             yield self._stream("beads", "foxglove.PointCloud", template, stamp[inside], rows, columns)
         guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
         colors = (scene.CAMERA, scene.GUESSED)
@@ -241,7 +242,7 @@ class RecoveryStreams:
             return
         start = self._stamps(np.array([gap.start_s for gap in gaps]))
         end = self._stamps(np.array([gap.end_s for gap in gaps]))
-        events, lines = gap_messages(gaps, start, end, r.side)
+        events, lines = gap_messages(gaps, start, end, r.side, r.gap_verdicts if r.judged else None)
         for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
             channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
             yield Outgoing(channel, start + self.shift, data.__getitem__)

@@ -1,4 +1,4 @@
-"""Which samples of a recovery should be used, by the limit on sigma that it was made with."""
+"""Which samples of a recovery should be used: those to be trusted, within the limit on sigma if any."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from ...result import Recovery
 
 
 def usable(recovery: Recovery) -> BoolArray:
-    """(N,) samples with an answer that is certain enough.
+    """(N,) samples with an answer that is to be trusted and is certain enough.
+
+    Of a result that nobody judged every sample counts as trusted.
+    """
+    return certain(recovery) & recovery.trusted
+
+
+def certain(recovery: Recovery) -> BoolArray:
+    """(N,) samples with an answer that is certain enough by what it states of itself.
 
     Without a limit every answer counts. With one, the standard deviation of the position has to be below
     it on every axis; an answer that states none is not known to be.
@@ -18,5 +26,5 @@ def usable(recovery: Recovery) -> BoolArray:
     if limit is None:
         return recovery.answered
     with np.errstate(invalid="ignore"):
-        certain: BoolArray = recovery.worst_sigma_m <= limit  # nan where one axis is
-    return recovery.answered & certain
+        below: BoolArray = recovery.worst_sigma_m <= limit  # nan where one axis is
+    return recovery.answered & below

@@ -36,9 +36,10 @@ def write_recovery(
     Topics: `/unocclude/forearm` (Odometry: pose of the IMU in the camera frame, velocity in its own
     axes; an answer without orientation has body_frame_id = frame_id, one without position is left out),
     `/unocclude/skeleton` (joints with covariance at every IMU sample), `/unocclude/arm` and
-    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded),
-    `/unocclude/beads` (PointCloud along the bones), `/unocclude/gaps` (Event), `/unocclude/log` (Log:
-    the gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
+    `/unocclude/arm_camera` (drawn after and before, at the camera's rate, orange where occluded, dark red
+    where the answer is not to be trusted), `/unocclude/beads` (PointCloud along the bones),
+    `/unocclude/gaps` (Event, with `trusted` and `reasons` in its metadata), `/unocclude/log` (Log: the
+    gaps), `/unocclude/joints` (JointStates: elbow_flexion, rad, 0 = straight), `/unocclude/tf`
     (FrameTransforms: camera to forearm IMU, and the level `world` to the camera), `/unocclude/camera`
     (the camera's joints on the IMU's clock), `/unocclude/residuals`, and where motions were drawn
     `/unocclude/draws`. With several arms each topic ends

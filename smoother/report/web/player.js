@@ -29,6 +29,8 @@
       const part = this.tracks[track], i = Math.round(this.index(t));
       return part ? Array.from(part.values.subarray(i * part.width, (i + 1) * part.width)) : null;
     }
+    wrong(t) { return this.untrusted.some(([from, to]) => t >= from && t <= to); }
+    colour(t) { return this.wrong(t) ? "untrusted" : this.hidden(t) >= 0 ? "recovered" : "seen"; }
     hidden(t) { return this.gaps.findIndex(([from, to]) => t >= from && t <= to); }
     end_point(t) {
       const k = this.names.indexOf(this.tip);
@@ -58,21 +60,28 @@
       mark.style.width = (100 * (end - start)) / (to - from || 1) + "%";
       marks.appendChild(mark);
     }
+    for (const [start, end] of arms.flatMap((arm) => arm.untrusted)) {
+      const mark = document.createElement("i");
+      mark.className = "wrong";
+      mark.style.left = (100 * (start - from)) / (to - from || 1) + "%";
+      mark.style.width = (100 * (end - start)) / (to - from || 1) + "%";
+      marks.appendChild(mark);
+    }
 
     function path(v, arm, start, end, width, alpha) {
       const step = Math.max(arm.step, (end - start) / MOST_PATH);
-      let run = [], orange = null;
-      const flush = () => { if (run.length > 1) v.line(run, orange ? "recovered" : "seen", width, { alpha }); };
+      let run = [], colour = null;
+      const flush = () => { if (run.length > 1) v.line(run, colour, width, { alpha }); };
       for (let s = Math.max(start, arm.start); s <= Math.min(end, arm.end); s += step) {
-        const p = arm.end_point(s), hidden = arm.hidden(s) >= 0;
-        if (hidden !== orange) { if (p) run.push(p); flush(); run = []; orange = hidden; }
+        const p = arm.end_point(s), now = arm.colour(s);
+        if (now !== colour) { if (p && colour) run.push(p); flush(); run = []; colour = now; }
         if (p) run.push(p); else { flush(); run = []; }
       }
       flush();
     }
 
     function skeleton(v, arm, s, alpha = 1) {
-      const joints = arm.chain("joints", s), colour = arm.hidden(s) >= 0 ? "recovered" : "seen";
+      const joints = arm.chain("joints", s), colour = arm.colour(s);
       v.line(joints.filter(Boolean), colour, 7, { alpha });
       for (const p of joints) if (p) v.dot(p, colour, 10, "circle", alpha);
       return joints;
@@ -108,7 +117,7 @@
         if (p) v.dot(p, "truth", 9, "cross");
       }
       const sigma = arm.row("sigma", t);
-      if (shown("sigma") && end && sigma && !Number.isNaN(sigma[0])) v.ellipsoid(end, sigma, 2, arm.hidden(t) >= 0 ? "recovered" : "seen");
+      if (shown("sigma") && end && sigma && !Number.isNaN(sigma[0])) v.ellipsoid(end, sigma, 2, arm.colour(t));
       if (several && (joints[0] || end)) v.text(joints[0] || end, arm.name, "ink", 8, -8);
       return joints;
     }
@@ -121,6 +130,7 @@
     function describe() {
       const now = gaps.flatMap(([start, end, of], k) => (t >= start && t <= end ? `${of}gap ${k + 1} of ${gaps.length}` : []));
       const parts = [`${t.toFixed(2)} s of ${to.toFixed(1)} s`];
+      if (arms.some((arm) => arm.wrong(t))) parts.push("NOT TO BE TRUSTED");
       parts.push(now.length ? `recovered: ${now.join("; ")}` : "seen by the camera");
       for (const arm of arms) {
         const l = arm.row("sigma", t);

@@ -3,7 +3,7 @@
    Drag turns, two fingers or Ctrl with the wheel come closer, arrows turn by keyboard, a double click resets. */
 var View3D = (() => {
   const LIGHT = { ink: "#1b1b1b", soft: "#666", paper: "#fff", faint: "#dfe3e6", seen: "#0072b2",
-    recovered: "#d55e00", ghost: "#8a8a8a", truth: "#111" };
+    recovered: "#d55e00", untrusted: "#b00020", ghost: "#8a8a8a", truth: "#111" };
   const add = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

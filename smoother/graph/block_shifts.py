@@ -1,0 +1,191 @@
+"""How far each block of the camera's samples is shifted against all the rest of a window.
+
+A block is some neighbouring seconds of elbow, wrist and hand. Its shift in {K} is one more quantity of the
+linearised window: three columns a block, everything else eliminated, give the shift's estimate and its
+covariance, as if the block had been left out and compared (leave-a-block-out; Cook and Weisberg, Residuals
+and Influence in Regression, 1982, with a group of rows in place of one).
+
+Losses are robust, so the weights at the solution understate the shift of a block that the solution has
+rejected: this finds what is suspicious, not how far it is off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import FloatArray, IntArray
+from ..linalg import inverse
+from ..measurements.visibility import MISSING_S
+from ..window.block_shift import BlockShift
+from ..window.constant_errors import SIZE
+from ..window.problem import Window
+from .error_columns import camera_rows
+from .jacobian import Jacobian
+from .linear_system import LinearSystem
+
+#: Blocks are built of cells of about this length, s, and are so many cells long.
+CELL_S = 1.0
+LENGTHS = (1, 2, 4)
+#: Between two cells the forearm has jumped: farther than this in m, and faster than this in m/s.
+JUMP_M, JUMP_M_PER_S = 0.12, 3.6
+#: What the camera's slow errors may shift a block by, m an axis.
+SLOW_M = 0.015
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A window's camera samples in cells: no cell reaches over a gap or a jump.
+
+    Attributes
+    ----------
+    start_s, end_s : ndarray, shape (k,), s
+        On the IMU's clock.
+    segment : ndarray of int, shape (k,)
+        Cells of one segment follow each other without a gap or a jump.
+    """
+
+    start_s: FloatArray
+    end_s: FloatArray
+    segment: IntArray
+
+    def __len__(self) -> int:
+        return len(self.start_s)
+
+    def of(self, t: FloatArray) -> IntArray:
+        """The cell of each time (n,); -1 where there is none."""
+        if not len(self):
+            return np.full(len(t), -1)
+        index = np.clip(np.searchsorted(self.start_s, t + 1e-9, side="right") - 1, 0, None)
+        inside = (t >= self.start_s[index] - 1e-9) & (t <= self.end_s[index] + 1e-9)
+        return np.where(inside, index, -1)
+
+
+def cells_of(window: Window) -> Cells:
+    """The cells of the camera's samples in a window's core."""
+    measured = [each for each in window.joint_measurements if each.joint != "strap"]
+    if not measured:
+        measured = list(window.joint_measurements)
+    if not measured:
+        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int))
+    t = np.unique(np.concatenate([each.t_s for each in measured]))
+    t = t[(t >= window.core_start_s) & (t <= window.core_end_s)]
+    if len(t) < 2:
+        return Cells(np.zeros(0), np.zeros(0), np.zeros(0, int))
+    breaks = np.diff(t) > MISSING_S
+    for each in measured:
+        breaks |= np.isin(t[1:], _jumps(each.t_s, each.position))
+    starts, ends, segments = [], [], []
+    edges = np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(t)]))
+    for number, (a, b) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
+        own = t[a:b]
+        count = max(round(float(own[-1] - own[0]) / CELL_S), 1)
+        for part in np.array_split(own, min(count, len(own))):
+            starts.append(float(part[0]))
+            ends.append(float(part[-1]))
+            segments.append(number)
+    return Cells(np.array(starts), np.array(ends), np.array(segments))
+
+
+def _jumps(t: FloatArray, position: FloatArray) -> FloatArray:
+    """Times at which a joint has just jumped."""
+    far = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    return t[1:][(far > JUMP_M) & (far > JUMP_M_PER_S * np.diff(t))]
+
+
+@dataclass(frozen=True)
+class CameraBlocks:
+    """A window and the cells that its blocks are built of."""
+
+    window: Window
+    cells: Cells
+
+    @classmethod
+    def of(cls, window: Window) -> CameraBlocks:
+        """The blocks of a window's core."""
+        return cls(window, cells_of(window))
+
+    @property
+    def count(self) -> int:
+        """Quantities: a shift of each cell."""
+        return 3 * len(self.cells)
+
+    def columns(self, jacobian: Jacobian) -> FloatArray:
+        """Columns (r, `count`) of the whitened Jacobian's first r rows; the blocks are in no others.
+
+        The graph's factors stand as `build` puts them together.
+        """
+        window = self.window
+        all_rows = list(camera_rows(jacobian, window))
+        columns = np.zeros((max((each.rows.stop for each in all_rows), default=0), self.count))
+        for factors in all_rows:
+            if factors.joint == "shoulder":
+                continue
+            weight = factors.weight.reshape(-1, 3)
+            rows = np.arange(factors.rows.start, factors.rows.stop).reshape(-1, 3)
+            cell = self.cells.of(window.t[factors.nodes])
+            mine = np.flatnonzero(cell >= 0)
+            for axis in range(3):
+                columns[rows[mine, axis], 3 * cell[mine] + axis] = weight[mine, axis]
+        return columns
+
+    def shifts(self, system: LinearSystem) -> tuple[BlockShift, ...]:
+        """The shift of every block.
+
+        Parameters
+        ----------
+        system : LinearSystem
+            With `columns` as the last of its extra columns; the constant errors are the first of them where
+            the window considers them.
+        """
+        information, vector = self._reduced(system)
+        cells, shifts = self.cells, []
+        for rows in _blocks(cells):
+            of_pieces = (3 * np.arange(rows.start, rows.stop)[:, None] + np.arange(3)).T  # (3, n)
+            block = np.array([[information[np.ix_(a, b)].sum() for b in of_pieces] for a in of_pieces])
+            shift, covariance = _estimated(block, vector[of_pieces].sum(axis=1))
+            allowed = covariance + SLOW_M**2 * np.eye(3)
+            score = float(shift @ np.linalg.solve(allowed, shift)) / 3.0
+            start_s, end_s = float(cells.start_s[rows.start]), float(cells.end_s[rows.stop - 1])
+            shifts.append(BlockShift(start_s, end_s, shift, score))
+        return tuple(shifts)
+
+    def _reduced(self, system: LinearSystem) -> tuple[FloatArray, FloatArray]:
+        """Information (count, count) and vector on the blocks' quantities, everything else eliminated."""
+        information, extras = np.array(system.information), system.extras
+        first = extras.stop - self.count
+        own = np.arange(first, extras.stop)
+        others = np.arange(extras.start)
+        if self.window.considered is not None:
+            errors = slice(extras.start, extras.start + SIZE)
+            covariance = self.window.considered.covariance
+            information[errors, errors] += np.linalg.inv(covariance + 1e-12 * np.eye(SIZE))
+            others = np.arange(errors.stop)
+        known = information[np.ix_(others, others)]
+        known = known + np.diag(1e-9 * np.maximum(np.diag(known), 1.0))
+        across = np.linalg.solve(
+            known, np.column_stack([information[np.ix_(others, own)], system.vector[others]])
+        )
+        reduced = information[np.ix_(own, own)] - information[np.ix_(own, others)] @ across[:, :-1]
+        return reduced, system.vector[own] - information[np.ix_(own, others)] @ across[:, -1]
+
+
+def _blocks(cells: Cells) -> list[slice]:
+    """Runs of cells that are judged together."""
+    blocks = {
+        (first, first + length)
+        for length in LENGTHS
+        for first in range(len(cells) - length + 1)
+        if cells.segment[first] == cells.segment[first + length - 1]
+    }
+    edges = np.flatnonzero(np.diff(cells.segment, prepend=-1, append=len(cells) + 1))
+    blocks |= set(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    return [slice(*block) for block in sorted(blocks)]
+
+
+def _estimated(information: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Estimate and covariance; a direction that nothing is known of has a large variance."""
+    known = information + np.diag(np.maximum(1e-6 * np.diag(information), 1e-4))
+    covariance = inverse(known)
+    return np.asarray(covariance @ vector), covariance

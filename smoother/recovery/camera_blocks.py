@@ -1,0 +1,488 @@
+"""Blocks of the camera's samples that all the rest of a recording contradicts: left out, tested, readmitted.
+
+A loss judges single samples; a block that agrees with itself and with nothing else (another person's body,
+left and right exchanged, joints that the tracker guessed) passes it. So every block is compared with what the
+rest predicts (`graph.block_shifts`). Wrong blocks support each other, and sound ones beside them look as
+guilty: all suspects are left out, the motion is recovered without them, and what agrees with that is
+readmitted in half seconds. What contradicts even then, or was left out where nothing confirms the answer on
+both sides, leaves its gaps untrusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..errors import UnoccludeError
+from ..linalg import interpolate, runs
+from ..measurements.clock import Clock
+from ..measurements.rejection import Rejection
+from ..measurements.segment import Segment
+from ..measurements.visibility import MISSING_S, Gap
+from ..recording import JOINTS, JointState, Recording
+from ..result import Pairing, Recovery, UntrustedInterval
+from ..selfcal.pairing import find_pairing
+from ..window.block_shift import BlockShift
+from .second_pass import SecondAnswer
+from .self_check import HiddenStretch
+
+#: A block is suspicious from this score on: the largest of sound simulated recordings were 0.05 to 1.1.
+SUSPICIOUS = 3.0
+#: .. or where more than this share of what the camera tracked in so long a time, s, was rejected, looked
+#: at in steps of this length, s.
+REJECTED_SHARE, REJECTED_S, STEP_S = 0.5, 2.0, 0.5
+#: So often the recording is solved again without what is left out.
+ROUNDS = 3
+#: What the camera saw so long before and after a suspect, s, goes with it until it is predicted.
+BESIDE_S = 3.0
+#: Of the visible time at most this share is left out: else it cannot be said who is wrong.
+MOST_EXCLUDED = 0.4
+#: .. and with no more than this left out the rest still says by chance whether camera and IMU are a pair.
+FEW_EXCLUDED = 0.15
+#: A slice of so long, s, is readmitted where its mean error in sigmas squared / 3 is below this; the camera's
+#: slow error, m an axis, or its whole noise where that is more, counts into sigma, and the prediction has to
+#: be this good, m an axis: another 18 cm are then told from none.
+SLICE_S, READMITTED = 0.5, 3.0
+SLOW_M, PREDICTED_M = 0.017, 0.05
+#: The camera's shoulder is readmitted with them where it is no farther from the answer's, m.
+SHOULDER_M = 0.10
+#: Bones that are off by this share of their usual length, and by so much, m, are another body's.
+OTHER_LENGTH, OTHER_LENGTH_M = 0.15, 0.035
+#: Joints that move less than this, m, while the rest says that they move this much more are guessed.
+HELD_M, HELD_SHARE = 0.03, 4.0
+
+_ELBOW, _WRIST, _HAND = (JOINTS.index(joint) for joint in ("elbow", "wrist", "hand"))
+_REJECTED = (
+    Rejection.BONE,
+    Rejection.DIRECTION,
+    Rejection.RAY,
+    Rejection.RESIDUAL,
+    Rejection.JUMP,
+)
+_BY_CAMERA = (Rejection.FROZEN, Rejection.INTERPOLATED, Rejection.FAR, Rejection.JUMP, Rejection.BONE)
+
+
+@dataclass
+class CameraEvidence:
+    """What all sections say of the camera against the rest, collected as they are solved."""
+
+    shifts: list[BlockShift] = field(default_factory=list)
+    stretches: list[HiddenStretch] = field(default_factory=list)
+
+    def collecting(self, answers: Iterable[SecondAnswer]) -> Iterator[SecondAnswer]:
+        """The answers as they come; what they say of the camera is kept."""
+        for answer in answers:
+            self.shifts += answer.check.shifts
+            self.stretches += answer.check.stretches
+            yield answer
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A recovery with what it says of its own camera and calibration.
+
+    Attributes
+    ----------
+    recovery : Recovery
+    evidence : CameraEvidence
+    excerpts : list of Segment
+        That the self-calibration read.
+    misfits : tuple of str
+        What of a given calibration the recording contradicts.
+    open_questions : tuple of str
+        What self-calibration took with little margin.
+    excluded : Excluded or None
+        Samples that it was made without; None before anything was left out.
+    """
+
+    recovery: Recovery
+    evidence: CameraEvidence
+    excerpts: list[Segment]
+    misfits: tuple[str, ...] = ()
+    open_questions: tuple[str, ...] = ()
+    excluded: Excluded | None = None
+
+    def paired(self, pairing: Pairing | None, recording: Recording, given: Clock | None) -> Pairing | None:
+        """The pairing by what takes part: without what the camera alone shows to be wrong, and a few blocks.
+
+        Parameters
+        ----------
+        pairing : Pairing or None
+            By all that the camera saw.
+        recording : Recording
+            As the camera saw it, its clocks near each other.
+        given : Clock, optional
+            That the user stated.
+        """
+        if pairing is None or not pairing.reason or self.recovery.residuals is None:
+            return pairing
+        wrong = Excluded(np.isin(self.recovery.residuals.reason, [int(reason) for reason in _BY_CAMERA]))
+        # with many blocks left out the rest was chosen by how well it fits
+        if self.excluded is not None and self.excluded.share(recording) <= FEW_EXCLUDED:
+            wrong = wrong.joined(self.excluded)
+        if not wrong.samples.any():
+            return pairing
+        again, _ = find_pairing(wrong.applied(recording), None, given)
+        return pairing if again is None else replace(again, offset_s=pairing.offset_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Excluded:
+    """Camera samples that are left out.
+
+    Attributes
+    ----------
+    samples : ndarray of bool, shape (F, 5)
+        In the order of the recording's frames and of `JOINTS`.
+    """
+
+    samples: BoolArray
+
+    @classmethod
+    def nothing(cls, recording: Recording) -> Excluded:
+        """All samples take part."""
+        return cls(np.zeros(recording.arm.state.shape, bool))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Excluded) and np.array_equal(self.samples, other.samples)
+
+    def joined(self, other: Excluded) -> Excluded:
+        """What either leaves out."""
+        return Excluded(self.samples | other.samples)
+
+    @property
+    def frames(self) -> BoolArray:
+        """(F,) frames without their forearm."""
+        return np.asarray(self.samples[:, [_ELBOW, _WRIST, _HAND]].any(axis=1))
+
+    def share(self, recording: Recording) -> float:
+        """Of the frames that saw the forearm, those that are left out."""
+        tracked = recording.arm.state == JointState.TRACKED
+        visible = tracked[:, [_ELBOW, _WRIST, _HAND, JOINTS.index("strap")]].any(axis=1)
+        return int(self.frames.sum()) / max(int(visible.sum()), 1)
+
+    def applied(self, recording: Recording) -> Recording:
+        """The recording in which the camera did not track them."""
+        state = np.where(self.samples, np.int8(JointState.NOT_TRACKED), recording.arm.state)
+        return replace(recording, arm=replace(recording.arm, state=state.astype(recording.arm.state.dtype)))
+
+    def noted(self, recovery: Recovery, recording: Recording) -> Recovery:
+        """The recovery with the camera's own states, and these samples among the rejected ones."""
+        arm = replace(recovery.arm, state=recording.arm.state)
+        residuals = recovery.residuals
+        if residuals is not None:
+            left_out = self.samples & (recording.arm.state == JointState.TRACKED)
+            reason = np.where(left_out, np.uint8(Rejection.CONTRADICTED), residuals.reason)
+            residuals = replace(residuals, reason=reason.astype(np.uint8))
+        return replace(recovery, arm=arm, residuals=residuals)
+
+
+def without_wrong_blocks(recording: Recording, solve: Callable[[Recording], Solved]) -> Solved:
+    """The recovery of a recording without the camera's blocks that the rest contradicts.
+
+    Parameters
+    ----------
+    recording : Recording
+        As the camera saw it, its clocks near each other.
+    solve : callable
+        From a recording to its recovery.
+
+    Returns
+    -------
+    Solved
+        The estimates of its recovery name what was left out, and what nothing decides.
+
+    Raises
+    ------
+    SolveError
+        Nothing of the recording can be solved.
+    """
+    first = best = solve(recording)
+    nothing = excluded = Excluded.nothing(recording)
+    contradicting = suspects(best.evidence)
+    for _ in range(ROUNDS):
+        wanted = readmitted(excluded, best.recovery, recording).joined(
+            left_out(recording, best.recovery, contradicting)
+        )
+        if wanted == excluded or wanted.share(recording) > MOST_EXCLUDED:
+            break
+        if wanted == nothing:  # all suspects are as the rest predicts them
+            best, excluded, contradicting = first, nothing, []
+            break
+        try:
+            best = solve(wanted.applied(recording))
+        except UnoccludeError:  # too little is left
+            break
+        excluded, contradicting = wanted, suspects(best.evidence)
+    recovery = excluded.noted(best.recovery, recording)
+    faults = camera_faults(excluded, contradicting, recovery, recording)
+    estimates = replace(
+        recovery.estimates,
+        untrusted=(*recovery.estimates.untrusted, *faults.untrusted),
+        cautions=(*recovery.estimates.cautions, *faults.cautions),
+    )
+    return replace(best, recovery=replace(recovery, estimates=estimates), excluded=excluded)
+
+
+def suspects(evidence: CameraEvidence) -> list[tuple[float, float]]:
+    """Times of the camera's samples that the rest contradicts, s on the IMU's clock, merged.
+
+    Parameters
+    ----------
+    evidence : CameraEvidence
+        Of a recovery.
+    """
+    times = [(shift.start_s, shift.end_s) for shift in evidence.shifts if shift.score > SUSPICIOUS]
+    return _merged(
+        [*times, *((each.start_s, each.end_s) for each in evidence.stretches if each.contradicted)]
+    )
+
+
+def _mostly_rejected(recovery: Recovery) -> Iterator[tuple[float, float]]:
+    """Times of `REJECTED_S` of which more than half was rejected."""
+    residuals = recovery.residuals
+    if residuals is None or not len(residuals):
+        return
+    columns = [_ELBOW, _WRIST]
+    rejected = np.isin(residuals.reason[:, columns], [int(reason) for reason in _REJECTED])
+    tracked = rejected | residuals.used[:, columns]
+    t = np.asarray(residuals.t_s)
+    step = np.floor((t - t[0]) / STEP_S).astype(int)
+    steps = round(REJECTED_S / STEP_S)
+    sums = [
+        np.convolve(np.bincount(step, each), np.ones(steps), "full")[steps - 1 :]
+        for each in (rejected.sum(axis=1), tracked.sum(axis=1), np.full(len(t), 1.0))
+    ]
+    # a time that the camera hardly saw says nothing of the rest of it
+    wrong = (sums[0] > REJECTED_SHARE * sums[1]) & (sums[1] >= sums[2]) & (sums[2] > 2 * steps)
+    for first in np.flatnonzero(wrong).tolist():
+        own = t[(step >= first) & (step < first + steps) & rejected.any(axis=1)]
+        yield float(own[0]), float(own[-1])
+
+
+def _merged(times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Times that overlap or touch, as one."""
+    merged: list[tuple[float, float]] = []
+    for start_s, end_s in sorted(times):
+        if merged and start_s <= merged[-1][1] + 0.1:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], end_s))
+        else:
+            merged.append((start_s, end_s))
+    return merged
+
+
+def left_out(recording: Recording, recovery: Recovery, times: Sequence[tuple[float, float]]) -> Excluded:
+    """All joints of suspects, of what the camera saw beside them, and of what was mostly rejected already.
+
+    A block that the answer has followed looks sound, and the ones beside it guilty: so as much as `BESIDE_S`
+    on both sides goes with a suspect, and so does what would be left between two of them. Where most samples
+    were rejected one by one, the others go as well.
+    """
+    t = np.asarray(recovery.arm.t_s)
+    tracked = recording.arm.state == JointState.TRACKED
+    beside = [(start_s - BESIDE_S, end_s + BESIDE_S) for start_s, end_s in times]
+    rejected = list(_mostly_rejected(recovery))  # the answer has not followed what lies beside these
+    frames = np.zeros(len(t), bool)
+    for visible in _visible_runs(t, tracked[:, 1:].any(axis=1)):
+        first_s, last_s = float(t[visible.start]), float(t[visible.stop - 1])
+        near = [one for one, suspect in zip(beside, times, strict=True) if _overlap(suspect, first_s, last_s)]
+        near += [one for one in rejected if _overlap(one, first_s, last_s)]
+        for start_s, end_s in _merged(near):
+            start_s = first_s if start_s - first_s < SLICE_S else start_s
+            end_s = last_s if last_s - end_s < SLICE_S else end_s
+            frames[visible] |= (t[visible] >= start_s - 1e-6) & (t[visible] <= end_s + 1e-6)
+    return Excluded(frames[:, None] & tracked)
+
+
+def _overlap(times: tuple[float, float], start_s: float, end_s: float) -> bool:
+    return times[0] <= end_s and times[1] >= start_s
+
+
+def _visible_runs(t: FloatArray, seen: BoolArray) -> list[slice]:
+    """Runs of frames that saw something of the forearm, with no gap longer than `MISSING_S` inside."""
+    rows = np.flatnonzero(seen)
+    breaks = np.flatnonzero(np.diff(t[rows]) > MISSING_S) + 1
+    return [slice(int(run[0]), int(run[-1]) + 1) for run in np.split(rows, breaks) if len(run)]
+
+
+def readmitted(excluded: Excluded, recovery: Recovery, recording: Recording) -> Excluded:
+    """What is still left out once the slices that the answer without them predicts take part again.
+
+    Parameters
+    ----------
+    excluded : Excluded
+        What the recovery was made without.
+    recovery : Recovery
+    recording : Recording
+        As the camera saw it.
+    """
+    samples = excluded.samples.copy()
+    frame_t = np.asarray(recovery.arm.t_s)
+    for run in runs(excluded.frames):
+        for rows in _slices(frame_t, run):
+            if all(_agrees(joint, rows, frame_t, recovery, recording) for joint in ("elbow", "wrist")):
+                samples[rows, 1:] = False
+                if _shoulder_agrees(rows, frame_t, recovery, recording):
+                    samples[rows, 0] = False
+    return Excluded(samples)
+
+
+def _slices(t: FloatArray, run: slice) -> Iterator[slice]:
+    """A run of frames in slices of about `SLICE_S`."""
+    length_s = float(t[run.stop - 1] - t[run.start])
+    count = max(round(length_s / SLICE_S), 1)
+    edges = np.linspace(run.start, run.stop, min(count, run.stop - run.start) + 1).astype(int)
+    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if last > first:
+            yield slice(first, last)
+
+
+def _agrees(joint: str, rows: slice, frame_t: FloatArray, recovery: Recovery, recording: Recording) -> bool:
+    """Whether a joint's mean over a slice lies where the answer says, within both sigmas."""
+    if joint not in recovery.joints:
+        return True
+    tracked = recording.arm.state[rows, JOINTS.index(joint)] == JointState.TRACKED
+    t = frame_t[rows][tracked]
+    if not len(t):
+        return True
+    inside = slice(*np.searchsorted(recovery.t_s, [t[0] - 0.1, t[-1] + 0.1]).tolist())
+    near = recovery.rows(inside)
+    if len(near) < 2 or not np.isfinite(near.joints[joint]).all():
+        return False
+    answer = interpolate(near.t_s, near.joints[joint], t)
+    covariance = interpolate(near.t_s, near.joint_covariance[joint], t).mean(axis=0)
+    if float(np.trace(covariance)) > 3.0 * PREDICTED_M**2:
+        return False
+    error = (recording.arm.joint(joint)[rows][tracked] - answer).mean(axis=0)
+    noise_m = max(SLOW_M, (recovery.estimates.camera_sigma_m or {}).get(joint, 0.0))
+    allowed = covariance + noise_m**2 * np.eye(3)
+    return float(error @ np.linalg.solve(allowed, error)) / 3.0 < READMITTED
+
+
+def _shoulder_agrees(rows: slice, frame_t: FloatArray, recovery: Recovery, recording: Recording) -> bool:
+    if "shoulder" not in recovery.joints:
+        return True
+    t = frame_t[rows]
+    inside = slice(*np.searchsorted(recovery.t_s, [t[0] - 0.1, t[-1] + 0.1]).tolist())
+    near = recovery.rows(inside)
+    if len(near) < 2:
+        return False
+    error = recording.arm.joint("shoulder")[rows] - interpolate(near.t_s, near.joints["shoulder"], t)
+    distance = np.linalg.norm(error, axis=1)
+    distance = distance[np.isfinite(distance)]
+    return not len(distance) or float(np.median(distance)) < SHOULDER_M
+
+
+@dataclass(frozen=True)
+class CameraFaults:
+    """What is wrong with the camera's samples, in words.
+
+    Attributes
+    ----------
+    cautions : tuple of str
+        Blocks that were left out, with their times and what they look like.
+    untrusted : tuple of UntrustedInterval
+        Times at which nothing decides.
+    """
+
+    cautions: tuple[str, ...] = ()
+    untrusted: tuple[UntrustedInterval, ...] = ()
+
+
+def camera_faults(
+    excluded: Excluded,
+    contradicting: Sequence[tuple[float, float]],
+    recovery: Recovery,
+    recording: Recording,
+) -> CameraFaults:
+    """What was left out, and what contradicts even then.
+
+    Parameters
+    ----------
+    excluded : Excluded
+        What the recovery was made without.
+    contradicting : sequence of (start, end) in s
+        What the answer contradicts all the same.
+    recovery : Recovery
+    recording : Recording
+        As the camera saw it.
+    """
+    frame_t = np.asarray(recovery.arm.t_s)
+    cautions, untrusted = [], []
+    for rows in _joined(excluded.frames, recording):
+        start_s, end_s = float(frame_t[rows.start]), float(frame_t[rows.stop - 1])
+        looks = _looks_like(rows, recovery, recording)
+        what = f"from {start_s:.1f} to {end_s:.1f} s the camera's joints contradict the IMU and the rest"
+        cautions.append(f"{what}: {looks}; they were left out")
+        for gap in recovery.gaps:
+            beside = gap.start_s < end_s + 0.2 and gap.end_s > start_s - 0.2
+            if beside and (gap.open_start or gap.open_end):
+                untrusted.append(
+                    UntrustedInterval(
+                        min(gap.start_s, start_s),
+                        max(gap.end_s, end_s),
+                        (f"{what} ({looks}), and nothing on that side confirms the answer",),
+                    )
+                )
+    for start_s, end_s in contradicting:
+        reason = (
+            f"from {start_s:.1f} to {end_s:.1f} s the camera's joints and the IMU contradict each other, and"
+            " nothing shows which is right"
+        )
+        untrusted.append(UntrustedInterval(*_with_gaps(recovery.gaps, start_s, end_s), (reason,)))
+    return CameraFaults(tuple(cautions), tuple(_unique(untrusted)))
+
+
+def _unique(intervals: Sequence[UntrustedInterval]) -> Iterator[UntrustedInterval]:
+    """Intervals in the order of time; the same one once."""
+    yield from sorted(dict.fromkeys(intervals), key=lambda each: (each.start_s, each.end_s))
+
+
+def _with_gaps(gaps: Sequence[Gap], start_s: float, end_s: float) -> tuple[float, float]:
+    """Times widened to the gaps beside them, which rest on what the camera saw then."""
+    for gap in gaps:
+        if gap.start_s <= end_s + 0.2 and gap.end_s >= start_s - 0.2:
+            start_s, end_s = min(start_s, gap.start_s), max(end_s, gap.end_s)
+    return start_s, end_s
+
+
+def _joined(frames: BoolArray, recording: Recording) -> list[slice]:
+    """Runs of frames that are left out; runs with nothing visible between them are one."""
+    visible = (recording.arm.state[:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1) & ~frames
+    joined: list[slice] = []
+    for run in runs(frames):
+        if joined and not visible[joined[-1].stop : run.start].any():
+            joined[-1] = slice(joined[-1].start, run.stop)
+        else:
+            joined.append(run)
+    return joined
+
+
+def _looks_like(rows: slice, recovery: Recovery, recording: Recording) -> str:
+    """What a block that is wrong looks like."""
+    arm = recording.arm
+    both = (arm.state[:, [_ELBOW, _WRIST]] == JointState.TRACKED).all(axis=1)
+    length = np.linalg.norm(arm.joint("wrist") - arm.joint("elbow"), axis=1)
+    inside = np.zeros(len(arm), bool)
+    inside[rows] = True
+    own, rest = length[both & inside], length[both & ~inside]
+    if len(own) and len(rest):
+        usual_m, here_m = float(np.median(rest)), float(np.median(own))
+        if abs(here_m - usual_m) > max(OTHER_LENGTH * usual_m, OTHER_LENGTH_M):
+            return (
+                f"the forearm is {100 * here_m:.0f} cm long there, where it is {100 * usual_m:.0f} cm"
+                " otherwise: another person's body, or joints that the tracker guessed"
+            )
+    t = np.asarray(recovery.arm.t_s)[rows]
+    seen = both[rows]
+    if seen.sum() > 5 and "wrist" in recovery.joints:
+        seen_m = np.ptp(arm.joint("wrist")[rows][seen], axis=0)
+        span = slice(*np.searchsorted(recovery.t_s, [t[0], t[-1]]).tolist())
+        answer_m = np.ptp(recovery.joints["wrist"][span], axis=0)
+        moved, should = float(np.linalg.norm(seen_m)), float(np.linalg.norm(answer_m))
+        if moved < HELD_M and should > HELD_SHARE * max(moved, 0.01):
+            return "the joints hardly move while the IMU does: guessed by the tracker"
+    return "another person's body, the other arm, or joints that the tracker guessed"

@@ -1,0 +1,297 @@
+"""The self-check: visible stretches are hidden, recovered from the rest, and compared with what was seen.
+
+The stretches are as long and as fast as the recording's own gaps. What is hidden takes part in no window that
+answers for it; the arm's measures and the clock, which all of the recording shares, are those of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..errors import SolveError
+from ..graph.solve import solve
+from ..measurements.visibility import MISSING_S, Gap, enough_joints
+from ..recording import FOREARM_JOINTS, JOINTS
+from ..result import SelfCheck
+from ..units import GRAVITY
+from ..window.cut import PreparedSegment, cut
+from ..window.problem import Priors, Window
+from ..window.trajectory import joint_from_pose, merge_windows
+from .samples import frame_residuals, poses_at
+from .task import Task
+
+#: Length of a stretch, s: as the gaps, within these limits; of a recording without gaps the last.
+SHORTEST_S, LONGEST_S, WITHOUT_GAPS_S = 0.4, 4.0, 1.0
+#: Visible time that is left on both sides of a stretch, s, and from its window's ends.
+BESIDE_S, MARGIN_S = 0.5, 2.0
+#: Candidates begin so far apart, s; motion is compared in steps of this length, s.
+APART_S, STEP_S = 0.25, 0.1
+#: Joints that are compared, the best first.
+REFERENCES = ("wrist", "strap", "hand", "elbow")
+#: Squared sigmas within which 95 % of three normal numbers lie.
+INSIDE_95 = 7.815
+#: A stretch fails where its mean squared error is so many times what is stated, and the error so large, m:
+#: the worst of twelve sound simulated recordings was 2.1.
+FAILED_NEES, FAILED_M = 6.0, 0.05
+#: So many stretches have to speak before sigma is widened; it is never widened more.
+ENOUGH, LARGEST_FACTOR = 8, 3.0
+
+
+@dataclass(frozen=True)
+class HiddenStretch:
+    """A stretch that was hidden.
+
+    Attributes
+    ----------
+    start_s, end_s : float, s
+        On the IMU's clock.
+    samples : int
+        Camera samples that were compared; 0 where it could not be recovered.
+    rms_m, stated_m : float, m
+        3D error, and what was stated of it, the camera's noise included.
+    inside : int
+        Samples inside the 95 % region.
+    nees : float
+        Mean squared error in sigmas / 3.
+    """
+
+    start_s: float
+    end_s: float
+    samples: int = 0
+    rms_m: float = float("nan")
+    stated_m: float = float("nan")
+    inside: int = 0
+    nees: float = float("nan")
+
+    @property
+    def failed(self) -> bool:
+        """It could not be recovered, or was recovered elsewhere with a sigma that says otherwise."""
+        return self.samples == 0 or self.contradicted
+
+    @property
+    def contradicted(self) -> bool:
+        """What was seen lies where the rest says that it cannot."""
+        return self.nees > FAILED_NEES and self.rms_m > FAILED_M
+
+
+def hide_and_recover(
+    prepared: PreparedSegment,
+    windows: Sequence[Window],
+    priors: Sequence[Priors],
+    task: Task,
+) -> list[HiddenStretch]:
+    """Hide some stretches of a section, recover each, and compare.
+
+    Parameters
+    ----------
+    prepared : PreparedSegment
+        With start values of the section's own answer.
+    windows : sequence of Window
+        Of the section.
+    priors : sequence of Priors
+        Of the windows.
+    task : Task
+
+    Returns
+    -------
+    stretches : list of HiddenStretch
+        In the order of time.
+    """
+    found = []
+    for gap in choose_stretches(prepared, task.stretches, task.usual_gap_s):
+        middle = 0.5 * (gap.start_s + gap.end_s)
+        number = int(
+            np.clip(np.searchsorted([window.core_end_s for window in windows], middle), 0, len(windows) - 1)
+        )
+        found.append(_recovered(prepared, gap, windows[number], priors[number], task))
+    return found
+
+
+def choose_stretches(prepared: PreparedSegment, count: int, usual_gap_s: float) -> list[Gap]:
+    """Visible stretches that resemble the gaps of a section.
+
+    The gaps are taken in the order of how fast the arm moves in them, evenly over all; each gives its length
+    and its motion (turning, and how much the specific force varies) to a stretch. Without gaps the fastest
+    visible stretches are taken.
+
+    Parameters
+    ----------
+    prepared : PreparedSegment
+    count : int
+        How many are wanted.
+    usual_gap_s : float, s
+        Length where the section has no gap.
+    """
+    visible = _visible_runs(prepared)
+    edges = np.arange(prepared.signal.start_s, prepared.signal.end_s, STEP_S)
+    if not visible or len(edges) < 3 or count < 1:
+        return []
+    motion = _Motion.of(prepared, edges)
+    inner = [gap for gap in prepared.gaps if gap.length_s >= SHORTEST_S]
+    inner.sort(key=lambda gap: -float(motion.of_times(gap.start_s, gap.end_s).sum()))
+    models = [inner[k * len(inner) // count] for k in range(count)] if inner else [None] * count
+    chosen: list[Gap] = []
+    for model in models:
+        wanted_s = float(np.clip(usual_gap_s if model is None else model.length_s, SHORTEST_S, LONGEST_S))
+        longest_s = max(b - a for a, b in visible) - 2.0 * BESIDE_S
+        length_s = min(wanted_s, longest_s)
+        if length_s < SHORTEST_S:
+            continue
+        starts: FloatArray = np.concatenate(
+            [np.arange(a + BESIDE_S, b - BESIDE_S - length_s + 1e-9, APART_S) for a, b in visible]
+        )
+        for each in chosen:
+            starts = starts[
+                (starts + length_s + BESIDE_S <= each.start_s) | (starts >= each.end_s + BESIDE_S)
+            ]
+        if not len(starts):
+            continue
+        features = np.array([motion.of_times(s, s + length_s) for s in starts.tolist()])
+        if model is None:
+            best = int(np.argmax(features.sum(axis=1)))
+        else:
+            off = np.abs(features - motion.of_times(model.start_s, model.end_s)).sum(axis=1)
+            best = int(np.argmin(off))
+        chosen.append(Gap(float(starts[best]), float(starts[best]) + length_s))
+    return sorted(chosen, key=lambda gap: gap.start_s)
+
+
+def _visible_runs(prepared: PreparedSegment) -> list[tuple[float, float]]:
+    """From when to when the camera sees the forearm within what the section answers for, s."""
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    needed = 2 if np.count_nonzero(np.asarray(prepared.accepted[:, forearm].any(axis=0))) > 1 else 1
+    t = prepared.frame_t_imu[enough_joints(prepared.accepted, needed)]
+    t = t[(t >= prepared.start_s) & (t <= prepared.end_s)]
+    if len(t) < 2:
+        return []
+    ends = np.array([gap.start_s for gap in prepared.gaps])
+    # a gap of a frame or two breaks a run as well
+    inside = np.searchsorted(t, ends + 1e-9, side="right")
+    breaks = np.union1d(np.flatnonzero(np.diff(t) > MISSING_S) + 1, inside[(inside > 0) & (inside < len(t))])
+    runs = np.split(t, breaks)
+    return [(float(run[0]), float(run[-1])) for run in runs if run[-1] - run[0] > SHORTEST_S + 2.0 * BESIDE_S]
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Running sums of how a sensor moves, in steps of `STEP_S`."""
+
+    edges: FloatArray
+    turning: FloatArray
+    force: FloatArray
+
+    @classmethod
+    def of(cls, prepared: PreparedSegment, edges: FloatArray) -> _Motion:
+        means = prepared.signal.means(edges)
+        turning = np.sum(means[:, 3:] ** 2, axis=1)
+        force = (np.linalg.norm(means[:, :3], axis=1) - GRAVITY) ** 2
+
+        def sums(values: FloatArray) -> FloatArray:
+            return np.concatenate(([0.0], np.cumsum(values)))
+
+        return cls(edges, sums(turning), sums(force))
+
+    def of_times(self, start_s: float, end_s: float) -> FloatArray:
+        """Logarithms of the rms of turning, rad/s, and of the specific force beyond gravity, m/s^2, (2,)."""
+        first, last = np.searchsorted(self.edges, [start_s, end_s]).clip(0, len(self.turning) - 1).tolist()
+        count = max(last - first, 1)
+        rms = [np.sqrt(max(total[last] - total[first], 0.0) / count) for total in (self.turning, self.force)]
+        return np.log(np.array(rms) + np.array([0.05, 0.05]))
+
+
+def _recovered(
+    prepared: PreparedSegment, gap: Gap, window: Window, priors: Priors, task: Task
+) -> HiddenStretch:
+    """One stretch, hidden and recovered."""
+    t = prepared.frame_t_imu
+    hidden: BoolArray = (t >= gap.start_s) & (t <= gap.end_s)
+    forearm = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
+    accepted = prepared.accepted.copy()
+    reference = next(
+        (joint for joint in REFERENCES if (accepted[hidden, JOINTS.index(joint)]).sum() > 2), None
+    )
+    if reference is None:
+        return HiddenStretch(gap.start_s, gap.end_s)
+    column = JOINTS.index(reference)
+    rows = np.flatnonzero(hidden & accepted[:, column])
+    accepted[np.ix_(np.flatnonzero(hidden), np.array(forearm))] = False
+    copy = replace(
+        prepared, accepted=accepted, gaps=tuple(sorted((*prepared.gaps, gap), key=lambda each: each.start_s))
+    )
+    start_s, end_s = max(gap.start_s, prepared.t[0]), min(gap.end_s, prepared.t[-1])
+    borders = [float(prepared.t[0]), start_s, end_s, float(prepared.t[-1])]
+    noise = task.noise
+    (own,) = cut(copy, [priors] * 3, noise, borders, MARGIN_S, GRAVITY, task.sharing, {1})
+    own = replace(own, considered=task.model.errors.considered)
+    try:
+        solution = solve(own, with_covariance=True, with_message=False, tolerance=1e-2)
+    except SolveError:
+        return HiddenStretch(gap.start_s, gap.end_s)
+    nodes = prepared.t[(prepared.t >= own.t[0]) & (prepared.t <= own.t[-1])]
+    trajectory = merge_windows(nodes, [replace(own, core_start_s=-np.inf, core_end_s=np.inf)], [solution])
+    model = task.model
+    error = frame_residuals(prepared.position[rows], t[rows], copy, trajectory, model.estimate)[:, column]
+    states, pose = poses_at(trajectory, prepared.signal, model.clock, t[rows])
+    lever = model.estimate.lever_arms.get(reference)
+    _, covariance = joint_from_pose(
+        states.R,
+        states.p,
+        pose,
+        trajectory.lever_at(reference, t[rows]),
+        None if lever is None else np.diag(lever.sigma_m**2),
+    )
+    sample = model.joint_noise[reference].sample_m if reference in model.joint_noise else 0.01
+    covariance = covariance + sample**2 * np.eye(3)
+    squared = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    finite = np.isfinite(squared)
+    if not finite.any():
+        return HiddenStretch(gap.start_s, gap.end_s)
+    return HiddenStretch(
+        gap.start_s,
+        gap.end_s,
+        samples=int(finite.sum()),
+        rms_m=float(np.sqrt(np.mean(np.sum(error[finite] ** 2, axis=1)))),
+        stated_m=float(np.sqrt(np.mean(np.trace(covariance[finite], axis1=1, axis2=2)))),
+        inside=int((squared[finite] < INSIDE_95).sum()),
+        nees=float(squared[finite].mean()) / 3.0,
+    )
+
+
+def summary(stretches: Sequence[HiddenStretch]) -> SelfCheck:
+    """What the stretches say together, before sigma is widened."""
+    if not stretches:
+        return SelfCheck(0, note="the camera never saw the arm long enough between gaps to hide a part of it")
+    answered = [each for each in stretches if each.samples]
+    samples = sum(each.samples for each in answered)
+    length_s = float(np.median([each.end_s - each.start_s for each in stretches]))
+    if not samples:
+        return SelfCheck(len(stretches), len(stretches), length_s, failed=len(stretches))
+
+    def rms(values: list[float]) -> float:
+        total = sum(each.samples * value**2 for each, value in zip(answered, values, strict=True))
+        return float(np.sqrt(total / samples))
+
+    return SelfCheck(
+        stretches=len(stretches),
+        unanswered=len(stretches) - len(answered),
+        length_s=length_s,
+        rms_m=rms([each.rms_m for each in answered]),
+        stated_sigma_m=rms([each.stated_m for each in answered]),
+        inside_95=sum(each.inside for each in answered) / samples,
+        worst_nees=max(each.nees for each in answered),
+        sigma_factor=_sigma_factor([each.nees for each in answered]),
+        failed=sum(each.failed for each in stretches),
+    )
+
+
+def _sigma_factor(nees: Sequence[float]) -> float:
+    """What sigma in gaps has to be multiplied by: what the stretches ask for beyond chance, 1 otherwise."""
+    if len(nees) < ENOUGH:
+        return 1.0
+    values = np.minimum(np.array(nees), LARGEST_FACTOR**2)
+    least = float(values.mean() - values.std(ddof=1) / np.sqrt(len(values)))
+    return float(np.sqrt(np.clip(least, 1.0, LARGEST_FACTOR**2)))

@@ -1,0 +1,86 @@
+"""In words, what of a result is not to be trusted: a line for a terminal, sentences for a list."""
+
+from __future__ import annotations
+
+from .recovery import Recovery
+from .verdict import UntrustedInterval
+
+#: More gaps than this are counted in a line, not named.
+MOST_NAMED = 6
+
+
+def partly_untrusted(recovery: Recovery) -> bool:
+    """Whether some times are not to be trusted of a result that otherwise is."""
+    return recovery.estimates.trusted is not False and bool(recovery.estimates.untrusted)
+
+
+def untrusted_gaps(recovery: Recovery) -> list[int]:
+    """Numbers of the gaps that are not to be trusted, from 1, in order of time."""
+    return [number for number, gap in enumerate(recovery.gap_verdicts, start=1) if not gap.trusted]
+
+
+def untrusted_times(recovery: Recovery) -> list[tuple[float, float]]:
+    """Start and end of what is not to be trusted, s on the IMU's clock, in order; all of it may be."""
+    if recovery.estimates.trusted is False:
+        return [(float(recovery.t_s[0]), float(recovery.t_s[-1]))] if len(recovery) else []
+    return sorted((each.start_s, each.end_s) for each in recovery.estimates.untrusted)
+
+
+def in_view(recovery: Recovery) -> list[UntrustedInterval]:
+    """The untrusted intervals that reach into no gap: the camera saw the arm in them, or something else."""
+    return [
+        each
+        for each in recovery.estimates.untrusted
+        if not any(each.overlaps(gap.start_s, gap.end_s) for gap in recovery.gaps)
+    ]
+
+
+def untrusted_sentences(recovery: Recovery) -> tuple[str, ...]:
+    """Which times are not to be trusted, and why, one sentence each without a full stop.
+
+    Parameters
+    ----------
+    recovery : Recovery
+
+    Returns
+    -------
+    sentences : tuple of str
+        First the gaps, then times in view. Empty where all of it is trusted, and where nothing is: the
+        verdict then says why.
+    """
+    if not partly_untrusted(recovery):
+        return ()
+    gaps = [
+        f"gap {number} ({_times(gap.start_s, gap.end_s)}): {'; '.join(gap.reasons)}"
+        for number, gap in enumerate(recovery.gap_verdicts, start=1)
+        if not gap.trusted
+    ]
+    seen = [
+        f"{_times(each.start_s, each.end_s)}, in view: {'; '.join(each.reasons)}"
+        for each in in_view(recovery)
+    ]
+    return (*gaps, *seen)
+
+
+def standing(recovery: Recovery) -> str:
+    """The verdict and the gaps that are not to be trusted, on one line; "" where nobody judged."""
+    parts = [recovery.estimates.verdict]
+    if partly_untrusted(recovery):
+        numbers = untrusted_gaps(recovery)
+        named = [
+            f"{number} ({_times(recovery.gaps[number - 1].start_s, recovery.gaps[number - 1].end_s)})"
+            for number in numbers[:MOST_NAMED]
+        ]
+        if len(numbers) > MOST_NAMED:
+            named.append(f"{len(numbers) - MOST_NAMED} more")
+        if named:
+            which = "gap" if len(numbers) == 1 else "gaps"
+            parts.append(f"Not to be trusted: {which} {', '.join(named)} of {len(recovery.gaps)}.")
+        if seen := in_view(recovery):
+            times = [_times(each.start_s, each.end_s) for each in seen[:MOST_NAMED]]
+            parts.append(f"Not to be trusted while in view: {', '.join(times)}.")
+    return " ".join(part for part in parts if part)
+
+
+def _times(start_s: float, end_s: float) -> str:
+    return f"{start_s:.2f} to {end_s:.2f} s"

@@ -1,0 +1,236 @@
+"""What is to be trusted of a result, gap by gap, and what it was found by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..measurements.visibility import Gap
+
+
+@dataclass(frozen=True)
+class UntrustedInterval:
+    """Times whose answer is not to be trusted.
+
+    Attributes
+    ----------
+    start_s, end_s : float, s
+        On the IMU's clock.
+    reasons : tuple of str
+        Why, one sentence each without a full stop.
+    """
+
+    start_s: float
+    end_s: float
+    reasons: tuple[str, ...]
+
+    def overlaps(self, start_s: float, end_s: float) -> bool:
+        """Whether it reaches into the times between two."""
+        return self.start_s < end_s and self.end_s > start_s
+
+
+@dataclass(frozen=True)
+class GapVerdict:
+    """Whether the answer in a gap is to be trusted.
+
+    Attributes
+    ----------
+    start_s, end_s : float, s
+        The gap, on the IMU's clock.
+    reasons : tuple of str
+        Why it is not; empty where it is.
+    """
+
+    start_s: float
+    end_s: float
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Nothing speaks against it."""
+        return not self.reasons
+
+
+def gap_verdicts(
+    gaps: Sequence[Gap], trusted: bool | None, reasons: Sequence[str], untrusted: Sequence[UntrustedInterval]
+) -> tuple[GapVerdict, ...]:
+    """A verdict for every gap.
+
+    Parameters
+    ----------
+    gaps : sequence of Gap
+    trusted : bool, optional
+        Of the whole recording; None where nobody judged.
+    reasons : sequence of str
+        Why the recording is not trusted.
+    untrusted : sequence of UntrustedInterval
+        Parts of it that are not.
+    """
+    verdicts = []
+    for gap in gaps:
+        own = [why for each in untrusted if each.overlaps(gap.start_s, gap.end_s) for why in each.reasons]
+        if trusted is False:
+            own += reasons or ["the recording is not to be trusted"]
+        verdicts.append(GapVerdict(gap.start_s, gap.end_s, tuple(dict.fromkeys(own))))
+    return tuple(verdicts)
+
+
+def trusted_at(t_s: FloatArray, trusted: bool | None, untrusted: Sequence[UntrustedInterval]) -> BoolArray:
+    """Which times are trusted, (N,); all of them where nobody judged.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (N,), s
+        Increasing, on the IMU's clock.
+    trusted, untrusted
+        As in `gap_verdicts`.
+    """
+    good = np.full(len(t_s), trusted is not False)
+    for each in untrusted:
+        good[slice(*np.searchsorted(t_s, [each.start_s, each.end_s], side="left").tolist())] = False
+    return good
+
+
+@dataclass(frozen=True)
+class SelfCheck:
+    """Visible stretches that were hidden, recovered and compared with what the camera saw.
+
+    Attributes
+    ----------
+    stretches : int
+        How many were hidden.
+    unanswered : int
+        Of them, those that could not be recovered at all.
+    failed : int
+        Those, and the ones that were recovered elsewhere with a sigma that says otherwise.
+    length_s : float, s
+        Their median length; 0 without any.
+    rms_m : float, m
+        3D error against the camera's hidden wrist (or only joint); nan without any.
+    stated_sigma_m : float, m
+        What was stated of the same quantity, the camera's own noise included.
+    inside_95 : float
+        Share of the hidden samples inside the stated 95 % region.
+    worst_nees : float
+        Largest mean squared error in sigmas / 3 of a stretch; 1 is expected.
+    sigma_factor : float
+        What sigma in gaps was multiplied by; 1 where the stretches do not ask for more.
+    note : str
+        Why there are none, or fewer than wanted.
+    """
+
+    stretches: int
+    unanswered: int = 0
+    length_s: float = 0.0
+    rms_m: float = float("nan")
+    stated_sigma_m: float = float("nan")
+    inside_95: float = float("nan")
+    worst_nees: float = float("nan")
+    sigma_factor: float = 1.0
+    note: str = ""
+    failed: int = 0
+
+    @property
+    def sentence(self) -> str:
+        """What was tried and found, in one sentence."""
+        if not self.stretches:
+            return f"Self-check: {self.note}."
+        times = "once" if self.stretches == 1 else f"{self.stretches} times"
+        hidden = f"Hidden {times} for {self.length_s:.1f} s where the camera saw the arm"
+        if self.unanswered == self.stretches:
+            return f"{hidden}: it could not be recovered."
+        lost = f"; {self.unanswered} could not be recovered" if self.unanswered else ""
+        return (
+            f"{hidden}: recovered to {100 * self.rms_m:.1f} cm (stated {100 * self.stated_sigma_m:.1f} cm)"
+            f"{lost}."
+        )
+
+    def plain(self) -> dict[str, object]:
+        """Plain values by name; None for what is not known."""
+        return {name: _or_none(value) for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_plain(cls, values: object) -> SelfCheck | None:
+        """From plain values; None where they are of another kind."""
+        return _from_plain(cls, values, ("stretches",))
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Whether the skeleton and the IMU are of one motion.
+
+    Attributes
+    ----------
+    proved : bool
+        The motion itself proves it, or the user stated the clock.
+    chance : float
+        How often streams that do not belong together agree as well, at most.
+    evidence : float
+        What the motion says for it; grows with the length of the recording.
+    offset_s : float, s
+        t_imu - t_camera to some tens of milliseconds, as the motion has it.
+    reason : str
+        Why the result is not to be trusted; "" where nothing speaks against the pairing.
+    caution : str
+        What is open where nothing speaks against it.
+    """
+
+    proved: bool
+    chance: float = float("nan")
+    evidence: float = float("nan")
+    offset_s: float = float("nan")
+    reason: str = ""
+    caution: str = ""
+
+    def plain(self) -> dict[str, object]:
+        """Plain values by name; None for what is not known."""
+        return {name: _or_none(value) for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_plain(cls, values: object) -> Pairing | None:
+        """From plain values; None where they are of another kind."""
+        return _from_plain(cls, values, ("proved",))
+
+
+def intervals_plain(intervals: Sequence[UntrustedInterval]) -> list[dict[str, object]]:
+    """Untrusted intervals as plain values."""
+    return [
+        {"start_s": each.start_s, "end_s": each.end_s, "reasons": list(each.reasons)} for each in intervals
+    ]
+
+
+def intervals_from_plain(values: object) -> tuple[UntrustedInterval, ...] | None:
+    """Untrusted intervals from plain values; None where they are of another kind."""
+    if not isinstance(values, list | tuple):
+        return None
+    try:
+        return tuple(
+            UntrustedInterval(
+                float(each["start_s"]), float(each["end_s"]), tuple(str(why) for why in each["reasons"])
+            )
+            for each in values
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _or_none(value: object) -> object:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _from_plain(kind: Any, values: object, needed: tuple[str, ...]) -> Any:
+    """A dataclass of numbers from plain values; None where one is of another kind."""
+    if not isinstance(values, Mapping) or any(values.get(name) is None for name in needed):
+        return None
+    defaults = {name: each.default for name, each in kind.__dataclass_fields__.items()}
+    known = {name: value for name, value in values.items() if name in defaults and value is not None}
+    for name, value in known.items():
+        if isinstance(defaults[name], str) != isinstance(value, str):
+            return None
+        if not isinstance(value, bool | int | float | str):
+            return None
+    return kind(**known)

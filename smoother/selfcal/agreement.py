@@ -1,0 +1,326 @@
+"""At which clock offset camera and IMU agree best over a whole recording, and how well chance does.
+
+The camera's stretches (the whole of a short recording, excerpts of a long one) are each compared with the IMU
+at all offsets (`turning_evidence`). Evidence adds: the clock is the line of offsets, with a drift, that all
+stretches together support. A stretch has a heading and a forearm axis of its own, so neither a drifting
+heading nor a strap that slips spoils the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..linalg import runs
+from ..measurements.clock import LARGEST_OFFSET_S
+from ..measurements.segment import down_hint
+from ..measurements.timeline import Timeline
+from ..measurements.timestamps import split_at_pauses
+from ..recording import ImuStream, JointTracks, Recording
+from .excerpts import EXCERPT_S, spread_excerpts
+from .turning_evidence import (
+    GRID_HZ,
+    CameraTurning,
+    EvidenceCurve,
+    ImuTurning,
+    camera_turning,
+    imu_turning,
+    turning_evidence,
+)
+
+#: A recording up to this long is read whole, in stretches of about the second length, s: within one a drift
+#: of 3000 ppm blurs less than the filter does. Of a longer one so many excerpts are read.
+WHOLE_S, STRETCH_S, EXCERPTS = 120.0, 45.0, 12
+#: With so much of the IMU around an excerpt, s; with the second where that is not enough. Around a recording
+#: that is read whole, with the third.
+AROUND_S, FAR_S, WHOLE_AROUND_S = 60.0, 600.0, 3600.0
+#: Clocks drift by at most this against each other, s/s; lines are tried whose ends differ by this, s.
+LARGEST_SKEW, LINE_STEP_S = 3.5e-3, 0.06
+#: Offsets up to this need no search: the fine search's reach, and what this one is off by, s.
+NEAR_S = LARGEST_OFFSET_S + 0.05
+#: Another offset is one at least this far away, s.
+APART_S = 0.5
+#: A stretch takes part in the line's fit where its own best offset is this near to it, s.
+ON_LINE_S = 0.12
+#: The offset and drift of fewer stretches, or over a shorter time, s, are not told apart.
+FEWEST_FOR_SKEW, SKEW_SPAN_S = 3, 60.0
+#: How the evidence of streams that do not belong together is distributed: see `chance`.
+CHANCE_SCALE, CHANCE_START, CHANCE_STRETCH, CHANCE_FREE = 1.6, 0.0, 1.5, 1.5
+#: And the part of the camera's turning that it explains where both are of the same exercise; the camera's own
+#: error, by the forearm's length, accounts for this part at most.
+SAME_EXERCISE, MOST_NOISE = 0.08, 0.4
+#: Good enough not to look further; a freer fit has to be so much less likely to be chance to count.
+CERTAIN, SWITCH = 1e-3, 0.1
+#: Distinct offsets in a second of search.
+OFFSETS_PER_S = 3.0
+
+
+@dataclass(frozen=True)
+class OffsetLine:
+    """Clock offsets that are explained best, among some.
+
+    Attributes
+    ----------
+    offset_s : float, s
+        t_imu - t_camera in the middle of the recording.
+    skew : float, s/s
+        Drift per second.
+    evidence : float
+        Over all stretches.
+    chance : float
+        Probability that streams which do not belong together reach as much.
+    explained : float
+        Part of the camera's turning (its power, its own error aside) that the IMU explains.
+    """
+
+    offset_s: float
+    skew: float
+    evidence: float
+    chance: float
+    explained: float
+
+
+@dataclass(frozen=True)
+class MotionAgreement:
+    """How camera and IMU agree, at all offsets and at those near zero.
+
+    Attributes
+    ----------
+    middle_s : float, s
+        On the camera's clock: where the lines' offsets hold.
+    best, near : OffsetLine
+        Over all offsets, and over those within `NEAR_S`; near has no evidence where the streams do not
+        overlap there.
+    rival : float
+        Evidence of the best offset at least `APART_S` from `best`.
+    freedom : float
+        Independent samples of the camera's turning beyond the unknowns, over all stretches.
+    noise_share : float
+        Part of the camera's turning that is its own error.
+    heading_only : bool
+        Down was known and used.
+    """
+
+    middle_s: float
+    best: OffsetLine
+    near: OffsetLine
+    rival: float
+    freedom: float
+    noise_share: float
+    heading_only: bool
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A part of what the camera saw, and the IMU's runs about it."""
+
+    camera: CameraTurning
+    imu: tuple[ImuTurning, ...]
+
+    @property
+    def middle_s(self) -> float:
+        """On the camera's clock from the grid's origin."""
+        return (self.camera.first + 0.5 * len(self.camera.rate)) / GRID_HZ
+
+
+def agreement(recording: Recording, timeline: Timeline | None = None) -> MotionAgreement | None:
+    """How camera and IMU agree over a recording; None where there is no forearm direction, or too little.
+
+    Parameters
+    ----------
+    recording : Recording
+        With elbow and wrist (or hand); its clocks may be any time apart.
+    timeline : Timeline, optional
+        Of the recording, where it is there already.
+    """
+    arm, imu = recording.arm, recording.imu
+    tip = next((joint for joint in ("wrist", "hand") if joint in arm.present), None)
+    if tip is None or "elbow" not in arm.present or len(arm) < 3 or len(imu) < 3:
+        return None
+    down = down_hint(recording)
+    up = -down if down.any() else None
+    found = None
+    for around_s in (AROUND_S, FAR_S):
+        stretches = list(_stretches(recording, timeline, tip, around_s))
+        if not stretches:
+            return None
+        for direction in (up, None) if up is not None else (None,):
+            answer = _over(stretches, direction, float(imu.t_s[0] - arm.t_s[0]), float(arm.t_s[0]))
+            if found is None or answer.best.chance < SWITCH * found.best.chance:
+                found = answer
+            if min(found.best.chance, found.near.chance) < CERTAIN:
+                return found
+        if arm.t_s[-1] - arm.t_s[0] <= WHOLE_S:
+            break
+    return found
+
+
+def agreement_of(imu: ImuStream, arm: JointTracks) -> MotionAgreement | None:
+    """As `agreement`, of an IMU and an arm alone: nothing is known of down."""
+    return agreement(Recording(imu, arm))
+
+
+def chance(evidence: float, explained: float, searched_s: float, stretches: int, heading_only: bool) -> float:
+    """Probability that streams which do not belong together reach this evidence or more, at most 1.
+
+    The tail of the largest of many is exponential in the evidence, and in proportion to how many offsets were
+    tried. Where both are of the same exercise they agree by more than chance, however long it takes: the tail
+    of the part explained is exponential as well. Both tails bound what was found on wrong pairs (skeleton of
+    one trial, IMU of another): real Kinect v1 of 2 to 6 s (same activity), real Azure Kinect of 4 to 17 s
+    (all pairs), and simulated exercises of 30 to 75 s whose script is the same; `tools/pairing_accuracy.py`
+    repeats it.
+
+    Parameters
+    ----------
+    evidence : float
+    explained : float
+        Part of the camera's turning that the IMU explains, its own error aside, 0 to 1.
+    searched_s : float, s
+        Range of the offsets tried.
+    stretches : int
+        Whose evidence was added; each fits unknowns of its own.
+    heading_only : bool
+    """
+    start = CHANCE_START + CHANCE_STRETCH * (stretches - 1)
+    start += 0.0 if heading_only else CHANCE_FREE * stretches
+    tried = max(searched_s * OFFSETS_PER_S, 1.0)
+    by_search = tried * np.exp(-max(evidence - start, 0.0) / CHANCE_SCALE)
+    return float(min(1.0, max(by_search, np.exp(-max(explained, 0.0) / SAME_EXERCISE))))
+
+
+def _stretches(
+    recording: Recording, timeline: Timeline | None, tip: str, around_s: float
+) -> Iterator[_Stretch]:
+    """The whole recording in pieces, or the excerpts of a long one."""
+    arm, imu = recording.arm, recording.imu
+    camera_s, imu_s = float(arm.t_s[0]), float(imu.t_s[0])
+    if arm.t_s[-1] - camera_s <= WHOLE_S:
+        yield from _whole(recording, tip, camera_s, imu_s)
+        return
+    timeline = timeline or Timeline.of(recording)
+    context_s = 0.5 * (STRETCH_S - EXCERPT_S)
+    count = min(EXCERPTS, int((arm.t_s[-1] - camera_s) / STRETCH_S))
+    for excerpt in spread_excerpts(recording, timeline, count, context_s, around_s):
+        camera = camera_turning(arm.select(excerpt.frames), camera_s, tip)
+        run = imu_turning(imu.select(excerpt.samples), imu_s)
+        if camera is not None and run is not None:
+            yield _Stretch(camera, (run,))
+
+
+def _whole(recording: Recording, tip: str, camera_s: float, imu_s: float) -> Iterator[_Stretch]:
+    arm, imu = recording.arm, recording.imu
+    camera = camera_turning(arm, camera_s, tip)
+    rows = slice(
+        *np.searchsorted(imu.t_s, [camera_s - WHOLE_AROUND_S, arm.t_s[-1] + WHOLE_AROUND_S]).tolist()
+    )
+    if rows.start == rows.stop:
+        rows = slice(0, len(imu))
+    about = imu.select(rows)
+    found = [imu_turning(about.select(run), imu_s) for run in split_at_pauses(about)]
+    imus = tuple(run for run in found if run is not None)
+    if camera is None or not imus:
+        return
+    known = runs(camera.known)
+    first, last = known[0].start, known[-1].stop
+    count = max(int(np.ceil((last - first) / (STRETCH_S * GRID_HZ))), 1)
+    edges = np.linspace(first, last, count + 1).astype(int)
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        part = camera.part(start, stop)
+        if part.known.sum() > GRID_HZ:
+            yield _Stretch(part, imus)
+
+
+def _over(
+    stretches: list[_Stretch], up: FloatArray | None, ahead_s: float, camera_s: float
+) -> MotionAgreement:
+    """The evidence of all stretches, added along lines of offsets."""
+    curves = [turning_evidence(each.camera, each.imu, up) for each in stretches]
+    weight = np.array([each.camera.effective_samples for each in stretches])
+    times = np.array([each.middle_s for each in stretches])
+    middle_s = float(np.average(times, weights=np.maximum(weight, 1e-9)))
+    first = min(curve.first for curve in curves)
+    length = max(curve.first + len(curve.evidence) for curve in curves) - first
+    span_s = float(np.ptp(times))
+    half = int(np.ceil(0.5 * LARGEST_SKEW * span_s / LINE_STEP_S))
+    skews = np.linspace(-LARGEST_SKEW, LARGEST_SKEW, 2 * half + 1) if half else np.zeros(1)
+    total, of_skew = np.zeros(length), np.zeros(length)
+    for skew in skews:
+        one = np.zeros(length)
+        for curve, t_s in zip(curves, times, strict=True):
+            _add_shifted(one, curve, round(skew * (t_s - middle_s) * GRID_HZ) + first)
+        of_skew = np.where(one > total, skew, of_skew)
+        total = np.maximum(total, one)
+    offset_s = (first + np.arange(length)) / GRID_HZ + ahead_s
+    near = np.abs(offset_s) <= NEAR_S
+    weights = np.maximum(weight, 1e-9)
+    noise_share = float(np.average([each.camera.noise_share for each in stretches], weights=weights))
+    freedom = sum(curve.freedom for curve in curves)
+    searched_s = max(curve.searched for curve in curves) / GRID_HZ * len(skews) ** 0.5
+
+    def line(allowed: BoolArray, tried_s: float) -> OffsetLine:
+        row = int(np.argmax(np.where(allowed, total, -1.0)))
+        evidence = float(total[row]) if allowed.any() else 0.0
+        at = _refined(curves, times - middle_s, offset_s[row], of_skew[row], ahead_s)
+        explained = float(-np.expm1(-evidence / freedom)) if freedom > 0.0 else 0.0
+        explained = min(explained / (1.0 - min(noise_share, MOST_NOISE)), 1.0)
+        by_chance = chance(evidence, explained, tried_s, len(curves), up is not None)
+        return OffsetLine(*at, evidence, by_chance, explained)
+
+    best = line(np.ones(length, bool), searched_s)
+    apart = np.abs(offset_s - best.offset_s) > APART_S
+    return MotionAgreement(
+        camera_s + middle_s,
+        best,
+        line(near, min(2.0 * NEAR_S, searched_s)),
+        float(total[apart].max(initial=0.0)),
+        freedom,
+        noise_share,
+        up is not None,
+    )
+
+
+def _add_shifted(total: FloatArray, curve: EvidenceCurve, first: int) -> None:
+    """Add a curve whose offsets are counted from `first` on; what lies beyond the ends is left out."""
+    start = curve.first - first
+    a, b = max(start, 0), min(start + len(curve.evidence), len(total))
+    if b > a:
+        total[a:b] += curve.evidence[a - start : b - start]
+
+
+def _refined(
+    curves: list[EvidenceCurve], t_s: FloatArray, offset_s: float, skew: float, ahead_s: float
+) -> tuple[float, float]:
+    """The line through the stretches' own peaks beside it: offset at t_s = 0, and skew."""
+    at, lag, weight = [], [], []
+    for curve, t in zip(curves, t_s.tolist(), strict=True):
+        expected = (offset_s + skew * t - ahead_s) * GRID_HZ - curve.first
+        a, b = np.clip(
+            [round(expected - ON_LINE_S * GRID_HZ), round(expected + ON_LINE_S * GRID_HZ) + 1],
+            0,
+            len(curve.evidence),
+        ).tolist()
+        if b <= a or not curve.evidence[a:b].max() > 0.0:
+            continue
+        row = a + int(curve.evidence[a:b].argmax())
+        at.append(t)
+        lag.append((row + _vertex(curve.evidence, row) + curve.first) / GRID_HZ + ahead_s)
+        weight.append(float(curve.evidence[row]))
+    if not at:
+        return float(offset_s), float(skew)
+    t, y, w = np.array(at), np.array(lag), np.array(weight)
+    if len(t) < FEWEST_FOR_SKEW or np.ptp(t) < SKEW_SPAN_S:
+        return float(np.average(y, weights=w)), 0.0
+    slope, level = np.polyfit(t, y, 1, w=np.sqrt(w))
+    return float(level), float(slope)
+
+
+def _vertex(values: FloatArray, row: int) -> float:
+    """Where the parabola through a maximum and its neighbours is highest, in steps from it."""
+    if not 0 < row < len(values) - 1:
+        return 0.0
+    left, middle, right = values[row - 1 : row + 2]
+    curvature = left - 2.0 * middle + right
+    return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5)) if curvature < 0 else 0.0

@@ -1,0 +1,353 @@
+"""How much of a forearm's turning, as the camera saw it, an IMU's attitude explains at every clock offset.
+
+The camera gives the forearm's direction d(t) in {K}, the IMU its attitude R_E_A(t). With the forearm's axis
+a in the sensor and the constant rotation Q from {E} to {K}, d(t) = Q R_E_A(t + offset) a, and the same holds
+for the derivatives x = d' and Y = R_E_A' after any filter along time. For one offset, Q and a follow in
+closed form alternately; over all offsets the sums that they need are correlations, which the Fourier
+transform gives.
+
+What lies outside the overlap counts as unexplained: an offset cannot win by leaving most of the data out. A
+mirrored skeleton, or elbow and wrist exchanged, fits as well as the true one where Q is free (a and Q turn).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..array_types import BoolArray, FloatArray
+from ..filters import gaussian_smoothed
+from ..linalg import nearest_rotation, unit
+from ..measurements.attitude import inertial_attitude
+from ..measurements.inertial import InertialSignal
+from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, without_spikes
+from ..measurements.timestamps import dejitter
+from ..recording import ImuStream, JointTracks
+
+#: Both series are taken on this grid, Hz, and differentiated with a Gaussian of this sigma, s.
+GRID_HZ, SMOOTH_S = 25.0, 0.12
+#: Frames farther apart are not bridged, s; beside a gap the filter's reach is left out, s.
+BRIDGED_S, BESIDE_GAP_S = 0.25, 0.24
+#: A forearm whose length in a frame is outside this range of its median is no forearm there.
+LENGTHS = (0.5, 1.6)
+#: An offset is tried where this part of the shorter one is in common, but no more than this is asked for, s.
+OVERLAP_SHARE, OVERLAP_S = 0.35, 8.0
+#: Nothing shorter than this is looked at, s.
+SHORTEST_S = 1.0
+#: What is left unexplained grows with speed: a sample weighs 1 / (this + the power about it, over so long,
+#: against the mean power), so that one burst does not stand for the whole recording.
+WEIGHT_FLOOR, WEIGHT_S = 0.3, 0.25
+#: Autocorrelation is summed up to this, s; no offset explains more than this part.
+CORRELATED_S, MOST_EXPLAINED = 4.0, 0.999
+#: Rounds of the alternation from all start values, and from the best of them.
+FIRST_ROUNDS, MORE_ROUNDS, KEPT = 3, 3, 2
+NEWTON_STEPS = 6
+#: Of the offsets every so many are tried first; then all where this part of the best is reached.
+COARSE, LOOKED_AT = 3, 0.5
+#: Offsets are worked on in batches of so many.
+BATCH = 4096
+
+
+@dataclass(frozen=True)
+class CameraTurning:
+    """Derivative of the forearm's direction in {K} on an even grid.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first grid point: its time is `first / GRID_HZ` after the grid's origin.
+    rate : ndarray, shape (n, 3), 1/s
+        Zero where the camera saw no forearm.
+    known : ndarray of bool, shape (n,)
+        Where it did.
+    stretching : ndarray, shape (n,), 1/s
+        Derivative of the logarithm of the forearm's length: it has none of its own, so this is the camera's.
+    """
+
+    first: int
+    rate: FloatArray
+    known: BoolArray
+    stretching: FloatArray
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """Of each grid point, (n,); see `WEIGHT_FLOOR`."""
+        known = self.known.astype(float)
+        power = (self.rate**2).sum(axis=1)
+        about = gaussian_smoothed(np.stack([power, known], axis=1), WEIGHT_S * GRID_HZ)
+        mean = max(float(power.sum() / max(known.sum(), 1.0)), 1e-12)
+        return known / (WEIGHT_FLOOR + about[:, 0] / np.maximum(about[:, 1], 1e-3) / mean)
+
+    @cached_property
+    def power(self) -> float:
+        """Weighted sum of squares of all that is known."""
+        return float(self.weight @ (self.rate**2).sum(axis=1))
+
+    @cached_property
+    def noise_share(self) -> float:
+        """Part of `power` that is the camera's error, 0 to 1: across the forearm as along it."""
+        return min(2.0 * float(self.weight @ self.stretching**2) / max(self.power, 1e-12), 1.0)
+
+    @cached_property
+    def effective_samples(self) -> float:
+        """How many independent samples it is worth, by its autocorrelation (Bartlett, 1946)."""
+        known, weighted = self.known[:, None].astype(float), self.rate * np.sqrt(self.weight)[:, None]
+        zero = len(known) - 1
+        count = correlation(known, known)[zero:, 0, 0]
+        product = np.sum(
+            [correlation(axis[:, None], axis[:, None])[zero:, 0, 0] for axis in weighted.T], axis=0
+        )
+        lags = np.arange(min(len(known), int(CORRELATED_S * GRID_HZ)))
+        rho = np.where(count[lags] > 0.1 * count[0], product[lags] / np.maximum(count[lags], 1.0), 0.0)
+        rho /= max(float(rho[0]), 1e-300)
+        return float(self.known.sum() / max(2.0 * (rho**2).sum() - 1.0, 1.0))
+
+    def part(self, start: int, stop: int) -> CameraTurning:
+        """Some consecutive grid points."""
+        rows = slice(start, stop)
+        return CameraTurning(self.first + start, self.rate[rows], self.known[rows], self.stretching[rows])
+
+
+@dataclass(frozen=True)
+class ImuTurning:
+    """Derivative of the IMU's attitude in {E} on an even grid, over a run of samples without a pause.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first grid point, as `CameraTurning` has it, from the IMU's own origin.
+    rate : ndarray, shape (m, 3, 3), 1/s
+        Of `R_E_A`.
+    """
+
+    first: int
+    rate: FloatArray
+
+
+def camera_turning(arm: JointTracks, origin_s: float, tip: str = "wrist") -> CameraTurning | None:
+    """The derivative of the forearm's direction; None where there is less than `SHORTEST_S` of it.
+
+    Parameters
+    ----------
+    arm : JointTracks
+    origin_s : float, s
+        Of the grid, on the camera's clock.
+    tip : str
+        The forearm points from the elbow to this joint.
+    """
+    visible = arm.tracked("elbow") & arm.tracked(tip)
+    along = (arm.joint(tip) - arm.joint("elbow"))[visible]
+    t = np.asarray(arm.t_s)[visible] - origin_s
+    length = np.linalg.norm(along, axis=1)
+    relative = length / max(float(np.median(length)), 1e-9) if len(t) else length
+    keep = (relative > LENGTHS[0]) & (relative < LENGTHS[1])
+    t = t[keep]
+    grid, first = _grid(t)
+    if len(grid) < SHORTEST_S * GRID_HZ:
+        return None
+    seen = np.hstack([unit(along[keep]), np.log(length[keep, None])])
+    on_grid = np.stack([np.interp(grid, t, axis) for axis in seen.T], axis=1)
+    rate = gaussian_smoothed(on_grid, SMOOTH_S * GRID_HZ, derivative=True) * GRID_HZ
+    known = (grid > t[0] + BESIDE_GAP_S) & (grid < t[-1] - BESIDE_GAP_S)
+    for row in np.flatnonzero(np.diff(t) > BRIDGED_S):
+        start, stop = np.searchsorted(grid, [t[row] - BESIDE_GAP_S, t[row + 1] + BESIDE_GAP_S])
+        known[start:stop] = False
+    if known.sum() < SHORTEST_S * GRID_HZ:
+        return None
+    rate = np.where(known[:, None], rate, 0.0)
+    return CameraTurning(first, rate[:, :3], known, rate[:, 3])
+
+
+def imu_turning(imu: ImuStream, origin_s: float) -> ImuTurning | None:
+    """The derivative of an IMU's attitude; None where there is less than `SHORTEST_S` of it.
+
+    Parameters
+    ----------
+    imu : ImuStream
+        Samples without a pause.
+    origin_s : float, s
+        Of the grid, on the IMU's clock.
+    """
+    if len(imu) < FEWEST_SAMPLES or not imu.t_s[-1] - imu.t_s[0] > SHORTEST_S:
+        return None
+    t_s = dejitter(np.asarray(imu.t_s)) - origin_s
+    signal = InertialSignal(without_spikes(replace(imu, t_s=t_s)))
+    attitude = inertial_attitude(signal, min(imu.rate_hz, FILTER_RATE_HZ))
+    grid, first = _grid(attitude.t)
+    if len(grid) < SHORTEST_S * GRID_HZ:
+        return None
+    matrix = attitude.at(grid).as_matrix().reshape(-1, 9)
+    rate = gaussian_smoothed(matrix, SMOOTH_S * GRID_HZ, derivative=True) * GRID_HZ
+    return ImuTurning(first, rate.reshape(-1, 3, 3))
+
+
+def _grid(t: FloatArray) -> tuple[FloatArray, int]:
+    """Points of the grid between the first and the last time, and the number of the first."""
+    if len(t) < 3:
+        return np.empty(0), 0
+    numbers = np.arange(int(np.ceil(t[0] * GRID_HZ)), int(np.floor(t[-1] * GRID_HZ)) + 1)
+    return numbers / GRID_HZ, int(numbers[0]) if len(numbers) else 0
+
+
+@dataclass(frozen=True)
+class EvidenceCurve:
+    """What speaks for each clock offset.
+
+    Attributes
+    ----------
+    first : int
+        The first offset, in steps of the grid: IMU's number less camera's.
+    evidence : ndarray, shape (k,)
+        By offset: the logarithm of how much likelier the camera's turning is with the IMU's than without.
+    searched : int
+        Offsets at which enough was in common; the evidence of the others is zero.
+    freedom : float
+        Independent samples of the camera's turning beyond the unknowns.
+    """
+
+    first: int
+    evidence: FloatArray
+    searched: int
+    freedom: float
+
+
+def turning_evidence(
+    camera: CameraTurning, runs: Sequence[ImuTurning], up: FloatArray | None
+) -> EvidenceCurve:
+    """The evidence at every offset at which enough of both is in common.
+
+    -(n - p / 2) log(1 - R2), where R2 is the part of the camera's (weighted) power that the IMU explains, n
+    how many independent samples of two components the camera's are worth, and p the number of unknowns.
+
+    Parameters
+    ----------
+    camera : CameraTurning
+    runs : sequence of ImuTurning
+        Of one sensor; each run has a heading of its own.
+    up : ndarray, shape (3,), optional
+        In {K}: then only the heading of Q is free.
+    """
+    n = len(camera.rate)
+    first = min(run.first for run in runs) - camera.first - (n - 1)
+    last = max(run.first + len(run.rate) for run in runs) - camera.first
+    power, shared = np.zeros(last - first), np.zeros(last - first)
+    known_s = camera.known.sum() / GRID_HZ
+    imu_s = sum(len(run.rate) for run in runs) / GRID_HZ
+    needed = GRID_HZ * max(min(OVERLAP_SHARE * min(known_s, imu_s), OVERLAP_S), SHORTEST_S)
+    for run in runs:
+        rows = slice(run.first - camera.first - (n - 1) - first, None)
+        count, explained = _explained(camera, run, up, GRID_HZ * SHORTEST_S)
+        shared[rows][: len(count)] += count
+        power[rows][: len(count)] += explained
+    enough = shared > needed - 0.5
+    share = np.clip(power / max(camera.power, 1e-12), 0.0, MOST_EXPLAINED)
+    freedom = max(camera.effective_samples - 0.5 * (3 if up is not None else 5), 0.0)
+    evidence = np.where(enough, -freedom * np.log1p(-share), 0.0)
+    return EvidenceCurve(first, evidence, int(enough.sum()), freedom)
+
+
+def _explained(
+    camera: CameraTurning, imu: ImuTurning, up: FloatArray | None, needed: float
+) -> tuple[FloatArray, FloatArray]:
+    """By offset: grid points in common, and the power that the IMU explains; (n + m - 1,) each."""
+    m = len(imu.rate)
+    weight = camera.weight[:, None]
+    gram = np.einsum("tij,tik->tjk", imu.rate, imu.rate).reshape(m, 9)
+    count = correlation(camera.known[:, None].astype(float), np.ones((m, 1)))[:, 0, 0]
+    rows = np.flatnonzero(count > needed - 0.5)
+    C = correlation(weight, gram)[rows, 0].reshape(-1, 3, 3)
+    T = correlation(weight * camera.rate, imu.rate.reshape(m, 9))[rows].reshape(-1, 3, 3, 3)
+    most = correlation(weight * (camera.rate**2).sum(axis=1)[:, None], np.ones((m, 1)))[rows, 0, 0]
+    if up is not None:  # x in axes whose third points up, as that of {E} does
+        T = np.einsum("ai,najk->nijk", _upright(up), T)
+    power = np.zeros(len(count))
+    if len(rows):
+        coarse = np.unique(np.append(np.arange(0, len(rows), COARSE), len(rows) - 1))
+        answer = np.interp(np.arange(len(rows)), coarse, _best_fits(T[coarse], C[coarse], up is not None))
+        fine = np.setdiff1d(np.flatnonzero(answer > LOOKED_AT * answer.max()), coarse)
+        answer[fine] = _best_fits(T[fine], C[fine], up is not None)
+        power[rows] = np.clip(answer, 0.0, np.maximum(most, 0.0))
+    return count, power
+
+
+def _best_fits(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
+    """`_best_fit` in batches."""
+    answers = [_best_fit(T[k : k + BATCH], C[k : k + BATCH], heading_only) for k in range(0, len(T), BATCH)]
+    return np.concatenate(answers) if answers else np.zeros(0)
+
+
+def _best_fit(T: FloatArray, C: FloatArray, heading_only: bool) -> FloatArray:
+    """The largest 2 tr(Q' T a) - a' C a over rotations Q and unit vectors a, (n,)."""
+    width, axes = np.linalg.eigh(C)
+    count = len(T)
+    starts = np.repeat(np.vstack([np.eye(3), -np.eye(3)])[None], count, axis=0)  # (n, 6, 3)
+    score, a = _alternate(T, width, axes, starts, FIRST_ROUNDS, heading_only)
+    best = np.argsort(-score, axis=1)[:, :KEPT]
+    score, _ = _alternate(
+        T, width, axes, np.take_along_axis(a, best[:, :, None], axis=1), MORE_ROUNDS, heading_only
+    )
+    return score.max(axis=1)
+
+
+def _alternate(
+    T: FloatArray, width: FloatArray, axes: FloatArray, a: FloatArray, rounds: int, heading_only: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Rounds of Q for a and a for Q from start values (n, s, 3): what they reach (n, s), and their a."""
+    value = np.zeros(a.shape[:2])
+    for _ in range(rounds):
+        M = np.einsum("nijk,nsk->nsij", T, a)
+        Q = _heading(M) if heading_only else nearest_rotation(M)
+        b = np.einsum("nsij,nijk->nsk", Q, T)
+        z = np.einsum("nsk,nkc->nsc", b, axes)
+        y = _on_sphere(z, width[:, None, :])
+        value = 2.0 * (z * y).sum(axis=2) - (width[:, None, :] * y**2).sum(axis=2)
+        a = np.einsum("nsc,nkc->nsk", y, axes)
+    return value, a
+
+
+def _on_sphere(z: FloatArray, width: FloatArray) -> FloatArray:
+    """The unit vector y that maximises 2 z'y - y' diag(width) y: y = z / (width + shift), by its shift.
+
+    Newton's method on 1/|y| - 1 from the left of the root, which it approaches from that side.
+    """
+    z = np.where(np.abs(z) < 1e-12, 1e-12, z)
+    shift = np.maximum(np.linalg.norm(z, axis=-1) - width[..., 2], np.abs(z[..., 0]) - width[..., 0])
+    for _ in range(NEWTON_STEPS):
+        y = z / (width + shift[..., None])
+        square = (y**2).sum(axis=-1)
+        slope = (y**2 / (width + shift[..., None])).sum(axis=-1)
+        shift = shift + (np.sqrt(square) - 1.0) * square / slope
+    return unit(z / (width + shift[..., None]))
+
+
+def _heading(M: FloatArray) -> FloatArray:
+    """Rotations about the third axis (..., 3, 3) that maximise trace(Q' M)."""
+    c, s = M[..., 0, 0] + M[..., 1, 1], M[..., 1, 0] - M[..., 0, 1]
+    length = np.maximum(np.hypot(c, s), 1e-300)
+    Q = np.zeros_like(M)
+    Q[..., 0, 0] = Q[..., 1, 1] = c / length
+    Q[..., 1, 0], Q[..., 0, 1] = s / length, -s / length
+    Q[..., 2, 2] = 1.0
+    return Q
+
+
+def _upright(up: FloatArray) -> FloatArray:
+    """Axes as columns (3, 3) whose third is up."""
+    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    first = unit(side)
+    third = unit(up)
+    return np.stack([first, np.cross(third, first), third], axis=1)
+
+
+def correlation(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Sum over t of x_i(t) y_j(t + lag) for lag = -(n - 1) .. m - 1: (n + m - 1, p, q)."""
+    n, m = len(x), len(y)
+    size = 1 << (n + m - 2).bit_length()
+    fx, fy = np.fft.rfft(x[::-1], size, axis=0), np.fft.rfft(y, size, axis=0)
+    answer = np.empty((n + m - 1, x.shape[1], y.shape[1]))
+    for i in range(x.shape[1]):
+        answer[:, i] = np.fft.irfft(fx[:, [i]] * fy, size, axis=0)[: n + m - 1]
+    return answer
