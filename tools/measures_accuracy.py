@@ -2,6 +2,7 @@
 
 For each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its bias;
 occlusions are those of the simulated body. The truth is measured by the same functions over the same samples.
+The elbow's measures are repeated for an arm that moves about with a straight, stiff elbow (0 to 7 degrees).
 Then the elbow's range of motion with two thirds of each extreme hidden, and SPARC's bias from recovered
 samples: movements in a gap against the same movements with the camera's view whole.
 """
@@ -22,8 +23,6 @@ import numpy as np
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.align import truth_at
 from smoother.measures import MeasureSettings
-from smoother.measures.definitions import definition_of
-from smoother.measures.intervals import interval
 from smoother.measures.layout import SESSION
 from smoother.measures.measuring import Measuring
 from smoother.measures.motion import motion_of
@@ -33,20 +32,23 @@ from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 
 PRESETS = ("realistic", "azure")
+#: Ends the name of a preset whose arm moves about with a straight elbow, and how far that bends, rad.
+STRAIGHT, STRAIGHT_RAD = "-straight", (0.01, 0.11)
 #: Of a joint's extreme this part is hidden, in the time that the angle is within 20 degrees of it.
 HIDDEN_PART, NEAR_DEG = 2.0 / 3.0, 20.0
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One measure of one recording: answer, truth, draws."""
+    """One measure of one recording: answer, truth, interval."""
 
     key: str
     scope: str
     value: float
     truth: float
     share: float
-    drawn: np.ndarray
+    low: float
+    high: float
 
 
 def true_recovery(recovery: Recovery, truth: Truth) -> Recovery:
@@ -84,24 +86,33 @@ def samples_of(simulated: SimulatedArm, recovery: Recovery, settings: MeasureSet
             absent = 0.0 if "_zone_" in key else np.nan
             value, share = figures.get(key, (0.0, 0.0))
             truth = by_place[place][key].value if key in by_place[place] else absent
-            yield Sample(key, place[0], value, truth, share, measuring.drawn.values(place, key))
+            low, high, _ = measuring.interval(place, key, value)
+            yield Sample(key, place[0], value, truth, share, low, high)
 
 
-def accuracy(preset: str, seeds: range, draws: int, cache: Path | None) -> list[Sample]:
+def simulation_of(name: str) -> ArmSimulation:
+    """What to simulate, by a preset's name: "azure", or "azure-straight" for the stiff elbow."""
+    preset = name.removesuffix(STRAIGHT)
+    if preset == name:
+        return ArmSimulation.preset(preset)
+    return ArmSimulation.preset(preset, protocol="random", flexion_rad=STRAIGHT_RAD)
+
+
+def accuracy(name: str, seeds: range, draws: int, cache: Path | None) -> list[Sample]:
     """The samples of some seeds; kept in a folder, if one is named."""
     samples: list[Sample] = []
     for seed in seeds:
-        kept = None if cache is None else cache / f"{preset}_{seed}_{draws}.pickle"
+        simulated = simulate_arm(simulation_of(name), seed)
+        kept = None if cache is None else cache / f"{name}_{seed}_{draws}.pickle"
         if kept is not None and kept.exists():
             recovery = pickle.loads(kept.read_bytes())
         else:
-            recovery = recovered(simulate_arm(ArmSimulation.preset(preset), seed), draws, seed)
+            recovery = recovered(simulated, draws, seed)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_bytes(pickle.dumps(recovery))
-        simulated = simulate_arm(ArmSimulation.preset(preset), seed)
+                kept.write_bytes(pickle.dumps(recovery))
         samples += samples_of(simulated, recovery, MeasureSettings())
-        print(f"{preset} seed {seed}: done", file=sys.stderr, flush=True)
+        print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
     return samples
 
 
@@ -116,10 +127,9 @@ def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
     for (scope, key), group in groups.items():
         held, widths = [], []
         for sample in group:
-            low, high, _ = interval(sample.value, sample.drawn, definition_of(sample.key))
-            if np.isfinite(low):
-                held.append(low - 1e-9 <= sample.truth <= high + 1e-9)
-                widths.append(high - low)
+            if np.isfinite(sample.low):
+                held.append(sample.low - 1e-9 <= sample.truth <= sample.high + 1e-9)
+                widths.append(sample.high - sample.low)
         off = np.array([sample.value - sample.truth for sample in group])
         rows.append(
             {
@@ -249,6 +259,11 @@ def main() -> None:
         for scope in ("session", "movement"):
             print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
         sparc_bias(preset, samples)
+        straight = coverage_table(accuracy(preset + STRAIGHT, seeds, options.draws, options.keep_in))
+        straight = [row for row in straight if str(row["key"]).startswith("elbow_flexion")]
+        for scope in ("session", "movement"):
+            rows_of = [row for row in straight if row["scope"] == scope]
+            print_rows(f"{preset}, a straight and stiff elbow, {scope}", rows_of)
         hidden_range(preset, seeds)
     if options.markdown is not None:
         options.markdown.write_text(markdown(tables) + "\n", encoding="utf-8")

@@ -59,6 +59,7 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
         "tests/graph/test_axes_of_gravity.py",
         "tests/graph/test_lag_window.py",
     ),
+    "smoother/graph/block_shifts.py": (_ALONE, "tests/graph/test_block_shifts.py"),
     "smoother/graph/clock_information.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
     **{
         f"smoother/graph/{name}.py": (

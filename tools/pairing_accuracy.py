@@ -1,0 +1,248 @@
+"""How surely camera and IMU are paired: `python -m tools.pairing_accuracy [PART ..]`.
+
+Right pairs, and wrong ones (the skeleton of one recording, the IMU of another). For each kind: how many are
+proved as files with unrelated clocks, how many are accepted as streams of one recorder, and whether the clock
+is found within 0.2 s. Nothing is smoothed.
+
+Parts: `simulated` takes random motion of 8 to 60 s; `exercise` the same scripted exercise in every recording,
+of 30 and 75 s; `setups` drifting clocks, a mirrored skeleton, a wrong down and the other arm; `utd` real
+Kinect v1 of 2 to 6 s, wrong pairs of the same activity; `azure` real Azure Kinect of 4 to 17 s, cut by hand,
+where a clock is known if inclination and turning rate agree on it to 0.1 s (data sets: `UNOCCLUDE_DATASETS`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smoother.array_types import FloatArray
+from smoother.errors import RecordingError
+from smoother.filters import gaussian_smoothed
+from smoother.io.devices.files import ImuFiles, import_files
+from smoother.io.plain.datasets import import_utd_mhad
+from smoother.io.recording.select import select_recording
+from smoother.linalg import unit
+from smoother.measurements.attitude import inertial_attitude
+from smoother.measurements.inertial import InertialSignal
+from smoother.recording import CameraFrame, Recording
+from smoother.selfcal.agreement import agreement
+from smoother.selfcal.pairing import decided
+from smoother.simulation import ArmSimulation, simulate_arm
+from tools.setup_cases import Setup, joints_of_the_other_arm, mirrored_skeleton
+from tools.shared import datasets, run_parts
+
+PRESETS = ("white", "realistic", "azure")
+#: A clock counts as found where it is this near, s.
+FOUND_S = 0.2
+#: Both independent ways are taken on this grid, Hz; where they agree to this, s, a clock counts as known.
+GRID_HZ, KNOWN_S = 25.0, 0.1
+
+
+@dataclass(frozen=True)
+class PairTrial:
+    """A pair of streams, and what came of it.
+
+    Attributes
+    ----------
+    is_right : bool
+    proved : bool
+        As files with unrelated clocks.
+    accepted : bool
+        As streams of one recorder: no reason against it.
+    found : bool or None
+        The clock of the unrelated files is right; None where it is not known.
+    evidence : float
+    """
+
+    is_right: bool
+    proved: bool
+    accepted: bool
+    found: bool | None
+    evidence: float
+
+
+def tried(recording: Recording, is_right: bool, true_s: float | None) -> PairTrial:
+    """Pair a recording's streams, with unrelated clocks and with those of one recorder."""
+    found_at = agreement(recording)
+    apart, _ = decided(found_at, replace(recording, clocks_unrelated=True))
+    together, _ = decided(found_at, replace(recording, clocks_unrelated=False))
+    found = None
+    if is_right and true_s is not None:
+        found = apart is not None and abs(apart.offset_s - true_s) < FOUND_S
+    return PairTrial(
+        is_right,
+        apart is not None and apart.proved,
+        together is not None and not together.reason,
+        found,
+        np.nan if apart is None else apart.evidence,
+    )
+
+
+def show(name: str, trials: Sequence[PairTrial]) -> None:
+    """Print a line for the right pairs and one for the wrong ones."""
+    for is_right in (True, False):
+        rows = [each for each in trials if each.is_right is is_right]
+        if not rows:
+            continue
+        known = [each.found for each in rows if each.found is not None]
+        evidence = np.nanpercentile([each.evidence for each in rows], [0, 50, 100])
+        clocks = f", clock found {sum(known)} of {len(known)}" if known else ""
+        print(
+            f"{name:28} {'right' if is_right else 'wrong'} {len(rows):4}: proved"
+            f" {sum(each.proved for each in rows):4}, accepted of one recorder"
+            f" {sum(each.accepted for each in rows):4}; evidence {evidence[0]:.1f} .. {evidence[1]:.1f} .."
+            f" {evidence[2]:.1f}{clocks}",
+            flush=True,
+        )
+
+
+def crossed(made: Sequence[tuple[Recording, float | None]]) -> Iterator[PairTrial]:
+    """Each recording as it is, and with the IMU of the next one."""
+    for number, (recording, true_s) in enumerate(made):
+        yield tried(recording, True, true_s)
+        yield tried(replace(recording, imu=made[(number + 1) % len(made)][0].imu), False, None)
+
+
+def _made(seeds: int, **changes: object) -> list[tuple[Recording, float | None]]:
+    """Recordings of one preset each, in turn, and their true offsets."""
+    made = []
+    for seed in range(seeds):
+        config = ArmSimulation.preset(PRESETS[seed % len(PRESETS)], **changes)
+        simulated = simulate_arm(config, 9000 + seed)
+        offset_s = simulated.parameters["clock_offset_s"]
+        made.append((replace(simulated.recording, truth=None), offset_s))
+    return made
+
+
+def simulated(seeds: int) -> None:
+    """Random motion."""
+    for duration_s in (8.0, 15.0, 30.0, 60.0):
+        show(
+            f"random, {duration_s:.0f} s", [*crossed(_made(seeds, protocol="random", duration_s=duration_s))]
+        )
+
+
+def exercise(seeds: int) -> None:
+    """The same script in every recording."""
+    for repetitions in (2, 5):
+        made = _made(seeds, protocol="behind", repetitions=repetitions)
+        show(f"exercise, {float(np.ptp(made[0][0].arm.t_s)):.0f} s", [*crossed(made)])
+
+
+def setups(seeds: int) -> None:
+    """Drifting clocks, and skeletons that are not what they are called."""
+    for duration_s, ppm in ((60.0, 3000.0), (110.0, 3000.0), (200.0, 1000.0), (400.0, 3000.0), (400.0, 50.0)):
+        made = []
+        for recording, offset_s in _made(max(seeds // 4, 1), protocol="random", duration_s=duration_s):
+            t_s = recording.arm.t_s
+            arm = replace(recording.arm, t_s=t_s - 1e-6 * ppm * (t_s - t_s.mean()) - 3.0)
+            made.append((replace(recording, arm=arm), None if offset_s is None else offset_s + 3.0))
+        show(f"{duration_s:.0f} s, clock {ppm:.0f} ppm", [tried(each, True, s) for each, s in made])
+    trials: dict[str, list[PairTrial]] = {"mirrored": [], "wrong down": [], "other arm": []}
+    for seed in range(seeds):
+        config = ArmSimulation.preset(PRESETS[seed % 3], protocol="random", duration_s=40.0)
+        made_arm = simulate_arm(config, 9500 + seed)
+        setup = Setup(made_arm, config, np.random.default_rng(seed), made_arm.recording)
+        true_s = made_arm.parameters["clock_offset_s"]
+        trials["mirrored"].append(tried(mirrored_skeleton(setup).recording, True, true_s))
+        wrong_down = replace(setup.recording, camera_frame=CameraFrame.ZUP)
+        trials["wrong down"].append(tried(wrong_down, True, true_s))
+        trials["other arm"].append(tried(joints_of_the_other_arm(setup).recording, False, None))
+    for name, rows in trials.items():
+        show(f"40 s, {name}", rows)
+
+
+def utd(seeds: int) -> None:
+    """Trials of UTD-MHAD, so many subjects; the wrong IMU is of another trial of the same activity."""
+    root = datasets("utd_mhad")
+    names = [path.name.removesuffix("_inertial.mat") for path in sorted((root / "Inertial").glob("*.mat"))]
+    recordings = {
+        name: import_utd_mhad(
+            root / "Inertial" / f"{name}_inertial.mat", root / "Skeleton" / f"{name}_skeleton.mat"
+        )
+        for name in names
+    }
+    rng, trials = np.random.default_rng(0), []
+    for name in [each for each in names if int(each.split("_")[1][1:]) <= seeds]:
+        recording = recordings[name]
+        trials.append(tried(recording, True, -0.04))  # both streams cover the same interval
+        others = [each for each in names if each != name and each.split("_")[0] == name.split("_")[0]]
+        other = recordings[others[rng.integers(len(others))]]
+        trials.append(tried(replace(recording, imu=other.imu), False, None))
+    show("UTD-MHAD", trials)
+
+
+def azure(seeds: int) -> None:
+    """Trials of SmartFallMM; the wrong IMU of so many other trials, those of the same activity first."""
+    root, recordings = datasets("smartfallmm"), {}
+    for path in sorted((root / "skeleton").glob("*.csv")):
+        files = tuple(root / sensor / "meta_wrist" / path.name for sensor in ("accelerometer", "gyroscope"))
+        recording = _imported(path, files)
+        if recording is not None:
+            recordings[path.stem] = recording
+    trials = []
+    for name, recording in recordings.items():
+        trials.append(tried(recording, True, known_clock_s(recording)))
+        others = sorted(
+            (each for each in recordings if each != name), key=lambda each: each[3:6] != name[3:6]
+        )
+        for other in others[:seeds]:
+            trials.append(tried(replace(recording, imu=recordings[other].imu), False, None))
+    show("SmartFallMM, Azure Kinect", trials)
+
+
+def _imported(skeleton: Path, imu: tuple[Path, ...]) -> Recording | None:
+    """A trial; None where a file of it cannot be used."""
+    try:
+        file, _ = import_files([skeleton], [ImuFiles(imu, "forearm_right")])
+    except RecordingError:
+        return None
+    return select_recording(file, side="right")
+
+
+def known_clock_s(recording: Recording) -> float | None:
+    """The clock offset that inclination and turning rate agree on, s; None where they do not.
+
+    Inclination: the forearm's angle to gravity by the camera, as a linear function of gravity in the sensor.
+    Turning rate: how fast its direction turns, against the gyroscope. Each takes the shift at which it is
+    least likely to agree by chance, with 4 s (or most of the shorter stream) in common.
+    """
+    arm, imu = recording.arm, recording.imu
+    seen = arm.tracked("elbow") & arm.tracked("wrist")
+    t = arm.t_s[seen]
+    camera_s = np.arange(t[0], t[-1], 1 / GRID_HZ)
+    direction = _on(camera_s, t, unit((arm.joint("wrist") - arm.joint("elbow"))[seen]))
+    attitude = inertial_attitude(InertialSignal(imu), 50.0)
+    imu_s = np.arange(attitude.t[0], attitude.t[-1], 1 / GRID_HZ)
+    gravity = gaussian_smoothed(attitude.at(imu_s).as_matrix()[:, 2], 3.0)
+    turning = np.linalg.norm(_on(imu_s, imu.t_s, imu.gyro), axis=1)
+    speed = np.linalg.norm(gaussian_smoothed(direction, 1.0, derivative=True), axis=1)
+    assert recording.camera_frame is not None
+    inclination = direction @ recording.camera_frame.down
+    n, m = len(camera_s), len(imu_s)
+    least = int(min(4.0 * GRID_HZ, 0.6 * min(n, m)))
+    lags = np.array([lag for lag in range(-(n - 1), m) if min(n, m - lag) - max(0, -lag) >= least])
+    scores = np.zeros((len(lags), 2))
+    for row, lag in enumerate(lags.tolist()):
+        a, b = max(0, -lag), min(n, m - lag)
+        x, shifted = inclination[a:b], slice(a + lag, b + lag)
+        design = np.hstack([gravity[shifted], np.ones((b - a, 1))])
+        left = x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
+        scores[row, 0] = -(b - a) * np.log(max(float(left.var() / max(x.var(), 1e-12)), 1e-3))
+        r = np.corrcoef(speed[a:b], turning[shifted])[0, 1]
+        scores[row, 1] = np.sqrt(b - a) * np.arctanh(np.clip(np.nan_to_num(r), -0.999, 0.999))
+    by_gravity, by_rate = lags[scores.argmax(axis=0)] / GRID_HZ + imu_s[0] - camera_s[0]
+    return float(0.5 * (by_gravity + by_rate)) if abs(by_gravity - by_rate) < KNOWN_S else None
+
+
+def _on(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Columns on a grid, smoothed by 0.12 s."""
+    return gaussian_smoothed(np.stack([np.interp(grid, t, axis) for axis in values.T], axis=1), 3.0)
+
+
+if __name__ == "__main__":
+    parts = {"simulated": simulated, "exercise": exercise, "setups": setups, "utd": utd, "azure": azure}
+    run_parts(__doc__ or "", parts, 12)
