@@ -76,8 +76,6 @@ REPLACED = set(
         "inertia",
         "piece",
         "pieces",
-        "stretch",
-        "stretches",
         "carry",
         "pulls",
         "tell",

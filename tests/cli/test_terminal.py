@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,7 @@ from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
 
+DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 COLUMNS = ("part", "rms, cm", "95 %, cm", "max, cm", "orientation, deg", "NEES", "inside 95 %", "samples")
 ROWS = [["occluded", "1.62", "2.12", "2.14", "1.147", "1.156", "100 %", "543"]]
 MATCH = ("IMU", "body", "joint", "probability", "else")
@@ -126,3 +130,42 @@ def test_a_recording_is_not_written_under_another_ending(tmp_path: Path, capsys)
 )
 def test_an_angle_beyond_a_right_one_is_not_known(degrees: float, words: str) -> None:
     assert known_to(np.radians(degrees)) == words
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_the_null_device(tmp_path: Path, closed: str) -> None:
+    """Python has no such stream then: `sys.stdout` is None, and a command ended in an AttributeError."""
+    program = f"'{sys.executable}' -c 'from smoother.cli import main; main()'"
+    for words, code in ((f"info {DEMO}", 0), ("info nothing.mcap", 1), ("config", 0)):
+        done = subprocess.run(
+            f"{program} {words} {closed}",
+            shell=True,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == code
+        assert "unexpected" not in done.stderr and "Traceback" not in done.stderr
+        if code and "2" not in closed:
+            assert done.stderr == "unocclude: nothing.mcap does not exist; check the name.\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
+def test_no_output_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
+    """What is printed would be written into it."""
+    code = (
+        "import os, sys\nimport smoother.cli.doctor as d\n"
+        "def write(*_):\n"
+        "  with open('out', 'w') as file:\n"
+        "    print('a'); os.write(1, b'b'); os.write(2, b'c'); assert file.fileno() > 2\n"
+        "    assert os.get_inheritable(1) and os.get_inheritable(2)\n"
+        "    file.write('the output')\n"
+        "d.memory = write\nfrom smoother.cli import main\nsys.argv = ['x', 'doctor']\nmain()"
+    )
+    command = f"'{sys.executable}' -c \"$CODE\" <&- >&- 2>&-"
+    subprocess.run(
+        command, shell=True, cwd=tmp_path, env=os.environ | {"CODE": code}, timeout=60, check=False
+    )
+    assert (tmp_path / "out").read_text() == "the output"

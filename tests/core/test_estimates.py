@@ -30,6 +30,27 @@ PLAIN = {
     "cautions": ["the gyroscope was clipped"],
     "cause": "the skeleton seems mirrored (x); run again with --mirror x",
     "remedies": ["--mirror x"],
+    "untrusted": [{"start_s": 1.0, "end_s": 2.5, "reasons": ["another body"]}],
+    "self_check": {
+        "stretches": 6,
+        "unanswered": 0,
+        "length_s": 1.5,
+        "rms_m": 0.02,
+        "stated_sigma_m": 0.021,
+        "inside_95": 0.96,
+        "worst_nees": 1.2,
+        "sigma_factor": 1.0,
+        "note": "",
+        "failed": 0,
+    },
+    "pairing": {
+        "proved": True,
+        "chance": 1e-6,
+        "evidence": 80.0,
+        "offset_s": 0.02,
+        "reason": "",
+        "caution": "",
+    },
     "orientation": "vqf",
 }
 
@@ -69,5 +90,5 @@ values = st.recursive(
 def test_nothing_is_lost_whatever_a_file_states(plain: dict) -> None:
     again = Estimates.from_plain(plain).plain()
     # an empty list says the same as none
-    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies")
+    lists = ("given", "sigma_factors", "reasons", "cautions", "remedies", "untrusted")
     assert again == {name: value for name, value in plain.items() if name not in lists or value != []}

@@ -26,13 +26,13 @@ from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals
 from smoother.graph.chain import build_arm
-from smoother.graph.clock_information import offset_column, offset_information
+from smoother.graph.clock_information import offset_column, offset_information, stamp_columns
 from smoother.graph.error_columns import constant_error_columns, evidence, node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_jacobian, shared_keys
 from smoother.graph.solve import TIGHTEN, solve
 from smoother.recording import JOINTS
-from smoother.window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS
+from smoother.window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
 from smoother.window.problem import States, Window
 from smoother.window.solution import Solution
 
@@ -287,7 +287,8 @@ def _with_errors(best: Optimum, window: Window, error: FloatArray) -> gtsam.Nonl
         position = each.position.copy()
         for k, node in enumerate(each.node):
             column = JOINT_ERRORS.start + 3 * JOINTS.index(each.joint)
-            position[k] -= error[column : column + 3]
+            own = error[column : column + 3]
+            position[k] -= best.R[node] @ own if each.joint == "strap" else own  # a place in {A}
             if each.joint in LEVERS:
                 down_A = best.R[node].T @ layout.down(mean)
                 turn = error[STRAP_ERRORS].reshape(3, 3) @ down_A
@@ -411,7 +412,8 @@ def test_considered_errors_widen_the_covariance(rows: int) -> None:
     follows = best.follows(pull)
     assert found.pose_covariance is not None and found.shoulder_covariance is not None
     for i in (0, 4, 9):
-        own = follows[best.columns[X(i)]]
+        own = follows[best.columns[X(i)]].copy()
+        own[3:, STRAP_PLACE] += np.eye(3)  # the answer is where the strap is, not the chip
         total = best.of(X(i)) + own @ window.considered.covariance @ own.T
         like(found.pose_covariance[i], in_camera(best.R[i], total), 5e-3)
         assert np.trace(total) > 1.01 * np.trace(best.of(X(i)))
@@ -625,3 +627,49 @@ def test_two_imus_ask_for_fewer_covariances() -> None:
         patch.setattr(smoother.graph.solve, "UPPER_COVARIANCE_S", 0.25)
         counts = [len(smoother.graph.solve._covariance_nodes(each)) for each in stretched]
     assert counts == [6, 10]
+
+
+def test_a_stamp_s_column_is_the_derivative_of_the_data() -> None:
+    """Frames that are late by a line between two knots show each joint where it was: its own velocity ago."""
+    window = replace(small_window(upper=False)[0], considered=None)
+    window = replace(
+        window,
+        joint_measurements=tuple(_one_a_node(each) for each in window.joint_measurements),
+        noise=replace(window.noise, cauchy=1e6),  # weights that stay
+    )
+    best = Optimum(window)
+    velocity = np.array([best.values.atVector(V(i)) for i in range(NODES)])
+    place = np.array([best.values.atPose3(X(i)).translation() for i in range(NODES)])
+    states = States(best.R, place, velocity)
+    knots = np.linspace(window.t[0] - 0.1, window.t[-1] + 0.1, 4)
+    late_s = 1e-4 * np.array([1.0, -2.0, 3.0, 0.5])
+    at_node = np.interp(window.t, knots, late_s)
+    moved = tuple(
+        replace(
+            each, position=each.position - at_node[each.node][:, None] * (velocity[each.node] + each.velocity)
+        )
+        for each in window.joint_measurements
+    )
+    graph, _ = build_arm(replace(window, joint_measurements=moved))
+    after = LinearSystem(graph, best.values, node_of_variables(window)).jacobian.rhs
+    columns = stamp_columns(best.system.jacobian, window, states, knots)
+    change = best.system.jacobian.rhs - after  # the right-hand side is minus the error
+    rows = len(columns)
+    np.testing.assert_allclose(columns @ late_s, change[:rows], atol=1e-6 * np.abs(change).max())
+
+
+def test_synthetic_stamps_widen_the_covariance() -> None:
+    """More the farther the frames may be off, and nothing where they were measured."""
+    window = small_window(upper=False)[0]
+    assert window.considered is not None
+
+    def spread(stamp_sigma_s: float) -> FloatArray:
+        considered = replace(window.considered, stamp_sigma_s=stamp_sigma_s)
+        found = solve(replace(window, considered=considered), with_covariance=True)
+        assert found.pose_covariance is not None
+        return np.asarray(np.trace(found.pose_covariance[:, :3, :3], axis1=1, axis2=2))
+
+    measured, little, much = (spread(sigma) for sigma in (0.0, 0.01, 0.02))
+    assert (little > measured).all()
+    # considered errors add to the covariance: four times as much for twice the sigma
+    np.testing.assert_allclose(much - measured, 4.0 * (little - measured), rtol=1e-6)

@@ -60,6 +60,9 @@ def test_names_with_sides_give_both_arms(both: tuple[SimulatedArm, SimulatedArm]
         assert arm.imu.name == alone.imu.name == f"/imu/forearm_{made.side}"
         np.testing.assert_array_equal(arm.imu.gyro, made.imu.gyro)
         np.testing.assert_array_equal(arm.arm.position, made.arm.position)
+        other = both[1] if made is both[0].recording else both[0]
+        assert arm.opposite is not None
+        np.testing.assert_array_equal(arm.opposite.position, other.recording.arm.position)
         assert arm.truth is not None and made.truth is not None
         np.testing.assert_array_equal(arm.truth.position, made.truth.position)
     assert [arm.side for arm in read_recordings(path, side="right")] == ["right"]
@@ -77,7 +80,7 @@ def test_one_arm_is_read_as_before(both: tuple[SimulatedArm, SimulatedArm]) -> N
 
 def test_a_side_without_an_imu_is_refused(file: RecordingFile) -> None:
     file.imus = [imu for imu in file.imus if "right" in imu.topic]
-    with pytest.raises(RecordingError, match=r"no IMU is on an arm .* choose with --imu"):
+    with pytest.raises(RecordingError, match=r"no IMU is on an arm .* leave --side out"):
         select_recordings(file, side="left")
 
 
@@ -149,3 +152,39 @@ def test_one_arm_is_written_as_before(tmp_path: Path) -> None:
     assert record.name == "unocclude.result" and "body" not in record.metadata
     assert json.loads(record.metadata["side"]) == made.side
     assert all(topic.count("/") == 2 for topic in topics if topic.startswith("/unocclude/"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"skeleton": "left"}, "a topic may hold both arms: for the left one give --side left"),
+        (
+            {"imu": "right", "side": "left"},
+            "is on the right arm by its name: leave --side out, or give --side",
+        ),
+    ],
+)
+def test_what_fits_nothing_says_what_does(file: RecordingFile, options: dict[str, str], said: str) -> None:
+    with pytest.raises(RecordingError, match=said):
+        select_recording(file, **options)
+    side = "left" if "skeleton" in options else "right"
+    assert select_recording(file, side=side).side == side
+
+
+def test_one_arms_stream_alone_says_what_fits(file: RecordingFile) -> None:
+    """The message named all options, whichever of them could help."""
+    (left,) = [arm for arm in file.arms if arm.side == "left"]
+    (worn,) = [imu for imu in file.imus if "right" in imu.topic]
+    other = "the skeleton shows the left arm only: give --swap left,right"
+    for options in ({}, {"side": "left"}, {"side": "right"}):
+        with pytest.raises(RecordingError, match=other):
+            select_recording(replace(file, arms=[left], imus=[worn]), **options)
+    with pytest.raises(RecordingError, match="on the right arm by its name: leave --side out"):
+        select_recording(replace(file, imus=[worn]), side="left")
+    unnamed = replace(worn, topic="/imu/sensor", frame_id="")
+    with pytest.raises(RecordingError, match="it has /imu/sensor; for the right arm give --side right"):
+        select_recording(replace(file, imus=[unnamed]), imu="right")
+    assert select_recording(replace(file, imus=[unnamed]), side="right").side == "right"
+    upper = replace(worn, topic="/imu/upper_arm_right")
+    with pytest.raises(RecordingError, match=f"more than one .* give --imu {worn.topic}"):
+        select_recording(replace(file, imus=[worn, upper]), imu="right")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
 from smoother.io.recording.choose import choose
@@ -34,8 +35,13 @@ def scene(shift_s: float, same: bool = False) -> RecordingFile:
         stamp = np.rint(t[frames] * 1e9).astype(np.int64)
         arms.append(ArmFrames("/skeleton", "camera", 0, side, stamp, position, state))
     stamp = np.rint((t + shift_s) * 1e9).astype(np.int64)
-    acc = np.tile([0, 0, 9.81], (len(t), 1))
-    imu = ImuSamples("/imu/device", "device", stamp, acc, rates[1])
+    turns = Rotation.from_rotvec(0.01 * rates[1])
+    R_K_A = [Rotation.identity()]
+    for turn in turns[1:]:
+        R_K_A.append(turn * R_K_A[-1])
+    to_sensor = Rotation.concatenate(R_K_A).inv()
+    acc, gyro = to_sensor.apply([0, 0, 9.81]), to_sensor.apply(rates[1])
+    imu = ImuSamples("/imu/device", "device", stamp, acc, gyro)
     return RecordingFile(Path("a.mcap"), imus=[imu], arms=arms)
 
 

@@ -81,8 +81,8 @@ def test_tables_of_results(tmp_path: Path, made: Recovery):
     stamp, (names, values) = nanoseconds(made.t_s, made.origin_ns), csv_columns(made)
     with open(tmp_path / "a.csv", newline="") as file:
         header, *rows = csv.reader(file)
-    assert header == [*names, "usable"]
-    cells = np.array([[float(cell or "nan") for cell in row[2:-1]] for row in rows])
+    assert header == [*names, "trusted", "usable"]
+    cells = np.array([[float(cell or "nan") for cell in row[2:-2]] for row in rows])
     np.testing.assert_allclose(cells, values, atol=0.5e-9, rtol=1e-15)  # nine decimals
     assert [round(float(row[0].replace(".", ""))) for row in rows] == [round(float(n)) for n in stamp]
     table = parquet.read_table(tmp_path / "a.parquet")

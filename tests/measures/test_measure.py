@@ -15,8 +15,9 @@ from smoother.measures import Measures, MeasureSettings, measure, measure_both
 from smoother.measures.definitions import MeasureDefinition, definition_of
 from smoother.measures.intervals import interval
 from smoother.measures.symmetry import symmetry_index
-from smoother.result import Recovery
+from smoother.result import Estimates, Recovery
 from smoother.result.upper_motion import UpperMotion
+from smoother.result.verdict import UntrustedInterval
 from smoother.runtime.plain_values import plain
 
 
@@ -232,3 +233,21 @@ def test_settings_are_checked():
         MeasureSettings.model_validate({"smoothing": {"cutoff": 6.0}})
     fast = MeasureSettings.model_validate({"movements": {"start_m_s": 50.0, "rest_m_s": 0.03}})
     assert measure(simulated(0, repetitions=1), fast).movements == ()
+
+
+def test_a_measure_says_how_much_rests_on_what_is_not_trusted():
+    t = np.arange(0.0, 10.0, 0.05)
+    bend = 1.0 + 0.5 * np.sin(2 * np.pi * 0.1 * t)  # largest at 2.5 s, smallest at 7.5 s
+    still = np.ones((len(t), 1))
+    shoulder, elbow = still * [0.2, 0.0, 2.0], still * [0.5, 0.0, 2.0]
+    wrist = elbow + 0.25 * np.stack([np.cos(bend), np.zeros(len(t)), -np.sin(bend)], axis=1)
+    bare = recovery_of(t, {"shoulder": shoulder, "elbow": elbow, "wrist": wrist})
+    untrusted = (UntrustedInterval(1.0, 4.0, ("the camera saw another person",)),)
+    rows = measure(replace(bare, estimates=Estimates(trusted=True, untrusted=untrusted))).by_key
+    highest, lowest = rows["elbow_flexion_max_deg"], rows["elbow_flexion_min_deg"]
+    assert (highest.untrusted_share, lowest.untrusted_share) == (1.0, 0.0)
+    assert highest.note == "Rests to 100 % on gaps that are not trusted." and not lowest.note
+    assert rows["elbow_flexion_range_deg"].as_dict()["untrusted_share"] == 0.5
+    # of a recording that is not trusted at all, the verdict above everything says so
+    refused = measure(replace(bare, estimates=Estimates(trusted=False))).by_key["elbow_flexion_min_deg"]
+    assert refused.untrusted_share == 1.0 and not refused.note

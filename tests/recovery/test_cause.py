@@ -14,16 +14,16 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from scenes import ALONE
 
 from smoother import smooth
-from smoother.calibration import ArmCalibration
-from smoother.errors import SolveError
+from smoother.calibration import ArmCalibration, LeverArm
+from smoother.errors import CalibrationError, SolveError
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
 from smoother.recovery.cause import likeliest_cause, naming_the_cause
-from smoother.recovery.limb_lengths import swapped_joints
+from smoother.recovery.limb_lengths import sensor_at_elbow, swapped_joints
 from smoother.selfcal.closed_form import closed_form
 from smoother.selfcal.coarse_clock import synchronise_coarsely
-from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
 from tools import setup_cases
 from tools.setup_errors import Job
 
@@ -153,3 +153,57 @@ def test_a_clock_of_another_session(arm: SimulatedArm, sound: Recording) -> None
         wrong = smooth(sound, None, ALONE, clock=constant_clock(offset_s + wrong_s, 0.002))
         assert wrong.estimates.trusted is False
         assert any(word in reason for reason in wrong.estimates.reasons), wrong.estimates.reasons
+
+
+@pytest.fixture(scope="module")
+def exchanged() -> Recording:
+    """The left arm's joints under the right one's names, and the other way round; the IMU is on the right."""
+    config = ArmSimulation.preset("realistic", protocol="random", duration_s=24.0)
+    right, left = (arm.recording for arm in simulate_both_arms(config, 3))
+    return replace(right, arm=left.arm, opposite=right.arm, truth=None)
+
+
+def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
+    cause = likeliest_cause(exchanged)
+    assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap left,right"]
+    assert cause.sentence.startswith("left and right of the skeleton seem exchanged")
+    mended = Remedy(sides=True).applied(exchanged)
+    assert exchanged.opposite is not None and mended.arm is exchanged.opposite
+    assert mended.undone == ("--swap left,right",)
+    assert likeliest_cause(synchronise_coarsely(mended)[0]) is None
+    # an arm alone: the files are doubted
+    alone = likeliest_cause(replace(exchanged, opposite=None))
+    assert alone is not None and alone.remedies == () and "--side" in alone.sentence
+
+
+def test_clocks_that_the_wrong_arm_leaves_open_end_with_the_cause(exchanged: Recording) -> None:
+    with (
+        pytest.raises(CalibrationError, match=r"^no clock; left and right .* --swap left,right$"),
+        naming_the_cause(exchanged, ArmCalibration()),
+    ):
+        raise CalibrationError("no clock.")
+
+
+def test_a_sensor_at_the_joint_called_elbow_tells_swapped_joints(sound: Recording) -> None:
+    every = np.ones(len(sound.arm), bool)
+    far, near = (LeverArm(np.array([0.0, y, 0.03]), np.full(3, 0.01)) for y in (-0.2, 0.05))
+    right = ArmCalibration("right", {"elbow": far, "wrist": near})
+    wrong = ArmCalibration("right", {"elbow": near, "wrist": far})
+    bare = sound.arm.hide(every, ("shoulder", "hand"))
+    assert not list(sensor_at_elbow(bare, right)) and not list(sensor_at_elbow(bare, None))
+    (swapped,) = sensor_at_elbow(bare, wrong)
+    assert swapped.joints == ("elbow", "wrist")
+    # a band below the elbow: the bones, or the hand, show that the names are right
+    assert not list(sensor_at_elbow(sound.arm.hide(every, ("hand",)), wrong))
+    assert not list(sensor_at_elbow(sound.arm.hide(every, ("shoulder",)), wrong))
+    # hardly known
+    unsure = {joint: replace(lever, sigma_m=np.full(3, 0.05)) for joint, lever in wrong.lever_arms.items()}
+    assert not list(sensor_at_elbow(bare, replace(wrong, lever_arms=unsure)))
+
+
+def test_elbow_and_wrist_exchanged_without_a_shoulder(sound: Recording) -> None:
+    bare = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder", "hand")))
+    swap = Remedy(swap=("elbow", "wrist"))
+    swapped = smooth(replace(swap.applied(bare), undone=()), processes=1).estimates
+    assert swapped.trusted is False and swapped.remedies == ("--swap elbow,wrist",)
+    assert smooth(bare, processes=1).estimates.trusted

@@ -17,7 +17,7 @@ import pytest
 
 from smoother.errors import SolveError
 from smoother.recovery.first_pass import FirstAnswer, FirstPass, SecondJob
-from smoother.recovery.second_pass import SecondAnswer, second_pass
+from smoother.recovery.second_pass import SecondAnswer, SectionCheck, second_pass
 from smoother.recovery.task import SectionState
 from smoother.runtime.disk_store import DiskStore
 from smoother.runtime.pool import Pool
@@ -171,7 +171,7 @@ def test_the_second_pass_answers_in_order(store: Store, monkeypatch: pytest.Monk
     """Each job with its own answer, taken from the store no earlier than it is asked for."""
 
     def solve_again(job: SecondJob, task: None) -> SecondAnswer:
-        return SecondAnswer(cast(Any, job.state.first_sample), [], ())
+        return SecondAnswer(cast(Any, job.state.first_sample), [], (), SectionCheck((), ()))
 
     monkeypatch.setattr("smoother.recovery.second_pass.solve_again", solve_again)
     first = first_pass((2,), store, monkeypatch)

@@ -203,18 +203,23 @@ def test_paper_is_white_and_holds_the_path(player: Browser):
     player.dark(False)
 
 
-def test_an_hour_opens_in_three_seconds(browser: Browser, tmp_path: Path):
-    recording = make_recording(3600.0, truth=False)
-    hidden = recording.arm.t_s % 10 < 1.5
-    recording = replace(recording, arm=recording.arm.hide(hidden), camera_frame=CameraFrame.KINECT)
-    page = tmp_path / "hour.html"
-    write_report(make_recovery(recording), page, recording=recording)
-    assert page.stat().st_size < 15e6
+def test_an_hour_opens_nearly_as_fast_as_six_minutes(browser: Browser, tmp_path: Path):
+    """Processors differ twofold, so one page is compared with the other: 1.3 times was measured."""
     browser.size(1100, 900)
-    # what its one thread computes, whatever else the machine does: 2.0 s were measured
-    assert browser.open(page) > 0 and browser.computed_s() < 3.0
-    assert browser.run("performance.getEntriesByType('paint').length") > 0
-    assert browser.complaints() == []
+    computed_s = []
+    for minutes in (6, 60):
+        recording = make_recording(60.0 * minutes, truth=False)
+        hidden = recording.arm.t_s % 10 < 1.5
+        recording = replace(recording, arm=recording.arm.hide(hidden), camera_frame=CameraFrame.KINECT)
+        page = tmp_path / f"{minutes}.html"
+        write_report(make_recovery(recording), page, recording=recording)
+        assert page.stat().st_size < 15e6
+        assert browser.open(page) > 0
+        computed_s.append(browser.computed_s())
+        assert browser.run("performance.getEntriesByType('paint').length") > 0
+        assert browser.complaints() == []
+    print(computed_s)
+    assert computed_s[1] < 4.0 * computed_s[0]
 
 
 def hostile_result(path: Path) -> Path:

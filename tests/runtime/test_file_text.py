@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_files import _detectable_of_user
 from smoother.evaluation.mocap.marker_map import read_marker_map
 from smoother.io.plain.folder import _describe
-from smoother.runtime.file_text import toml_text
+from smoother.runtime.file_text import MOST_DEEP, read_toml, toml_text
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-32")
 LENS = "width = 640\nheight = 480\nfx = 500\nfy = 500\ncx = 320\ncy = 240\n"
@@ -48,3 +50,50 @@ def test_what_is_no_text_is_one_sentence(tmp_path: Path, raw: bytes) -> None:
     for read in (read_config, read_marker_map, read_calibration, _detectable_of_user, read_intrinsics):
         with pytest.raises(UnoccludeError, match="no UTF-8 text"):
             read(path)
+
+
+READERS = (read_config, read_marker_map, read_calibration, _detectable_of_user, read_intrinsics)
+
+
+def refused(folder: Path, text: str, said: str) -> None:
+    path = folder / "recording.toml"
+    path.write_text(text, encoding="utf-8")
+    for read in (*READERS, lambda path: _describe(path.parent)):
+        began = time.monotonic()
+        with pytest.raises(UnoccludeError, match=said):
+            read(path)
+        assert time.monotonic() - began < 2
+
+
+def test_a_key_of_many_parts_is_refused_at_once(tmp_path: Path) -> None:
+    """One of 20,000 parts took 26 s and ended in a RecursionError."""
+    many = ".".join(["a"] * 20_000)
+    for text in (f"{many} = 1\n", f"[{many}]\n", f"[[ {many} ]]\n", f"b = {{ {many} = 1 }}\n"):
+        refused(tmp_path, "# first\n" + text, "tables within tables")
+    quoted = ". ".join(["'a = b'", '"c\\".d"'] * 10_000)
+    refused(tmp_path, f"{quoted} = 1\n", "tables within tables")
+    for depth in (40, 3000):
+        refused(tmp_path, f"a = {depth * '['}{depth * ']'}\n", "tables within tables")
+        refused(tmp_path, f"a = {depth * '{a = '}1{depth * '}'}\n", "tables within tables")
+
+
+def test_what_is_no_deep_key_is_read(tmp_path: Path) -> None:
+    path, dots = tmp_path / "a.toml", ".".join(["a"] * 100)
+    allowed = ".".join(["a"] * (MOST_DEEP - 2))
+    text = f"# {dots}\nb = '{dots}'\nc = [{', '.join(['1.5'] * 1000)}]\n{allowed} = 1\n" + "".join(
+        f"d{k}.x.y = {k}\n" for k in range(200)
+    )
+    path.write_text(text, encoding="utf-8")
+    assert read_toml(path) == tomllib.loads(text)
+
+
+def test_a_file_that_is_no_settings_is_not_read_whole(tmp_path: Path) -> None:
+    """TOML of 2 GB was read into memory."""
+    path = tmp_path / "recording.toml"
+    with open(path, "wb") as file:
+        file.truncate(2_000_000_000)  # a hole: no disk is used
+    began = time.monotonic()
+    for read in (*READERS, lambda path: _describe(path.parent)):
+        with pytest.raises(UnoccludeError, match="longer than 1 MB"):
+            read(path)
+    assert time.monotonic() - began < 2

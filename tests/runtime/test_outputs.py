@@ -19,7 +19,7 @@ import pytest
 from smoother.cli.output import check_outputs
 from smoother.errors import UnoccludeError
 from smoother.runtime import leftovers
-from smoother.runtime.atomic import check_output, writing
+from smoother.runtime.atomic import check_output, umask, writing
 
 posix = pytest.mark.skipif(os.name != "posix", reason="devices, modes and links of POSIX")
 root = pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="makes a device")
@@ -257,6 +257,55 @@ def test_a_disk_that_is_full_or_read_only(tmp_path: Path, options: str):
         assert os.listdir(disk) == []
     finally:
         subprocess.run(["umount", disk], check=True, timeout=20)
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_of_two_on_one_new_name_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool
+) -> None:
+    """Both said "written", and one of the results was lost."""
+    if not has_links:
+
+        def refused(*_: object) -> None:
+            raise OSError(errno.EPERM, "Operation not permitted")
+
+        monkeypatch.setattr("smoother.runtime.atomic.os.link", refused)
+    out = tmp_path / "out"
+    said = r"out was written by another command meanwhile; .*--force"
+    with pytest.raises(UnoccludeError, match=said), writing(out) as slow:
+        slow.write_text("slow")
+        with writing(out) as quick:
+            quick.write_text("quick")
+    assert out.read_text() == "quick" and os.listdir(tmp_path) == ["out"]
+    with writing(out, force=True) as slow:
+        slow.write_text("slow")
+        with writing(out, force=True) as quick:
+            quick.write_text("quick again")
+        assert out.read_text() == "quick again"
+    assert out.read_text() == "slow" and os.listdir(tmp_path) == ["out"]
+    if os.name == "posix":
+        assert mode(out) == 0o666 & ~umask() and out.stat().st_nlink == 1
+
+
+def test_many_threads_on_one_new_name(tmp_path: Path) -> None:
+    """Whoever is first, exactly one is told that it was."""
+    ready, told = threading.Barrier(8), []
+
+    def write(number: int) -> None:
+        try:
+            with writing(tmp_path / "out") as temporary:
+                temporary.write_text(str(number))
+                ready.wait(20)
+            told.append(number)
+        except UnoccludeError:
+            pass
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert [(tmp_path / "out").read_text()] == [str(number) for number in told]
 
 
 @posix

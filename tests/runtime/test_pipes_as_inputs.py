@@ -1,7 +1,8 @@
-"""Every reader refuses a pipe or a device in one sentence, and does not wait for it."""
+"""Every reader refuses a pipe, a device or a link to nothing in one sentence, and does not wait for it."""
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -40,6 +41,7 @@ from smoother.io.media.images import read_images
 from smoother.io.plain.clock_times import read_broadcast
 from smoother.io.plain.datasets import import_utd_mhad
 from smoother.io.plain.table import read_table
+from smoother.runtime.inputs import check_input
 from smoother.study.fingerprint import file_hash
 from smoother.study.inputs import find_entries
 
@@ -110,6 +112,31 @@ def test_a_device_by_a_link_is_refused(tmp_path: Path, name: str):
     (tmp_path / name).symlink_to("/dev/tty0" if Path("/dev/tty0").exists() else "/dev/null")
     with pytest.raises(UnoccludeError, match="a device"):
         READERS[name](tmp_path / name)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_link_that_leads_nowhere_is_said_to_be_one(tmp_path: Path, name: str):
+    """It was "does not exist", of a name that the folder shows."""
+    (tmp_path / name).symlink_to("gone")
+    with pytest.raises(UnoccludeError, match="is a link to gone, which does not exist") as told:
+        READERS[name](tmp_path / name)
+    assert "\n" not in str(told.value)
+    (tmp_path / name).unlink()
+    (tmp_path / name).symlink_to(name)
+    with pytest.raises(UnoccludeError, match="a link leads back to itself"):
+        READERS[name](tmp_path / name)
+
+
+def test_a_link_to_where_nobody_may_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    link = tmp_path / "a.mcap"
+    link.symlink_to("theirs/a.mcap")
+
+    def refused(path: object, **_: object) -> os.stat_result:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr("smoother.runtime.inputs.os.stat", refused)  # root may look everywhere
+    with pytest.raises(UnoccludeError, match=r"is a link to theirs/a\.mcap, which this user may not read"):
+        check_input(link)
 
 
 @pytest.mark.parametrize(

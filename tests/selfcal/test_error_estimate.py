@@ -181,6 +181,9 @@ def test_a_joint_alone_has_no_error() -> None:
     assert _told([window(wrist=50)]) == ()
     assert _told([window(wrist=50, hand=few)]) == ()
     assert _told([window(wrist=50, hand=few), window(elbow=few, hand=1)]) == ("wrist", "hand")
+    # a strap that stands for the IMU has no error of the camera to tell from others'
+    assert _told([window(wrist=50, strap=50)]) == ()
+    assert _told([window(wrist=50, strap=50)], place=False) == ("wrist", "strap")
 
 
 def test_a_camera_that_sees_the_wrist_alone() -> None:

@@ -23,8 +23,8 @@ from smoother.selfcal.mounting import (
     Mounting,
     _both,
     _losses,
-    _sphere,
     find_mounting,
+    sphere,
 )
 from smoother.simulation import SimulatedArm
 
@@ -119,7 +119,7 @@ def slow_loss(segment: Segment, offset_s: float, direction: FloatArray) -> float
 def test_the_grid_against_another_solution_of_wahba_s_problem() -> None:
     made = arm(3, protocol="random", duration_s=45.0)
     (segment,) = split_into_segments(made.recording, LARGEST_OFFSET_S)
-    offsets, directions = np.array([-0.1, 0.0, 0.06]), _sphere(12)
+    offsets, directions = np.array([-0.1, 0.0, 0.06]), sphere(12)
     fast = _losses(segment, _both(segment), offsets, directions)
     for i, offset in enumerate(offsets):
         for k in (0, 5, 11):

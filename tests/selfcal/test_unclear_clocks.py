@@ -12,7 +12,7 @@ from smoother.config import Config
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.recording import Recording
 from smoother.selfcal.clock_fit import ClockScore, refined_clock
-from smoother.selfcal.coarse_clock import _Peak, coarse_offset, synchronise_coarsely
+from smoother.selfcal.coarse_clock import coarse_offset, synchronise_coarsely
 from smoother.simulation import ArmSimulation, simulate_arm
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})
@@ -67,13 +67,11 @@ def test_prior_and_motion_weigh_as_their_information() -> None:
 
 @pytest.mark.parametrize(("seconds", "seed"), [(12.0, 31), (20.0, 1)])
 def test_speeds_that_agree_by_chance(seconds: float, seed: int) -> None:
-    """A second off the two speeds agree clearly; the forearm's direction fits as the clocks are."""
+    """A second off the two speeds agree clearly, but not the directions in which the forearm turns."""
     settings = ArmSimulation.preset(
         "realistic", protocol="random", duration_s=seconds, occlusion_lengths_s=(1.0,), occlusion_every_s=6.0
     )
     recording = simulate_arm(settings, seed).recording
-    peak = _Peak.of(recording.imu, recording.arm)
-    assert peak is not None and peak.is_clear and abs(peak.lag_s) > LARGEST_OFFSET_S
     assert coarse_offset(recording, LARGEST_OFFSET_S) == 0.0
     late = replace(recording, arm=replace(recording.arm, t_s=recording.arm.t_s - 2.0))
-    assert coarse_offset(late, LARGEST_OFFSET_S) == pytest.approx(2.0, abs=0.3)
+    assert coarse_offset(late, LARGEST_OFFSET_S) == pytest.approx(2.0, abs=0.1)

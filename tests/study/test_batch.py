@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import socket
 
 import duckdb
+import pytest
 from studies import BROKEN, NAMES, batch, query, state
 
 from calib.file import CalibrationFile, write_calibration
@@ -149,3 +152,36 @@ def test_a_page_that_somebody_else_wrote_is_kept(recordings, tmp_path, capsys):
     assert batch(*words) == 0
     assert batch(*words) == 0, "what the study wrote itself is renewed"
     assert json.loads(figures.read_text())["done_before"] == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_what_is_no_file_stops_no_other(recordings, tmp_path, capsys):
+    """With a page or figures to write, a pipe called x.mcap stopped the whole study."""
+    folder = tmp_path / "study"
+    folder.mkdir()
+    shutil.copy(recordings / NAMES[0], folder / "a.mcap")
+    shutil.copy(recordings / NAMES[0], folder / ".b.mcap")
+    os.mkfifo(folder / "pipe.mcap")
+    (folder / "device.mcap").symlink_to(os.devnull)
+    (folder / "gone.mcap").symlink_to("nowhere")
+    (folder / "loop.mcap").symlink_to("loop.mcap")
+    (folder / "folder.mcap").mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(os.path.relpath(folder / "socket.mcap"))
+    figures = tmp_path / "study.json"
+    again = ["-o", tmp_path / "out", "--processes", 1, "--report", "--json", figures]
+    assert batch(f"{folder}/*.mcap", *again) == 1
+    printed = capsys.readouterr()
+    assert printed.err == "" and ".b.mcap" in printed.out
+    rows = {row["recording"]: row for row in json.loads(figures.read_text())["rows"]}
+    assert rows.pop("a.mcap")["status"] == "done"
+    said = {
+        "pipe.mcap": "is a pipe",
+        "device.mcap": "a device",
+        "socket.mcap": "a socket",
+        "gone.mcap": "is a link to nowhere, which does not exist",
+        "loop.mcap": "a link leads back to itself",
+        "folder.mcap": "is a folder",
+    }
+    assert set(rows) == set(said)
+    assert all(words in rows[name]["error"] for name, words in said.items())

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from smoother.errors import UnoccludeError
-from smoother.study.inputs import find_entries
+from smoother.study.inputs import find_entries, left_out_note
 
 
 @pytest.fixture
@@ -90,3 +90,28 @@ def test_nothing_there(tree, source):
     (tree / "empty").mkdir()
     with pytest.raises(UnoccludeError, match=source.replace("*", r"\*")):
         find_entries(str(tree / source), tree / "out")
+
+
+def test_hidden_recordings_are_left_out_with_a_word(tree, monkeypatch):
+    """They were left out without one."""
+    assert left_out_note(str(tree)) == (
+        f"1 recording whose name begins with a dot is left out ({tree / 'p2' / '.hidden.mcap'}); rename it to"
+        " include it"
+    )
+    monkeypatch.chdir(tree)
+    (tree / "p1" / ".a.mcap").touch()
+    assert left_out_note("p*/*.mcap").startswith(
+        "2 recordings whose names begin with a dot are left out (p1/.a"
+    )
+    assert left_out_note("p*/a.mcap") == left_out_note("p1/a.mcap") == ""
+    # what a Mac writes beside every file on a foreign disk, and an output of ours that is being written
+    (tree / "p1" / ".a.mcap").unlink()
+    for name in ("._a.mcap", f".a.mcap.{24 * '0'}.unocclude.tmp.mcap"):
+        (tree / "p1" / name).touch()
+    assert left_out_note("p1") == ""
+    (tree / "only").mkdir()
+    (tree / "only" / ".x.mcap").touch()
+    with pytest.raises(
+        UnoccludeError, match=r"no recording .* here; 1 recording whose name begins with a dot"
+    ):
+        find_entries("only", tree / "out")

@@ -50,6 +50,20 @@ def test_order_of_sessions():
     assert order(("b", 30.0), ("a", math.nan)) == ["a", "b"]  # not all days are known
 
 
+def test_gaps_that_are_not_trusted_are_said_and_do_not_exclude_a_session(tmp_path: Path):
+    rows = [
+        study_row("p/s1.mcap", [made_measures()], gaps=3, gaps_untrusted=0),
+        study_row("p/s2.mcap", [made_measures()], gaps=5, gaps_untrusted=2),
+        study_row("p/s3.mcap", [made_measures(trusted=False)], gaps=5, gaps_untrusted=5, trusted=False),
+    ]
+    (progress,) = persons_of(write_study(tmp_path / "study", rows))
+    assert progress.sessions == ("s1", "s2")
+    assert [note for note in progress.notes if "gaps" in note] == [
+        "session s2 (p/s2.mcap): 2 of 5 gaps are not to be trusted; what was measured in them may be wrong"
+    ]
+    assert progress.left_out == ("session s3 (p/s3.mcap): the right arm's result is not to be trusted",)
+
+
 def test_a_known_change_is_found_and_a_null_change_is_not_called(tmp_path: Path):
     """Forty persons: one measure changes by 6 of the difference's sigmas, all others do not."""
     rng = np.random.default_rng(0)

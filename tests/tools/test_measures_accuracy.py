@@ -15,7 +15,7 @@ from measures_accuracy import NEAR_DEG, Sample, coverage_table, hidden_extremes,
 
 
 def sample(value: float, truth: float, scope: str = "session", key: str = "hand_path_length_m") -> Sample:
-    return Sample(key, scope, value, truth, 0.5, value + np.linspace(-1.0, 1.0, 41))
+    return Sample(key, scope, value, truth, 0.5, value - 0.95, value + 0.95)
 
 
 def test_coverage_and_errors_are_counted_by_scope_and_key():

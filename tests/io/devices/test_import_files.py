@@ -43,6 +43,10 @@ def test_a_line_a_file_and_the_recording(files: Path, capsys: pytest.CaptureFixt
     reports = json.loads(figures.read_text())["files"]
     assert [report["format"] for report in reports] == ["azure-kinect", "xsens-dot"]
     assert reports[1]["topics"] == ["/imu/forearm_right"] and reports[1]["count"] == 80
+    assert file.clocks_unrelated
+    imu = ImuFiles((files / "dot.csv",), "forearm_right")
+    stated, _ = import_files([files / "body.csv"], [imu], imu_starts_at_s=0.1)
+    assert not stated.clocks_unrelated  # the user said how they relate
 
 
 def test_two_files_of_one_sensor_and_one_of_several(files: Path):

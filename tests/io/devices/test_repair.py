@@ -11,7 +11,7 @@ from smoother.errors import RecordingError
 from smoother.io.devices.pairing import paired
 from smoother.io.devices.protocol import ImuTable, SkeletonTable
 from smoother.io.devices.repair import repaired_imu, repaired_skeleton
-from smoother.io.devices.starts import Timed, shifts
+from smoother.io.devices.starts import Timed, count_from_zero, shifts
 
 N = 2000
 T = np.arange(N) / 100.0
@@ -177,3 +177,11 @@ def test_clocks_with_nothing_in_common_start_at_zero():
     assert shifts([camera, near]) == ([0.0, 0.0], [])
     shift, _ = shifts([camera, wrist], imu_starts_at_s=-2.5)
     assert shift == [0.0, 1.7e9 - 302.5]
+
+
+def test_files_that_each_count_from_zero():
+    camera, wrist = Timed("camera", np.arange(0, 20, 1 / 30), False, "a"), Timed("wrist", 0.3 + T, True, "b")
+    assert count_from_zero([camera, wrist])
+    assert not count_from_zero([camera, replace(wrist, source="a")])  # one file, one clock
+    assert not count_from_zero([camera, replace(wrist, t_s=7.0 + T)])
+    assert not count_from_zero([camera]) and not count_from_zero([])

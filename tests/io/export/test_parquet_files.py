@@ -36,7 +36,9 @@ def test_the_columns_of_the_csv(tmp_path, origin_ns):
         written = [row[name] for row in rows]
         column = table[name]
         assert column.null_count == sum(text == "" for text in written), name
-        if name in ("occluded", "usable"):
+        if name == "trusted":
+            assert column.null_count == len(rows)  # nobody judged
+        elif name in ("occluded", "usable"):
             assert column.to_pylist() == [text == "1" for text in written]
         else:
             found = column.to_numpy()

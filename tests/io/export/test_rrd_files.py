@@ -155,3 +155,24 @@ def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
         assert said.count("\n") == 1
         assert "pip install '.[view]'" in said
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_what_is_not_trusted_has_a_colour_and_a_state(rerun, tmp_path):
+    from smoother.io.export.rerun_arm import packed
+    from smoother.io.result.drawing import UNTRUSTED
+    from smoother.result import Estimates, UntrustedInterval
+
+    body = UntrustedInterval(9.0, 12.0, ("another person's joints",))
+    recovery = replace(made("right"), estimates=Estimates(trusted=True, untrusted=(body,)))
+    write_rrd([recovery], tmp_path / "a.rrd")
+    tables = columns(tmp_path / "a.rrd")
+    states = dict(
+        zip(seconds(tables["/gaps/right"]), (s[0] for s in tables["/gaps/right"]["state"]), strict=True)
+    )
+    assert [at for at, state in states.items() if state == "not to be trusted"] == pytest.approx(
+        [9.0], abs=0.02
+    )
+    arm = tables["/scene/camera/right/after"]
+    red = np.array([colour[0] for colour in arm["colors"]]) == packed(UNTRUSTED)
+    t_s = seconds(arm)
+    np.testing.assert_array_equal(red, (t_s >= 9.0) & (t_s < 12.0))
