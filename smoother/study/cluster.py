@@ -12,6 +12,7 @@ import warnings
 from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
@@ -71,27 +72,30 @@ def run_local(jobs: Iterator[Job], processes: int = 0) -> Generator[Row | None, 
     if not first:
         return
     check_allowance(_SCHEDULER_BYTES + len(first) * _NANNY_BYTES)
-    import dask.config
-    from distributed import Client
-
+    with interrupts_wait():  # an import may swallow Ctrl-C, or turn it into an error of its own
+        import dask.config
+        from distributed import Client
     with ExitStack() as stack:
         silent = _be_quiet()
         stack.enter_context(dask.config.set(_LOCAL))
         stack.enter_context(blank_main())
-        with interrupts_wait():
-            cluster = _processes(len(first), silent)
-            stack.enter_context(cluster)
-        client = stack.enter_context(Client(cluster, set_as_default=False))
-        try:
-            gone = f"its processes went away; {_SAME_COMMAND}"
-            yield from _run(client, chain(first, jobs), 0, gone, FIRST_WORKER_S)
-        except BaseException:
-            for nanny in cluster.workers.values():  # closing would wait for what they are doing
-                nanny.close_gracefully()  # else it starts another process
-                if (process := nanny.pid) is not None:
-                    with suppress(ProcessLookupError):
-                        os.kill(process, signal.SIGTERM)
-            raise
+        with interrupts_wait():  # neither is left half made
+            cluster = stack.enter_context(_processes(len(first), silent))
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+            stack.push(partial(_end_processes, cluster))
+        gone = f"its processes went away; {_SAME_COMMAND}"
+        yield from _run(client, chain(first, jobs), 0, gone, FIRST_WORKER_S)
+
+
+def _end_processes(cluster: LocalCluster, error: type[BaseException] | None, *_: object) -> None:
+    """After an error or Ctrl-C end the processes: closing would wait for what they are doing."""
+    if error is None:
+        return
+    for nanny in cluster.workers.values():
+        nanny.close_gracefully()  # else it starts another process
+        if (process := nanny.pid) is not None:
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGTERM)
 
 
 def _processes(count: int, silent: int | bool, again: bool = True) -> LocalCluster:

@@ -40,7 +40,18 @@ def start_batch(*arguments: object, stop_after: int = 0) -> subprocess.Popen:
         text=True,
         preexec_fn=heed,
         start_new_session=True,
+        env=os.environ | {"PYTHONFAULTHANDLER": "1"},  # `ended` asks where it hangs
     )
+
+
+def ended(client: subprocess.Popen, seconds: float = 60.0) -> str:
+    """What a client of `start_batch` printed once it has ended; where it does not, what it waits for."""
+    try:
+        return client.communicate(timeout=seconds)[0]
+    except subprocess.TimeoutExpired:
+        client.send_signal(signal.SIGABRT)
+        said, _ = client.communicate()
+        raise AssertionError(f"it did not end within {seconds:.0f} s: {said}") from None
 
 
 STOP = """

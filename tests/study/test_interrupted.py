@@ -20,6 +20,7 @@ from studies import (
     NAMES,
     batch,
     children,
+    ended,
     is_alive,
     query,
     start_batch,
@@ -196,7 +197,7 @@ def test_ctrl_c(recordings, tmp_path, after_s):
     until(lambda: (out / ".unocclude" / "study").exists())
     time.sleep(after_s)
     os.killpg(client.pid, signal.SIGINT)
-    said, _ = client.communicate(timeout=20)
+    said = ended(client)
     assert client.returncode == 1 and "the same command continues" in said and said.count("\n") == 1, said
 
 
