@@ -15,7 +15,7 @@ from .measurements.timeline import Timeline
 from .recording import FOREARM_JOINTS, Recording
 from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
-from .recovery.cause import naming_the_cause, with_cause
+from .recovery.cause import diagnose_failures, with_cause
 from .recovery.field_pass import magnetic_field
 from .recovery.first_pass import FirstPass
 from .recovery.merge import merge
@@ -24,7 +24,7 @@ from .recovery.sections import Sections
 from .recovery.sigma_factor import with_self_check, with_sigma_factors
 from .recovery.task import Task
 from .recovery.trunk import with_trunk
-from .recovery.trust import judged, with_gap_verdicts
+from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
 from .runtime.blas_threads import one_blas_thread
 from .runtime.pool import Pool
@@ -107,10 +107,10 @@ def smooth(
     report(0.0, "calibrating")
     as_recorded = recording
     timeline = Timeline.of(recording)
-    with naming_the_cause(recording, given, clock):
+    with diagnose_failures(recording, given, clock):
         recording, coarse_clock, pairing = pair(recording, timeline, clock)
     count = config.windows.processes if processes is None else processes
-    with naming_the_cause(recording, given, clock), Pool(count, len(recording.arm)) as workers:
+    with diagnose_failures(recording, given, clock), Pool(count, len(recording.arm)) as workers:
 
         def solved(one: Recording) -> Solved:
             return _solved(one, given, config, workers, store, report, clock, coarse_clock, (draws, seed))
@@ -126,7 +126,7 @@ def smooth(
     # 8. A verdict with its likeliest cause, also by the gaps that the visible motion leaves ambiguous.
     pairing = best.paired(pairing, recording, clock)
     recovery = replace(recovery, estimates=replace(recovery.estimates, pairing=pairing))
-    recovery = judged(
+    recovery = with_verdict(
         recovery, recording, config.arm.anatomy, best.misfits, best.open_questions, clock, coarse_clock
     )
     recovery = with_cause(recovery, recording, given, clock)

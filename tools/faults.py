@@ -133,7 +133,7 @@ def run_case(case: Case, folder: Path) -> Answer:
     return Answer(os.waitstatus_to_exitcode(status), out, err, figures, folder)
 
 
-def judged(case: Case, answer: Answer, sound: Answer) -> Outcome:
+def outcome_of(case: Case, answer: Answer, sound: Answer) -> Outcome:
     """What the answer of a damaged file is, beside that of the sound one."""
     err = answer.err.strip()
     if answer.code not in (0, 1, 2):
@@ -150,8 +150,8 @@ def judged(case: Case, answer: Answer, sound: Answer) -> Outcome:
     if not wrong:
         return Outcome(case, "right", new[0] if new else "")
     if new or answer.figures.get("trusted") is False:
-        told = new[0] if new else str(answer.figures.get("verdict"))
-        return Outcome(case, "note", told)
+        message = new[0] if new else str(answer.figures.get("verdict"))
+        return Outcome(case, "note", message)
     return Outcome(case, "SILENT", wrong)
 
 
@@ -214,7 +214,7 @@ def run_all(cases: list[Case], shop: Workshop, shown: bool = True, log: Path | N
                 outcome = Outcome(case, *case.runs(folder, other_motion))
             else:
                 case.make(shop, folder)
-                outcome = judged(case, run_case(case, folder), sound[case.base])
+                outcome = outcome_of(case, run_case(case, folder), sound[case.base])
             outcome = replace(outcome, seconds=round(time.monotonic() - began, 2))
         outcomes.append(outcome)
         if log is not None:

@@ -21,7 +21,7 @@ from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.study.columns import Row
-from smoother.study.fingerprint import Fingerprint, config_hash, text_hash
+from smoother.study.fingerprint import InputSelection, config_hash, text_hash
 from smoother.study.job import Job, run_job
 from smoother.study.ledger import MOST_ROWS, Ledger
 from smoother.study.run import study_folder
@@ -40,7 +40,7 @@ def recovered(folder: Path, minutes: float, seed: int) -> tuple[Row, float]:
     )
     source = folder / f"{minutes:g}.mcap"
     write_recording(simulate_arm(settings, seed).recording, source)
-    study, config, choice = study_folder(folder / "out"), Config(), Fingerprint()
+    study, config, choice = study_folder(folder / "out"), Config(), InputSelection()
     job = Job(
         source.name, str(source), str(study.path), study.open(), config, choice, config_hash(config, choice)
     )

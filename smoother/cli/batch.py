@@ -152,7 +152,7 @@ def batch(
     from ..measures.intervals import FEWEST_DRAWS
     from ..runtime.atomic import check_output
     from ..study.cluster import run_cluster, run_local
-    from ..study.fingerprint import Fingerprint
+    from ..study.fingerprint import InputSelection
     from ..study.inputs import find_entries, left_out_note
     from ..study.limits import Limits
     from ..study.run import StudySettings, run_study, study_folder
@@ -174,7 +174,7 @@ def batch(
     page = None if report is None else Path(report) if report else folder.path / "report.html"
     settings = StudySettings(
         config=read_config(config_file),
-        choice=Fingerprint(imu, skeleton, one_side(side), body, passthrough_images),
+        choice=InputSelection(imu, skeleton, one_side(side), body, passthrough_images),
         calibration="" if calibration_file is None else str(calibration_file.absolute()),
         again=force,
         retry_failed=retry_failed,
@@ -292,7 +292,7 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     import pyarrow.compute as pc
 
     from ..evaluation.summary import trust_word
-    from ..io.recording.carried import NOT_CARRIED
+    from ..io.recording.passthrough_topics import NOT_PASSED_THROUGH
 
     columns = ["recording", "sigma_max_m", "gaps", "gap_longest_s", "occluded_s", "duration_s", "notes"]
     done = rows.filter(pc.equal(rows["status"], "done"))
@@ -317,7 +317,7 @@ def _print(rows: pa.Table, tally: Tally, figures: dict[str, Any]) -> None:
     _print_untrusted(figures)
     texts = rows.filter(pc.equal(rows["status"], "done"))["note_texts"].to_pylist()
     notes = [note for each in texts for note in each or []]
-    left_out = list(dict.fromkeys(note for note in notes if note.startswith(NOT_CARRIED)))
+    left_out = list(dict.fromkeys(note for note in notes if note.startswith(NOT_PASSED_THROUGH)))
     print_notes(left_out[:MOST_LEFT_OUT])
     if len(left_out) > MOST_LEFT_OUT:
         say(f".. and other topics in {len(left_out) - MOST_LEFT_OUT} recordings; the results have them all")

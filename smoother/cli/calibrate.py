@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Paths = Iterable[Path | None]
 
 
-def held_calibration(
+def load_existing_calibration(
     output: Path | None, others: Paths, inputs: Paths, *, force: bool, known: Paths = ()
 ) -> CalibrationFile:
     """What the file holds already; before the work, as what cannot be read cannot be added to.
@@ -85,7 +85,7 @@ def write_answer(
 
 
 @contextmanager
-def naming(what: str) -> Iterator[None]:
+def error_prefix(what: str) -> Iterator[None]:
     """Put the name of what is worked on before the message of an error."""
     try:
         yield
@@ -130,13 +130,15 @@ def motion(
     twice = [str(path) for path in recording_files if recording_files.count(path) > 1]
     if twice:
         raise typer.BadParameter(f"{twice[0]} is named twice; it would count twice")
-    held_calibration(output, [json_file], [*recording_files, config_file], force=force, known=[known_file])
+    load_existing_calibration(
+        output, [json_file], [*recording_files, config_file], force=force, known=[known_file]
+    )
     config = with_processes(read_config(config_file), processes)
     arms = _by_side(recording_files, known_file, imu, skeleton, one_side(side), body)
     several = len(arms) > 1
     answers = []
     for recordings, known in arms:
-        with naming(recordings[0].arm_label) if several else nullcontext():
+        with error_prefix(recordings[0].arm_label) if several else nullcontext():
             estimates = calibrate_motion(recordings, known, config)
             if not estimates.calibration.lever_arms:
                 raise CalibrationError(

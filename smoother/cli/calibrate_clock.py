@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrate import held_calibration, naming, print_words, write_answer
+from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
 from .load import load_arm
 from .options import Body, ConfigFile, Force, Imu, Json, Processes, Report, Side, Skeleton, one_side
 from .output import print_notes, print_table, say, say_written
@@ -125,7 +125,7 @@ def clock(
         raise typer.BadParameter("--event-time takes seconds on the IMU's clock")
     clocks = _two("--sound-clocks", sound_clocks or SOUND_CLOCKS)
     inputs = [sound, broadcast, motion, config_file]
-    held_calibration(output, [json_file, report], inputs, force=force, known=[known_file])
+    load_existing_calibration(output, [json_file, report], inputs, force=force, known=[known_file])
     receptions: list[Receptions] = []
     beeps: list[Beep] = []
     clock_in_motion: MotionClock | None = None
@@ -137,7 +137,7 @@ def clock(
             clocks = clocks[0], buzzer_node(receptions[0].node, clocks[1])
     if sound is not None:
         tracks = read_sound(sound, audio_topic, audio_rate_hz, notes)
-        with naming(str(sound)):
+        with error_prefix(str(sound)):
             beeps = beeps_of_tracks(tracks, tone_hz, sound_start)
             own = beep_receptions(
                 beeps,

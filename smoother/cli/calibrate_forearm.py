@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .calibrate import held_calibration, print_words, write_answer
+from .calibrate import load_existing_calibration, print_words, write_answer
 from .load import load_arm
 from .options import (
     Body,
@@ -73,7 +73,7 @@ def forearm(
 
     if (from_s is None) != (to_s is None) or (from_s is not None and to_s is not None and to_s <= from_s):
         raise typer.BadParameter("--from and --to belong together, --to later than --from")
-    held_calibration(output, [json_file, report], [recording_file, config_file], force=force)
+    load_existing_calibration(output, [json_file, report], [recording_file, config_file], force=force)
     config = with_processes(read_config(config_file), processes)
     recording, _ = load_arm(recording_file, None, imu=imu, skeleton=skeleton, side=one_side(side), body=body)
     calibration = calibrate_forearm(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import CalibrationError
-from .calibrate import held_calibration, naming, print_words, write_answer
+from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
 from .options import CalibrationOutput, Force, Imu, Json, RecordingPath, Report
 from .output import print_notes, print_table, say, say_written
 
@@ -41,7 +41,7 @@ def imu(
     if not 9.7 <= gravity <= 9.9:
         raise typer.BadParameter("--gravity on Earth lies between 9.76 and 9.84 m/s^2")
     stream, notes = _load(recording_file, output, name, [report, json_file], force)
-    with naming(f"{recording_file}, {stream.name}"):
+    with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_imu(stream, gravity)
     answer = imu_answer(calibration)
     if report is not None:
@@ -77,7 +77,7 @@ def magnetometer(
         raise CalibrationError(
             f"{recording_file}: {stream.name} has no magnetometer; record its magnetic field as well."
         )
-    with naming(f"{recording_file}, {stream.name}"):
+    with error_prefix(f"{recording_file}, {stream.name}"):
         calibration = calibrate_magnetometer(stream.mag)
     answer = magnetometer_answer(calibration, stream.name)
     if report is not None:
@@ -98,7 +98,7 @@ def _load(
 
     from ..io import read_imu
 
-    sensors_in(held_calibration(output, others, [path], force=force))
+    sensors_in(load_existing_calibration(output, others, [path], force=force))
     stream, notes = read_imu(path, name)
     say(f"{path}: IMU {stream.name}, {stream.rate_hz:.0f} Hz, {stream.t_s[-1] - stream.t_s[0]:.0f} s")
     return stream, notes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrate import held_calibration, print_words, write_answer
+from .calibrate import load_existing_calibration, print_words, write_answer
 from .options import (
     CalibrationOutput,
     Depth,
@@ -70,7 +70,7 @@ def panel(
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*depths, *infrareds, *marked, panel_file, intrinsics_file, recording]
-    held_calibration(output, [json_file, report], inputs, force=force)
+    load_existing_calibration(output, [json_file, report], inputs, force=force)
     known = read_panel(panel_file)
     notes: list[str] = []
     with pictured(output.with_name(f"{output.stem}.seen.png")):

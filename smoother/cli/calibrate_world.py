@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import CalibrationError
-from .calibrate import held_calibration, naming, print_words, write_answer
+from .calibrate import error_prefix, load_existing_calibration, print_words, write_answer
 from .options import CalibrationOutput, Depth, Files, Force, Infrared, IntrinsicsFile, Json, PanelFile, Report
 from .output import print_notes, print_table, say, say_written
 
@@ -66,7 +66,7 @@ def world(
     if panel_file is None:
         raise typer.BadParameter("give --panel, the places of the panel's markers and its outline")
     inputs = [*(path for paths in images for path in paths), panel_file, intrinsics_file, recording]
-    held = held_calibration(output, [json_file, report], inputs, force=force)
+    held = load_existing_calibration(output, [json_file, report], inputs, force=force)
     known = read_panel(panel_file)
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     if recording is not None:
@@ -115,7 +115,7 @@ def _from_files(
     on_base = [read_imu_table(path, "base") for path in bases]
     times = []
     for own, base, path in zip(on_panel, on_base, panels, strict=True):
-        with naming(f"{path} and the base IMU's file of that pose"):
+        with error_prefix(f"{path} and the base IMU's file of that pose"):
             times.append(common_time(own, base))
     return views, times, on_panel, on_base
 

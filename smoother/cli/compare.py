@@ -119,7 +119,7 @@ def compare(
     for recording in recordings:
         _check_truth(recording_file, recording, truth_file, markers, align, several=len(arms) > 1)
 
-    judged: dict[int, Recovery] = {}
+    recovered: dict[int, Recovery] = {}
 
     def compare_arm(place: int) -> Comparison:
         recording, calibration = arms[place]
@@ -140,7 +140,7 @@ def compare(
             latency_s=latency_s,
         )
         graph = running[GRAPH](blind)
-        judged[place] = graph
+        recovered[place] = graph
         truth, alignment = truth_for(
             recording, graph, truth_file, markers=markers, calibration=calibration_file, align=align
         )
@@ -161,12 +161,12 @@ def compare(
     each = []
     for recording, comparison in compared:
         figures = {"recording": recording.name, "side": recording.side, **comparison.to_dict()}
-        estimates = judged[next(k for k, each in enumerate(recordings) if each is recording)].estimates
+        estimates = recovered[next(k for k, each in enumerate(recordings) if each is recording)].estimates
         figures |= {"trusted": estimates.trusted, "verdict": estimates.verdict}
         figures["notes"] = list(dict.fromkeys([*recording.notes, *left_out, *comparison.notes]))
         each.append(figures)
     write_json(json_file, arms_figures([recording for recording, _ in compared], each), force)
-    warn(list(judged.values()))
+    warn(list(recovered.values()))
     for recording, comparison in compared:
         say_arm(recording, len(compared))
         print_comparison(comparison)

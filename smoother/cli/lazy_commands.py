@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 
 @dataclass(frozen=True)
-class Place:
+class CommandSpec:
     """Where a command is.
 
     Attributes
@@ -50,14 +50,14 @@ class LazyCommands(Mapping[str, Any]):
 
     Parameters
     ----------
-    places : mapping of str to Place
+    commands : mapping of str to CommandSpec
     groups : mapping
         Groups by name, as typer made them; they come last.
     """
 
-    def __init__(self, places: Mapping[str, Place], groups: Mapping[str, Any]) -> None:
-        self._places, self._commands = places, dict(groups)
-        self._names = [*places, *groups]
+    def __init__(self, commands: Mapping[str, CommandSpec], groups: Mapping[str, Any]) -> None:
+        self._places, self._commands = commands, dict(groups)
+        self._names = [*commands, *groups]
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._commands:
@@ -71,12 +71,12 @@ class LazyCommands(Mapping[str, Any]):
         return len(self._names)
 
 
-def lazy_group(places: Mapping[str, Place]) -> type[TyperGroup]:
+def lazy_group(commands: Mapping[str, CommandSpec]) -> type[TyperGroup]:
     """A kind of group that holds commands.
 
     Parameters
     ----------
-    places : mapping of str to Place
+    commands : mapping of str to CommandSpec
         By the commands' names, in the order of the help.
 
     Returns
@@ -88,7 +88,7 @@ def lazy_group(places: Mapping[str, Place]) -> type[TyperGroup]:
     class LazyGroup(TyperGroup):
         def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
             super().__init__(commands=commands, **attributes)
-            self.commands = LazyCommands(places, self.commands)  # type: ignore[assignment]
+            self.commands = LazyCommands(commands, self.commands)  # type: ignore[assignment]
 
         def list_commands(self, ctx: Any) -> list[str]:
             return list(self.commands)

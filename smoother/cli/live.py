@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .live_ending import Ending
 from .live_run import (
     engine_session,
     lsl_source,
@@ -21,6 +20,7 @@ from .live_run import (
 )
 from .options import Calibration, ConfigFile, Force, Json, Side, one_side
 from .output import check_mcap, check_outputs, say, say_command, say_written, write_json
+from .stop_request import StopRequest
 
 if TYPE_CHECKING:
     from ..streams.arrivals import Source
@@ -132,11 +132,11 @@ def live(
         foxglove_module()
     config, calibrations = read_config(config_file), read_calibration_file(calibration_file)
     prefer = prefer_side(calibrations)
-    with Ending() as ending, ExitStack() as stack:
+    with StopRequest() as stop_request, ExitStack() as stack:
         if replay is not None:
             source: Source | None = Replay(replay, imu, skeleton, side, prefer, speed, latency_s)
         else:
-            source = lsl_source(imu, skeleton, side, prefer, wait_s, ending, stack)
+            source = lsl_source(imu, skeleton, side, prefer, wait_s, stop_request, stack)
         if source is None:
             say("ended before the streams were there; nothing was recorded")
             return
@@ -147,7 +147,7 @@ def live(
         session = stack.enter_context(
             engine_session(source, calibration, config, lag_s, recording, receivers)
         )
-        figures = run_session(session, ending)
+        figures = run_session(session, stop_request)
     write_json(json_file, figures, force)
     print_session(figures)
     has_recording = recording is not None and recording.has_samples
@@ -157,7 +157,7 @@ def live(
     arguments = ["smooth", str(record), "-o", str(recovered_name(record))]
     for option, value in (("--calibration", calibration_file), ("--config", config_file)):
         arguments += [] if value is None else [option, str(value)]
-    if (then_smooth or ending.smooth) and not ending.killed:
+    if (then_smooth or stop_request.smooth) and not stop_request.killed:
         smooth_recording([*arguments, *(["--force"] if force else [])])
     else:
         say_command(*arguments)

@@ -8,8 +8,8 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from .live_dashboard import Dashboard, Lines, Table
-from .live_ending import Ending
 from .output import print_notes, say
+from .stop_request import StopRequest
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -25,7 +25,7 @@ def lsl_source(
     side: str | None,
     prefer_side: str | None,
     wait_s: float,
-    ending: Ending,
+    stop_request: StopRequest,
     stack: ExitStack,
 ) -> Source | None:
     """Streams of the Lab Streaming Layer, once both are there; None where it was ended before."""
@@ -34,7 +34,7 @@ def lsl_source(
     source = LslSource(imu, skeleton, side, prefer_side)
     stack.callback(source.close)
     say(f"waiting for the streams, at most {wait_s:g} s")
-    return source if source.open(wait_s, ending, say) else None
+    return source if source.open(wait_s, stop_request, say) else None
 
 
 def receivers_of(
@@ -90,15 +90,15 @@ def engine_session(
         yield LiveSession(source, engine, calibration, recording, receivers)
 
 
-def run_session(session: LiveSession, ending: Ending) -> dict[str, Any]:
+def run_session(session: LiveSession, stop_request: StopRequest) -> dict[str, Any]:
     """Run a session until it ends, and show it; its figures."""
     if sys.stdout.isatty():
-        keys = "q ends, s ends and smooths" if ending.has_keys else "Ctrl-C ends"
+        keys = "q ends, s ends and smooths" if stop_request.has_keys else "Ctrl-C ends"
         dashboard: Dashboard = Table(f"unocclude live ({keys})")
     else:
         dashboard = Lines()
     with dashboard:
-        return session.run(ending, dashboard.show).figures()
+        return session.run(stop_request, dashboard.show).figures()
 
 
 def print_source(source: Source, calibration: SessionCalibration) -> None:

@@ -78,10 +78,10 @@ def load_recoveries(path: Path, side: str | None = None, body: int | None = None
     recoveries = read_recovery(path)
     chosen = [one for one in recoveries if side in (None, one.side) and body in (None, one.body)]
     if not chosen:
-        asked = [f"--side {side}"] if side is not None else []
-        asked += [f"--body {body}"] if body is not None else []
+        wanted = [f"--side {side}"] if side is not None else []
+        wanted += [f"--body {body}"] if body is not None else []
         has = ", ".join(one.arm_label for one in recoveries) or "none"
-        raise UnoccludeError(f"{path}: there is no recovered arm for {' '.join(asked)}; the file has: {has}")
+        raise UnoccludeError(f"{path}: there is no recovered arm for {' '.join(wanted)}; the file has: {has}")
     return chosen
 
 

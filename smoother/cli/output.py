@@ -31,7 +31,7 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
     """
     from ..runtime.atomic import check_output
     from ..runtime.inputs import check_input
-    from ..runtime.leftovers import sweep
+    from ..runtime.leftovers import remove_stale_tempfiles
     from ..runtime.stream_output import is_stream
 
     read: set[object] = set()
@@ -49,7 +49,7 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
             raise UnoccludeError(f"{path} is named for two outputs; give each a name of its own")
         written |= keys
         check_output(path, force)
-        sweep(path.resolve().parent)
+        remove_stale_tempfiles(path.resolve().parent)
 
 
 def _identity(path: Path) -> set[object]:

@@ -44,7 +44,7 @@ def say_untrusted_parts(recovery: Recovery) -> None:
 
 def has_doubts(recovery: Recovery) -> bool:
     """Whether anything of a result is not to be trusted."""
-    return recovery.judged and not bool(recovery.trusted.all())
+    return recovery.has_verdict and not bool(recovery.trusted.all())
 
 
 def doubts(recoveries: Sequence[Recovery]) -> list[str]:

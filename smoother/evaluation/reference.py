@@ -149,10 +149,10 @@ def read_reference(
         tables = read_calibration(calibration).tables
         camera_frame = camera_frame or likely_frame(recovery)
         frame = stated_frame(tables.get("camera_from_mocap"), camera_frame, str(calibration))
-    return bring(motion, recovery, frame)
+    return align_reference(motion, recovery, frame)
 
 
-def bring(
+def align_reference(
     motion: MocapMotion, recovery: Recovery, frame: CameraFromMocap | None
 ) -> tuple[Truth, ReferenceAlignment]:
     """A motion capture as a truth: its clock, its frame, the plate on the IMU.

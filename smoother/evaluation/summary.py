@@ -80,7 +80,7 @@ def gap_summaries(recovery: Recovery) -> list[GapSummary]:
     starts = np.searchsorted(recovery.t_s, [gap.start_s for gap in recovery.gaps], "left")
     stops = np.searchsorted(recovery.t_s, [gap.end_s for gap in recovery.gaps], "right")
     verdicts: tuple[GapVerdict | None, ...] = recovery.gap_verdicts
-    if not recovery.judged:
+    if not recovery.has_verdict:
         verdicts = (None,) * len(recovery.gaps)
     summaries = []
     for gap, verdict, start, stop in zip(

@@ -208,11 +208,11 @@ def evidence(
         np.column_stack([information[np.ix_(others, kept)], vector[others]]),
     )
     reduced = information[np.ix_(kept, kept)] - information[np.ix_(kept, others)] @ across[:, :-1]
-    told = vector[kept] - information[np.ix_(kept, others)] @ across[:, -1]
+    information_vector = vector[kept] - information[np.ix_(kept, others)] @ across[:, -1]
     turn = np.eye(len(kept))
     turn[: len(constants), : len(constants)] = back
-    reduced, told = turn.T @ reduced @ turn, turn.T @ told
+    reduced, information_vector = turn.T @ reduced @ turn, turn.T @ information_vector
     rows = slice(0, len(constants))
     reduced[rows, rows] -= prior
-    told[rows] -= prior @ (window.priors.shared.mean[6:] - mean[6:])
-    return ErrorEvidence(reduced, told + reduced[:, rows] @ mean[6:])
+    information_vector[rows] -= prior @ (window.priors.shared.mean[6:] - mean[6:])
+    return ErrorEvidence(reduced, information_vector + reduced[:, rows] @ mean[6:])

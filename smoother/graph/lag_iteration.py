@@ -45,7 +45,10 @@ class LagIteration:
 
 
 def iterate(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, asked: Sequence[int], times: Mapping[int, float]
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    query_keys: Sequence[int],
+    times: Mapping[int, float],
 ) -> LagIteration:
     """One Gauss-Newton step: eliminate all but what is read, invert what is left, and substitute back.
 
@@ -54,7 +57,7 @@ def iterate(
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
         Where to linearise.
-    asked : sequence of int
+    query_keys : sequence of int
         Keys of the variables that are read.
     times : mapping of int to float, s
         Of the nodes, by their number.
@@ -69,11 +72,11 @@ def iterate(
         A direction is left free.
     """
     others = gtsam.Ordering()
-    for key in in_order(set(values.keys()) - set(asked), times):
+    for key in in_order(set(values.keys()) - set(query_keys), times):
         others.push_back(key)
     net, rest = graph.linearize(values).eliminatePartialSequential(others)
     ordering, columns, start = gtsam.Ordering(), {}, 0
-    for key in asked:
+    for key in query_keys:
         ordering.push_back(key)
         columns[key] = slice(start, start + DIMENSION[chr(gtsam.Symbol(key).chr())])
         start = columns[key].stop

@@ -162,10 +162,10 @@ class LagWindow:
             A direction is left free.
         """
         graph, reading = self._graph(), self._reading(settled_s)
-        asked, times = reading.keys, {node.number: node.t for node in self._nodes}
+        query_keys, times = reading.keys, {node.number: node.t for node in self._nodes}
         change_m, iterations = np.inf, 0
         while change_m > SETTLED_M and iterations < ITERATIONS:
-            iteration = iterate(graph, self._values, asked, times)
+            iteration = iterate(graph, self._values, query_keys, times)
             self._values = iteration.values
             graph = self._graph() if self._follow_gravity() else graph
             change_m, iterations = iteration.moved_m(X(reading.newest.number)), iterations + 1

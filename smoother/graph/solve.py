@@ -45,7 +45,7 @@ UPPER_COVARIANCE_S = 0.25
 
 
 @dataclass(frozen=True)
-class Settled:
+class WindowOptimum:
     """A window at its optimum: what a solution is read from; it does not travel between processes.
 
     Attributes
@@ -64,7 +64,7 @@ class Settled:
     tolerance: float
 
 
-def settle(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> Settled:
+def optimise_window(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> WindowOptimum:
     """Optimise a window (see `optimise`).
 
     Parameters
@@ -75,14 +75,14 @@ def settle(window: Window, tolerance: float = RELATIVE_TOLERANCE) -> Settled:
 
     Returns
     -------
-    settled : Settled
+    optimised : WindowOptimum
 
     Raises
     ------
     SolveError
         The window leaves something free; the text names the time.
     """
-    return _settled(window, tolerance, 0)
+    return _optimised(window, tolerance, 0)
 
 
 def solve(
@@ -95,12 +95,12 @@ def solve(
     plan: DrawPlan | None = None,
 ) -> Solution:
     """Optimise a window and read its answer: `settle` and `solution_of` in one, with their parameters."""
-    settled = settle(window, tolerance)
-    return solution_of(settled, with_covariance, with_offset, with_message, with_evidence, plan)
+    optimised = optimise_window(window, tolerance)
+    return solution_of(optimised, with_covariance, with_offset, with_message, with_evidence, plan)
 
 
 def solution_of(
-    settled: Settled,
+    optimised: WindowOptimum,
     with_covariance: bool,
     with_offset: bool = False,
     with_message: bool = True,
@@ -114,7 +114,7 @@ def solution_of(
 
     Parameters
     ----------
-    settled : Settled
+    optimised : WindowOptimum
     with_covariance : bool
         Also the covariance of every node (a third of the time).
     with_offset : bool
@@ -140,13 +140,13 @@ def solution_of(
     while True:
         try:
             return _read(
-                settled, with_covariance, with_offset, with_message, with_evidence, plan, with_blocks
+                optimised, with_covariance, with_offset, with_message, with_evidence, plan, with_blocks
             )
         except np.linalg.LinAlgError:
-            settled = _settled(settled.window, settled.tolerance, settled.tighten + 1)
+            optimised = _optimised(optimised.window, optimised.tolerance, optimised.tighten + 1)
 
 
-def _settled(window: Window, tolerance: float, first: int) -> Settled:
+def _optimised(window: Window, tolerance: float, first: int) -> WindowOptimum:
     """A direction that is free but for the attitude prior can be too weak for the solver's precision."""
     for number in range(first, len(TIGHTEN)):
         try:
@@ -157,7 +157,7 @@ def _settled(window: Window, tolerance: float, first: int) -> Settled:
             if "ndetermin" not in str(error):
                 raise
             continue
-        return Settled(window, optimum, number, tolerance)
+        return WindowOptimum(window, optimum, number, tolerance)
     raise SolveError(
         f"the motion between {window.t[0]:.1f} s and {window.t[-1]:.1f} s is not determined by what"
         " the camera saw there"
@@ -165,7 +165,7 @@ def _settled(window: Window, tolerance: float, first: int) -> Settled:
 
 
 def _read(
-    settled: Settled,
+    optimised: WindowOptimum,
     with_covariance: bool,
     with_offset: bool,
     with_message: bool,
@@ -174,7 +174,7 @@ def _read(
     with_blocks: bool = False,
 ) -> Solution:
     """The answer; raises LinAlgError where something is free."""
-    window, optimum, tighten = settled.window, settled.optimum, TIGHTEN[settled.tighten]
+    window, optimum, tighten = optimised.window, optimised.optimum, TIGHTEN[optimised.tighten]
     graph, values = optimum.graph, optimum.values
     biases = bias_of_intervals(window)
     states = _states(values, len(window.t))

@@ -15,8 +15,8 @@ from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.constant_errors import JOINT_ERRORS
 from ..window.lag_solution import LagSolution, NodeState
+from .discontinuity import Discontinuity
 from .estimate import LiveEstimate
-from .jump import Jump
 from .live_state import LiveState
 from .prediction import Prediction
 
@@ -38,7 +38,7 @@ class Circumstances:
         Of the camera's clock.
     shoulder_variance : float, m^2
         How far the shoulder may have gone since its knot.
-    jump : Jump or None
+    discontinuity : Discontinuity or None
         That is being spread.
     """
 
@@ -47,7 +47,7 @@ class Circumstances:
     since_s: float | None
     clock_sigma_s: float
     shoulder_variance: float
-    jump: Jump | None
+    discontinuity: Discontinuity | None
 
 
 def estimate_of(
@@ -77,9 +77,9 @@ def estimate_of(
     # a clock that is off by a moment moves the whole path along itself
     common = common + about.clock_sigma_s**2 * np.outer(state.v, state.v)
     R, p, offset = state.R, state.p, np.zeros(3)
-    if about.jump is not None:
-        share = about.jump.share(state.t)
-        offset, turn = share * about.jump.offset, share * about.jump.turn
+    if about.discontinuity is not None:
+        share = about.discontinuity.share(state.t)
+        offset, turn = share * about.discontinuity.offset, share * about.discontinuity.turn
         p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
         common = common + np.outer(offset, offset)
         covariance[:3, :3] += np.outer(turn, turn)
@@ -112,13 +112,13 @@ def estimate_of(
     )
 
 
-def shown_state(state: NodeState, jump: Jump | None) -> NodeState:
-    """The state as it is shown while a jump is being spread."""
-    if jump is None:
+def shown_state(state: NodeState, discontinuity: Discontinuity | None) -> NodeState:
+    """The state as it is shown while a discontinuity is being spread."""
+    if discontinuity is None:
         return state
-    share = jump.share(state.t)
-    R = Rotation.from_rotvec(share * jump.turn).as_matrix() @ state.R
-    return NodeState(state.t, R, state.p + share * jump.offset, state.v)
+    share = discontinuity.share(state.t)
+    R = Rotation.from_rotvec(share * discontinuity.turn).as_matrix() @ state.R
+    return NodeState(state.t, R, state.p + share * discontinuity.offset, state.v)
 
 
 def common_error(model: SelfCalibration) -> FloatArray:

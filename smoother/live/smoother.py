@@ -19,17 +19,17 @@ from .calibrator import BackgroundCalibrator, Calibrator
 from .camera_clock import USUAL_LATENCY_S, CameraClock
 from .display import Display, predicted
 from .estimate import LiveEstimate
-from .follower import LONGEST_PAUSE_S, Follower
 from .frame_buffer import FrameBuffer
 from .imu_batch import ImuBatch
 from .imu_buffer import ImuBuffer
 from .live_state import LiveState
 from .output import Dropped, LiveOutput
 from .skeleton_frame import SkeletonFrame
-from .succession import Succession
+from .tracker import LONGEST_PAUSE_S, Tracker
+from .tracker_handover import TrackerHandover
 
 #: Samples are held for so long: what a self-calibration may read, s.
-HELD_S = 120.0
+BUFFER_S = 120.0
 #: More frames than this at once are a backlog; those in between are dropped.
 MOST_FRAMES = 12
 #: Without frames a node comes so often, s, and so long after the frames' usual delay.
@@ -82,12 +82,12 @@ class LiveSmoother:
         if not 0.0 <= lag_s <= 2.0:
             raise UnoccludeError(f"The lag is {lag_s:g} s; give one from 0 to 2 s.")
         self._lag_s = lag_s
-        self._imu, self._frames, self._camera = ImuBuffer(HELD_S), FrameBuffer(HELD_S), CameraClock()
+        self._imu, self._frames, self._camera = ImuBuffer(BUFFER_S), FrameBuffer(BUFFER_S), CameraClock()
         given, config = calibration or ArmCalibration(side=side), config or Config()
         self._calibrations = Calibrations(
             calibrator or BackgroundCalibrator(), side, given, config, gravity_hint, camera_frame
         )
-        self._succession = Succession(self._calibrations, config, self._imu, self._frames, lag_s)
+        self._handover = TrackerHandover(self._calibrations, config, self._imu, self._frames, lag_s)
         self._display = Display(lag_s)
         self._changed_s: float | None = None
         self._late: list[SkeletonFrame] = []
@@ -114,8 +114,8 @@ class LiveSmoother:
         """Take a frame in, in any order; one older than half a second before the newest is dropped."""
         frames, jump_s = self._camera.take(frame)
         for each in frames:
-            is_new, follower = self._frames.add(each), self._succession.follower
-            if is_new and follower is not None and each.t_s <= follower.cursor_s:
+            is_new, tracker = self._frames.add(each), self._handover.tracker
+            if is_new and tracker is not None and each.t_s <= tracker.cursor_s:
                 self._late.append(each)
         if jump_s:
             self._notes.append(f"the camera's clock jumped by {-jump_s:.3f} s; the answer follows it")
@@ -179,58 +179,58 @@ class LiveSmoother:
     def _calibrate(self, now_s: float) -> None:
         """Fetch a calibration that is ready, ask for the next when it is time, let a successor catch up."""
         if self._calibrations.fetch():
-            self._succession.calibrated()
+            self._handover.calibrated()
         self._calibrations.ask(self._imu, self._frames, self._camera)
-        before = self._succession.advance(now_s)
-        follower = self._succession.follower
-        if before is not None and before.solution is not None and follower is not None:
-            self._display.spread(predicted(before, before.solution, now_s), follower, now_s)
+        before = self._handover.advance(now_s)
+        tracker = self._handover.tracker
+        if before is not None and before.solution is not None and tracker is not None:
+            self._display.spread(predicted(before, before.solution, now_s), tracker, now_s)
 
     # 2. The window
 
     def _follow(self, now_s: float) -> None:
         """Feed the window with what has arrived, and solve it."""
-        follower = self._succession.follower
-        if follower is None:
+        tracker = self._handover.tracker
+        if tracker is None:
             self._late, self._changed_s = [], None
             return
-        if follower.pause_s() > LONGEST_PAUSE_S:
+        if tracker.pause_s() > LONGEST_PAUSE_S:
             self._lose("the IMU's samples paused: the smoother begins anew")
             return
-        solved, changed = follower.solution, self._mend(follower)
-        ready = self._ready(follower)
-        ended_s = follower.feed(ready) if ready else None
+        solved, changed = tracker.solution, self._mend(tracker)
+        ready = self._ready(tracker)
+        ended_s = tracker.feed(ready) if ready else None
         empty_s = self._imu.end_s - self._usual_delay_s - EMPTY_S
-        if not ready and empty_s - follower.t_s > EMPTY_S:
-            follower.go_on(empty_s)
+        if not ready and empty_s - tracker.t_s > EMPTY_S:
+            tracker.go_on(empty_s)
             changed = True
         if not ready and not changed:
             return
         try:
-            follower.solve(now_s - self._lag_s)
+            tracker.solve(now_s - self._lag_s)
         except (np.linalg.LinAlgError, RuntimeError):
             self._lose("the last moments did not determine the motion: the smoother begins anew")
             return
         if ended_s is not None and solved is not None:
-            self._display.spread(predicted(follower, solved, now_s), follower, now_s)
+            self._display.spread(predicted(tracker, solved, now_s), tracker, now_s)
 
-    def _mend(self, follower: Follower) -> bool:
+    def _mend(self, tracker: Tracker) -> bool:
         """Work in what came late; whether anything did."""
         changed = self._changed_s is not None
         if self._changed_s is not None:
-            follower.integrate_again(self._changed_s)
+            tracker.integrate_again(self._changed_s)
             self._changed_s = None
         for frame in self._late:
-            if follower.feed_late(frame):
+            if tracker.feed_late(frame):
                 changed = True
             else:
                 self._frames.late += 1
         self._late = []
         return changed
 
-    def _ready(self, follower: Follower) -> list[SkeletonFrame]:
+    def _ready(self, tracker: Tracker) -> list[SkeletonFrame]:
         """Frames that are due, at most so many: of a backlog the newest."""
-        ready = self._succession.ready(follower)
+        ready = self._handover.ready(tracker)
         if len(ready) > MOST_FRAMES:
             self._backlog += len(ready) - MOST_FRAMES
             self._notes.append(f"behind by {len(ready)} frames: dropped all but the newest {MOST_FRAMES}")
@@ -241,12 +241,12 @@ class LiveSmoother:
         self._notes.append(why)
         self._late = []
         self._display.forget()
-        self._succession.begin_anew()
+        self._handover.begin_anew()
 
     @property
     def _reason(self) -> str:
         """How the calibration stands, in words."""
-        is_catching_up = self._calibrations.last is not None and self._succession.follower is None
+        is_catching_up = self._calibrations.last is not None and self._handover.tracker is None
         return self._calibrations.reason + ("; catching up with the present" if is_catching_up else "")
 
     @property
@@ -261,17 +261,17 @@ class LiveSmoother:
     # 3. The answers
 
     def _answers(self, now_s: float) -> tuple[LiveEstimate | None, LiveEstimate | None]:
-        follower = self._succession.follower
-        if follower is None or follower.solution is None:
-            self._state = LiveState.LOST if self._succession.has_followed else LiveState.CALIBRATING
+        tracker = self._handover.tracker
+        if tracker is None or tracker.solution is None:
+            self._state = LiveState.LOST if self._handover.has_followed else LiveState.CALIBRATING
             return None, None
         if now_s - self._imu.end_s > LOST_S:
             self._state = LiveState.LOST
             return None, None
         clock_sigma_s = self._calibrations.clock_sigma_s
-        now = self._display.now(follower, follower.solution, now_s, clock_sigma_s, self._usual_delay_s)
+        now = self._display.now(tracker, tracker.solution, now_s, clock_sigma_s, self._usual_delay_s)
         self._state = now.state
-        return now, self._display.settled(follower, follower.solution, now_s, clock_sigma_s)
+        return now, self._display.settled(tracker, tracker.solution, now_s, clock_sigma_s)
 
     @property
     def _dropped(self) -> Dropped:

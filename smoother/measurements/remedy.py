@@ -107,7 +107,7 @@ class Remedy:
             opposite=opposite,
             camera_frame=self.camera_frame or recording.camera_frame,
             notes=(*recording.notes, *self._notes()),
-            undone=(*recording.undone, *self.each_option),
+            applied_fixes=(*recording.applied_fixes, *self.each_option),
         )
 
     def _notes(self) -> list[str]:

@@ -58,14 +58,14 @@ class EvenTimes:
         The sensor's period.
     pauses : int
         Pauses after which the stamps did not catch up.
-    set_back : int
+    clock_resets : int
         Times that the clock was set back to stay.
     """
 
     t_s: FloatArray
     tick_s: float
     pauses: int
-    set_back: int
+    clock_resets: int
 
 
 def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[FloatArray, int]:

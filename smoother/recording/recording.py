@@ -76,7 +76,7 @@ class Recording:
         An IMU on the same person's trunk.
     opposite : JointTracks, optional
         The camera's joints of the same person's other arm, on the camera's clock as it was recorded.
-    undone : tuple of str
+    applied_fixes : tuple of str
         Mistakes of the set-up that were undone in it, as options: "--mirror x".
     clocks_unrelated : bool
         The IMU's clock and the camera's have nothing in common (files of two devices that each count from
@@ -97,7 +97,7 @@ class Recording:
     upper_imu: ImuStream | None = None
     body: int | None = None
     trunk: TrunkSensors | None = None
-    undone: tuple[str, ...] = ()
+    applied_fixes: tuple[str, ...] = ()
     clocks_unrelated: bool = False
     opposite: JointTracks | None = None
 

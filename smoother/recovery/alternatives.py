@@ -25,7 +25,7 @@ class Alternative:
     ----------
     mistake : str
         What was wrong then, as "the skeleton seems mirrored (x)".
-    undone : function
+    corrected : function
         From the recording to the one without the mistake.
     advice : str
         What to do about it.
@@ -36,7 +36,7 @@ class Alternative:
     """
 
     mistake: str
-    undone: Callable[[Recording], Recording]
+    corrected: Callable[[Recording], Recording]
     advice: str
     remedy: Remedy | None = None
     kind: str = ""

@@ -20,7 +20,7 @@ from ..measurements.visibility import Gap
 from ..recording import Recording
 from ..result import Recovery, UntrustedInterval
 from ..rotation import Rotation
-from .cause import distrusted, undone_by
+from .cause import distrusted, fixed_by
 from .explanations import Explanation, explanations
 from .limb_lengths import sensor_at_elbow
 
@@ -63,7 +63,7 @@ def with_ambiguities(
         return recovery
     if is_trusted and (given is None or not given.lever_arms):
         for swapped in sensor_at_elbow(recording.arm, recovery.calibration):
-            cause = undone_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.undone)
+            cause = fixed_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.applied_fixes)
             return distrusted(recovery, cause)
     found = explanations(recovery, excerpts, down_hint(recording), NEARLY_MIRRORED)
     if found is None:
@@ -73,7 +73,7 @@ def with_ambiguities(
         axis = _level_axis(recording)
         remedies = (Remedy(mirror=axis), Remedy(negate=("accelerometer",)))
         mistake = f"the skeleton seems mirrored ({axis}), or the accelerometer's sign seems turned"
-        return distrusted(recovery, undone_by(mistake, remedies, recording.undone))
+        return distrusted(recovery, fixed_by(mistake, remedies, recording.applied_fixes))
     if not is_trusted:
         return recovery
     others = tuple(each for each in others if each.is_mirrored or each.cost < NEARLY_MOUNTED)
@@ -146,7 +146,7 @@ def _in_words(other: Explanation, own: Explanation, recording: Recording) -> str
             " well, and the hidden motion differs: move the arm more in view, or give a calibration"
         )
     option = f"--mirror {_level_axis(recording)}"
-    if option in recording.undone:
+    if option in recording.applied_fixes:
         return (
             f"without {option} the skeleton fits the visible motion about as well, and the hidden motion"
             " differs: move the arm out of one plane in view"

@@ -94,7 +94,7 @@ def distrusted(recovery: Recovery, cause: Cause) -> Recovery:
 
 
 @contextmanager
-def naming_the_cause(
+def diagnose_failures(
     recording: Recording, given: ArmCalibration, measured: Clock | None = None
 ) -> Iterator[None]:
     """What cannot be solved is refused with its likeliest cause."""
@@ -116,7 +116,7 @@ def likeliest_cause(
     camera's stamps were moved, where one was given.
     """
     for swapped in swapped_joints(recording.arm):
-        return undone_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.undone)
+        return fixed_by(swapped.sentence, (Remedy(swap=swapped.joints),), recording.applied_fixes)
     recorded, recording = recording, informative_recording(recording, Timeline.of(recording))
     hint = down_hint(recording)
     down = hint if hint.any() else None
@@ -139,7 +139,7 @@ def likeliest_cause(
             )
     candidates = [*_that_fit(recording, down, as_it_is), *_other_arm(recorded, as_it_is)]
     if candidates:
-        return _named(candidates, recording.undone)
+        return _named(candidates, recording.applied_fixes)
     is_elsewhere = as_it_is.direction_deg > ELSEWHERE_DEG and as_it_is.acceleration_share > ELSEWHERE_SHARE
     if is_elsewhere and not any(input_faults(recording)):
         return Cause(
@@ -156,7 +156,7 @@ def _other_arm(recording: Recording, as_it_is: ClosedForm) -> Iterator[tuple[flo
         return
     exchanged = by_remedy(Remedy(sides=True), "left and right of the skeleton seem exchanged")
     try:
-        fit = closed_form(synchronise_coarsely(exchanged.undone(recording))[0])
+        fit = closed_form(synchronise_coarsely(exchanged.corrected(recording))[0])
     except CalibrationError:  # the motion does not tell the clock
         return
     if fit is not None and fit.fits and fit.misfit < CLEARLY * as_it_is.misfit:
@@ -182,7 +182,7 @@ def _wrong_gravity(fit: ClosedForm, recording: Recording, down: FloatArray) -> C
         return None
     candidates = _that_fit(recording, down, fit)
     if candidates:
-        return _named(candidates, recording.undone)
+        return _named(candidates, recording.applied_fixes)
     frames = frames_with_down(fit.down, recording, SAME_DOWN_DEG)
     if recording.gravity_hint is not None or not frames:
         return Cause(
@@ -205,7 +205,7 @@ def _that_fit(
     for alternative in alternatives(recording):
         if alternative.kind and any(alternative.kind == other.kind for _, other in fitting):
             continue
-        fit = closed_form(alternative.undone(recording))
+        fit = closed_form(alternative.corrected(recording))
         if fit is None or not fit.fits or fit.misfit > CLEARLY * as_it_is.misfit:
             continue
         if down is not None and fit.down_deg(down) > GRAVITY_DEG:
@@ -224,11 +224,11 @@ def _named(candidates: list[tuple[float, Alternative]], given: tuple[str, ...]) 
     remedies = tuple(each.remedy for each in likely if each.remedy is not None)
     mistake = ", or ".join(each.mistake for each in likely)
     if len(remedies) == len(likely):
-        return undone_by(mistake, remedies, given)
+        return fixed_by(mistake, remedies, given)
     return Cause(f"{mistake}; {'; or '.join(each.advice for each in likely)}", remedies)
 
 
-def undone_by(mistake: str, remedies: tuple[Remedy, ...], given: tuple[str, ...]) -> Cause:
+def fixed_by(mistake: str, remedies: tuple[Remedy, ...], given: tuple[str, ...]) -> Cause:
     """A mistake that an option undoes; where that very option was given, it is what made the mistake."""
     made = [remedy.options for remedy in remedies if remedy.options in given]
     if made:

@@ -15,7 +15,14 @@ from ..window.draw_plan import DrawPlan, root_of
 from ..window.drawn_window import WindowDraws
 from ..window.shared import SharedLayout
 from ..window.trajectory import Trajectory
-from .samples import IMU_DELAY_S, LINEAR_RAD, SectionAnswer, turning, unknown_mounting, wide_turns
+from .samples import (
+    IMU_DELAY_S,
+    LINEAR_RAD,
+    SectionAnswer,
+    large_rotation_uncertainty,
+    turning,
+    unknown_mounting,
+)
 
 #: Names of the columns of joints begin so.
 JOINT = "joint_"
@@ -152,7 +159,7 @@ def _widened(p: FloatArray, r: FloatArray, pose_covariance: FloatArray) -> tuple
     It takes a variance v to v (1 + v / LINEAR_RAD^2)^2, so the turn about that axis grows by the factor in
     brackets, and the position by what follows from that.
     """
-    wide = wide_turns(pose_covariance)
+    wide = large_rotation_uncertainty(pose_covariance)
     if wide is None:
         return p, r
     grows = wide.axes @ ((wide.variance / LINEAR_RAD**2)[:, :, None] * np.swapaxes(wide.axes, 1, 2))

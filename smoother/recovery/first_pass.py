@@ -1,7 +1,7 @@
 """The first pass: every section alone, for what all sections share.
 
 Of a long recording it asks some windows of each section only, those that tell most: what all share is known
-long before every window has been asked.
+long before every window has been selected.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class FirstAnswer:
         What its second pass needs.
     t_s : ndarray, shape (k,), s
         Middles of its windows.
-    asked : ndarray of int, shape (m,)
-        Which of its windows were asked.
+    selected : ndarray of int, shape (m,)
+        Which of its windows were selected.
     messages : list of Message
         On the shared quantities, one of each of these.
     strengths : tuple of ndarray
@@ -58,7 +58,7 @@ class FirstAnswer:
 
     state: SectionState
     t_s: FloatArray
-    asked: IntArray
+    selected: IntArray
     messages: list[Message]
     strengths: tuple[FloatArray, ...]
     clock_score: ClockScore
@@ -90,8 +90,8 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
         return None
     prepared, alignment = ready
     borders = cut_times(prepared, config.windows.length_s)
-    asked = task.asked(segment, borders)
-    windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1), asked)
+    selected = task.selected(segment, borders)
+    windows = task.windows(prepared, borders, [task.prior] * (len(borders) - 1), selected)
     middle = len(windows) // 2
     solutions = [
         solve(
@@ -122,7 +122,7 @@ def solve_alone(data: SectionData, task: Task) -> FirstAnswer | None:
     return FirstAnswer(
         state,
         window_middles(prepared.t, borders, config.windows.margin_s),
-        asked,
+        selected,
         [solution.message for solution in solutions],
         tuple(observation.strength for observation in observations),
         clock_score([windows[middle]], [solutions[middle]]).condensed(),
@@ -154,8 +154,8 @@ class FirstPass:
     Attributes
     ----------
     messages : list of Message
-        Of the windows that were asked.
-    asked : list of int
+        Of the windows that were selected.
+    selected : list of int
         Numbers of these windows in the recording.
     t_s : list of float, s
         Middles of all windows.
@@ -167,7 +167,7 @@ class FirstPass:
 
     store: Store
     messages: list[Message] = field(default_factory=list)
-    asked: list[int] = field(default_factory=list)
+    selected: list[int] = field(default_factory=list)
     t_s: list[float] = field(default_factory=list)
     clock_scores: list[ClockScore] = field(default_factory=list)
     strengths: list[FloatArray] = field(default_factory=list)
@@ -196,7 +196,7 @@ class FirstPass:
     def _add(self, answer: FirstAnswer) -> None:
         windows = range(len(self.t_s), len(self.t_s) + len(answer.t_s))
         self._states.append((self.store.put(answer.state), windows))
-        self.asked += (windows.start + answer.asked).tolist()
+        self.selected += (windows.start + answer.selected).tolist()
         self.t_s += answer.t_s.tolist()
         self.messages += answer.messages
         self.strengths += answer.strengths
@@ -207,7 +207,7 @@ class FirstPass:
 
     def priors(self, prior: Priors) -> Iterator[Priors]:
         """The second pass's priors of all windows, in the order of time (`leave_one_out_priors`)."""
-        return leave_one_out_priors(self.messages, prior, np.array(self.t_s), np.array(self.asked))
+        return leave_one_out_priors(self.messages, prior, np.array(self.t_s), np.array(self.selected))
 
     def states(self) -> Iterator[tuple[SectionState, range]]:
         """Each section's state, taken out of the store, and the numbers of its windows."""

@@ -167,7 +167,7 @@ def widen_turns(pose_covariance: FloatArray) -> FloatArray:
     A linearised problem overrates what it knows of an angle that is hardly known: an angle's variance v
     becomes v (1 + v / LINEAR_RAD^2)^2. Small angles keep what they have.
     """
-    wide = wide_turns(pose_covariance)
+    wide = large_rotation_uncertainty(pose_covariance)
     if wide is None:
         return pose_covariance
     added = wide.variance * ((1.0 + wide.variance / LINEAR_RAD**2) ** 2 - 1.0)
@@ -179,7 +179,7 @@ def widen_turns(pose_covariance: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class WideTurns:
+class LargeRotationUncertainty:
     """Samples whose orientation is hardly known.
 
     Attributes
@@ -199,7 +199,7 @@ class WideTurns:
     position_follows: FloatArray
 
 
-def wide_turns(pose_covariance: FloatArray) -> WideTurns | None:
+def large_rotation_uncertainty(pose_covariance: FloatArray) -> LargeRotationUncertainty | None:
     """Which samples of covariances (n, 6, 6) `widen_turns` widens, and along what; None without any."""
     turn = pose_covariance[:, 3:, 3:]
     rows = np.flatnonzero(np.trace(turn, axis1=1, axis2=2) > (0.2 * LINEAR_RAD) ** 2)
@@ -208,7 +208,7 @@ def wide_turns(pose_covariance: FloatArray) -> WideTurns | None:
     variance, axes = np.linalg.eigh(turn[rows])
     variance = np.maximum(variance, 1e-12)
     known = rotate_covariance(axes, (1.0 / variance)[:, :, None] * np.eye(3))
-    return WideTurns(rows, variance, axes, pose_covariance[rows, :3, 3:] @ known)
+    return LargeRotationUncertainty(rows, variance, axes, pose_covariance[rows, :3, 3:] @ known)
 
 
 def _joint(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ..graph.optimise import LONG_S
-from ..graph.solve import Settled, settle, solution_of
+from ..graph.solve import WindowOptimum, optimise_window, solution_of
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
 from ..window.block_shift import BlockShift
@@ -86,16 +86,16 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     SolveError
         A window leaves something free; the text names the time.
     """
-    state, settled = job.state, None
+    state, optimised = job.state, None
     if state.trajectory is None:
-        state, settled = _settled(job, task)
-    if settled is None:
+        state, optimised = _optimised(job, task)
+    if optimised is None:
         state = state.without_outliers(task)
-        settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
-    windows = [each.window for each in settled]
+        optimised = [optimise_window(window, TOLERANCE) for window in _windows(state, job, task)]
+    windows = [each.window for each in optimised]
     solutions = [
         solution_of(each, with_covariance=True, with_message=False, plan=task.plan, with_blocks=True)
-        for each in settled
+        for each in optimised
     ]
     trajectory = merge_windows(state.prepared.t, windows, solutions)
     answer = sample_section(
@@ -130,22 +130,22 @@ def solve_again(job: SecondJob, task: Task) -> SecondAnswer:
     )
 
 
-def _settled(job: SecondJob, task: Task) -> tuple[SectionState, list[Settled] | None]:
+def _optimised(job: SecondJob, task: Task) -> tuple[SectionState, list[WindowOptimum] | None]:
     """A section that the first pass did not solve: its windows' optima, and the samples they contradict.
 
     Returns
     -------
     state : SectionState
         With the trajectory, and without what it contradicts.
-    settled : list of Settled or None
+    optimised : list of WindowOptimum or None
         None where samples were rejected: the optima are without them.
     """
     state = job.state.at_clock(task.model.clock)
-    settled = [settle(window, TOLERANCE) for window in _windows(state, job, task)]
-    solutions = [solution_of(each, with_covariance=False, with_message=False) for each in settled]
-    trajectory = merge_windows(state.prepared.t, [each.window for each in settled], solutions)
+    optimised = [optimise_window(window, TOLERANCE) for window in _windows(state, job, task)]
+    solutions = [solution_of(each, with_covariance=False, with_message=False) for each in optimised]
+    trajectory = merge_windows(state.prepared.t, [each.window for each in optimised], solutions)
     again = replace(state, trajectory=trajectory).without_outliers(task)
-    return again, settled if again.segment is state.segment else None
+    return again, optimised if again.segment is state.segment else None
 
 
 def _windows(state: SectionState, job: SecondJob, task: Task) -> list[Window]:

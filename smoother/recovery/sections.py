@@ -28,7 +28,7 @@ UPPER_MORE_S = 0.5
 #: A border may be so far from its even place, as a share of the sections' length; there is none otherwise.
 FARTHEST = 0.45
 #: Visible time that a border lacks around it counts as so many times as much distance from its place.
-LACKS = 5.0
+VISIBILITY_PENALTY = 5.0
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def section_borders(start_s: float, end_s: float, visible_times: FloatArray) -> 
     for k in range(1, count):
         even = start_s + k * step
         candidates = np.clip(even, visible_times[:, 0] + keep, visible_times[:, 1] - keep)
-        best = int(np.argmin(np.abs(candidates - even) + LACKS * (KEEP_S - keep)))
+        best = int(np.argmin(np.abs(candidates - even) + VISIBILITY_PENALTY * (KEEP_S - keep)))
         if abs(candidates[best] - even) < FARTHEST * step:
             borders.append(float(candidates[best]))
     return borders

@@ -122,7 +122,7 @@ class Task:
         Parameters
         ----------
         messages : sequence of Message
-            Of the windows that the first pass asked.
+            Of the windows that the first pass selected.
         scores : sequence of ClockScore
             Of all sections.
         synthetic_stamps : bool
@@ -136,7 +136,7 @@ class Task:
             clocks = (refined_clock(model.clock, pooled_score(scores), synthetic_stamps),)
         return replace(self, model=replace(model, estimate=estimate, clocks=clocks))
 
-    def asked(self, segment: Segment, borders: Sequence[float]) -> IntArray:
+    def selected(self, segment: Segment, borders: Sequence[float]) -> IntArray:
         """Numbers of a section's windows that the first pass asks."""
         return most_telling(segment, borders, self.asked_windows or len(borders))
 
@@ -149,7 +149,7 @@ class Task:
             How many, and of the random numbers.
         recording : Recording
         messages : sequence of Message
-            Of the windows that the first pass asked.
+            Of the windows that the first pass selected.
         """
         if not count:
             return self
@@ -193,7 +193,7 @@ class SectionState:
     borders : list of float, s
         Where windows begin and end.
     trajectory : Trajectory or None
-        The first pass's; None where it asked some of the windows only.
+        The first pass's; None where it selected some of the windows only.
     observations : tuple of FieldObservation
         What the magnetometer read, one a window; empty without one.
     outliers_rejected : bool

@@ -28,7 +28,7 @@ from .blending import between_quaternions
 #: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.
 SECTION_S, CONTEXT_S, BLEND_S = 60.0, 15.0, 1.0
 #: The ends of a run of samples are held so much longer, s: clocks known to some milliseconds end apart.
-HELD_S = 0.05
+PADDING_S = 0.05
 #: Sections that the mounting is found on, evenly spread, and frames with both shoulders that one needs.
 EXCERPTS, FEWEST_FRAMES = 5, 60
 #: The inertial filter runs no faster than this, Hz; a shorter run of samples is not worth one.
@@ -157,7 +157,7 @@ def _fill(
     up_K: FloatArray,
 ) -> None:
     """The thorax at the samples of a section, blended with the section before over its beginning."""
-    begin, end = line.start_s - mount.offset_s - HELD_S, line.end_s - mount.offset_s + HELD_S
+    begin, end = line.start_s - mount.offset_s - PADDING_S, line.end_s - mount.offset_s + PADDING_S
     begin, end = max(start_s, begin), min(end, start_s + SECTION_S + BLEND_S)
     rows = slice(*np.searchsorted(t_s, [begin, end]).tolist())
     t = np.array(t_s[rows])

@@ -71,7 +71,7 @@ FAILED_SHARE = 0.25
 MOST_FRAMES = 20_000
 
 
-def judged(
+def with_verdict(
     recovery: Recovery,
     recording: Recording,
     anatomy: Anatomy,
@@ -186,8 +186,8 @@ def _self_check(check: SelfCheck | None) -> Iterator[str]:
 
 def _mirror_image(recording: Recording) -> Iterator[str]:
     """Two remedies of one sign: together they make the motion its mirror image, which fits as well."""
-    mirrored = next((option for option in recording.undone if option.startswith("--mirror ")), None)
-    if mirrored and "--negate accelerometer" in recording.undone:
+    mirrored = next((option for option in recording.applied_fixes if option.startswith("--mirror ")), None)
+    if mirrored and "--negate accelerometer" in recording.applied_fixes:
         yield (
             f"{mirrored} and --negate accelerometer mend the same sign, and together they mirror the whole"
             " motion, which nothing in a recording shows: give one of the two, or neither"

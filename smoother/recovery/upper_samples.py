@@ -18,7 +18,7 @@ from ..window.upper_times import upper_at
 from .samples import SectionAnswer, widen_turns
 
 #: An elbow straighter than this (sine of its flexion) does not show its axis.
-BENT = 0.3
+MIN_ELBOW_SIN = 0.3
 #: Samples of the axis that far apart count as independent, s.
 APART_S = 1.0
 
@@ -101,7 +101,7 @@ def _axes(answer: SectionAnswer, R_K_B: FloatArray) -> FloatArray:
     normal = np.einsum("nji,nj->ni", R_K_B, np.cross(upper, fore))
     size = np.linalg.norm(normal, axis=1)
     with np.errstate(invalid="ignore"):
-        return normal[size > BENT] / size[size > BENT, None]
+        return normal[size > MIN_ELBOW_SIN] / size[size > MIN_ELBOW_SIN, None]
 
 
 def humerus_axes(
@@ -140,7 +140,7 @@ def humerus_axes(
     tissue_rad = tissue_m / (0.5 * length_m)
     lever_rad = float(np.hypot(elbow.sigma_m.max(), shoulder.sigma_m.max())) / length_m
     sigma = np.hypot(np.array([lever_rad, 0.0, lever_rad]), tissue_rad)
-    if weight < 1.0 or np.linalg.norm(across) < BENT * weight:
+    if weight < 1.0 or np.linalg.norm(across) < MIN_ELBOW_SIN * weight:
         return None, sigma
     z = unit(across) * (-1.0 if side == "left" else 1.0)
     x = np.cross(y, z)

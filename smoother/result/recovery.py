@@ -146,7 +146,7 @@ class Recovery:
             for gap, verdict in zip(self.gaps[:MOST_GAPS], self.gap_verdicts, strict=False)
         ]
         columns = ("gap from, s", "length, s", "largest sigma, cm", "seen from", "trusted")
-        shown = len(columns) if self.judged else len(columns) - 1
+        shown = len(columns) if self.has_verdict else len(columns) - 1
         table = table_html(columns[:shown], [row[:shown] for row in rows]) if rows else ""
         more = len(self.gaps) - len(rows)
         return card_html(
@@ -305,7 +305,7 @@ class Recovery:
         return gap_verdicts(self.gaps, estimates.trusted, estimates.reasons, estimates.untrusted)
 
     @property
-    def judged(self) -> bool:
+    def has_verdict(self) -> bool:
         """Whether anybody judged it: `trusted` says nothing of a result that nobody did."""
         return self.estimates.trusted is not None or bool(self.estimates.untrusted)
 
@@ -347,7 +347,7 @@ class Recovery:
             arrays |= {"upper_sigma": self.upper.sigma_m, "upper_sigma_deg": self.upper.sigma_deg}
         if self.trunk is not None:
             arrays |= {"trunk_quaternion": self.trunk.quaternion, "trunk_sigma_deg": self.trunk.sigma_deg}
-        return arrays | {"trusted": self.trusted} if self.judged else arrays
+        return arrays | {"trusted": self.trusted} if self.has_verdict else arrays
 
     def to_table(self) -> pyarrow.Table:
         """The columns of the CSV export, and the velocity, as an Arrow table.
@@ -374,7 +374,9 @@ class Recovery:
         except ImportError as error:
             raise UnoccludeError("to_dataframe() needs pandas; install it by `pip install pandas`") from error
         frame = pandas.DataFrame(flat_columns(self.to_arrays()))
-        frame["trusted"] = pandas.array(self.trusted if self.judged else [None] * len(self), dtype="boolean")
+        frame["trusted"] = pandas.array(
+            self.trusted if self.has_verdict else [None] * len(self), dtype="boolean"
+        )
         return frame
 
 

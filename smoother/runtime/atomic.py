@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import UnoccludeError
-from .leftovers import locked, sweep, temporary_name
+from .leftovers import locked, remove_stale_tempfiles, temporary_name
 from .stream_output import is_stream, sending
 
 
@@ -49,7 +49,7 @@ def writing(path: str | os.PathLike[str], force: bool = False) -> Iterator[Path]
     target = Path(path).resolve()
     temporary = temporary_name(target)
     try:
-        sweep(target.parent)
+        remove_stale_tempfiles(target.parent)
         with locked(temporary):
             yield temporary
             _give_mode(temporary, target)

@@ -76,7 +76,7 @@ def locked(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def sweep(folder: Path, again: bool = False) -> None:
+def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
     """Remove temporary files, and folders, that programs of ours left in a folder when they were killed.
 
     Parameters

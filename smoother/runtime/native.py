@@ -17,7 +17,7 @@ _MOST_MEMORY, _MEMORY_PER_BYTE = 1 << 29, 64
 _FATAL = ("SIGALRM", "SIGXCPU", "SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
 
 
-def ends_the_process(path: Path, read: Callable[[Path], object]) -> bool:
+def crashes_in_subprocess(path: Path, read: Callable[[Path], object]) -> bool:
     """Whether reading a file would end the process, or never end itself: tried in a child (no Windows).
 
     The child has so much time and memory as a file of this size can need.

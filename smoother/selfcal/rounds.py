@@ -100,7 +100,9 @@ def self_calibrate(
     )
     errors = ConstantErrors()
     trajectories: dict[int, Trajectory] = {}
-    asked = partial(solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE)
+    solve_once = partial(
+        solve, with_covariance=False, with_offset=True, with_evidence=True, tolerance=TOLERANCE
+    )
     everything = list(range(len(excerpts)))
     # the first round, which starts farthest off, reads half
     numbers = _every_second(excerpts) if rounds > 1 else everything
@@ -117,7 +119,7 @@ def self_calibrate(
             numbers = everything  # what can be used lies in the other half
             continue
         windows = current.windows
-        solutions = list(workers.map(asked, windows))
+        solutions = list(workers.map(solve_once, windows))
         trajectories = current.trajectories(solutions)
         shared = pooled([solution.message for solution in solutions], current.prior)
         estimate = calibration_from(shared, current.prior.layout, start, errors.joints.sigma_m)

@@ -31,14 +31,14 @@ from .self_calibration import SelfCalibration
 #: Joint of the upper arm by the joint of the forearm that stands for it.
 STANDS_FOR = {"elbow": "shoulder", "wrist": "elbow"}
 #: A run's ends are held so much longer, s.
-HELD_S = 0.02
+PADDING_S = 0.02
 #: Rounds at most: the windows with both IMUs refine all but the clock.
 ROUNDS = 3
 #: How far elbow and shoulder are from constant in {B}, m an axis: no less and no more than this.
 LEAST_TISSUE_M, MOST_TISSUE_M = 0.003, 0.04
 #: Tissue turns the IMU against the bone, so that elbow and shoulder, on both sides of it, are off in opposite
 #: directions at the same time: as independent errors of sqrt(2) times the size they turn the bone as far.
-OPPOSITE = float(np.sqrt(2.0))
+OPPOSED_ERROR_FACTOR = float(np.sqrt(2.0))
 #: Where shoulder and elbow scatter by more, an axis, the IMU is on another limb: the right one shows 0.016 at
 #: most on simulated arms, the forearm's or another person's 0.060.
 WRONG_LIMB_M = 0.05
@@ -170,7 +170,7 @@ def calibrate_upper_arm(
 def _longer(run: ImuStream) -> ImuStream:
     """A run with its first and last samples held a little: clocks known to milliseconds end apart."""
     step = 1.0 / run.rate_hz
-    more = np.arange(1, max(round(HELD_S / step), 1) + 1)
+    more = np.arange(1, max(round(PADDING_S / step), 1) + 1)
     t_s = np.concatenate([run.t_s[0] - step * more[::-1], run.t_s, run.t_s[-1] + step * more])
     acc, gyro = (
         np.pad(values, ((len(more), len(more)), (0, 0)), mode="edge") for values in (run.acc, run.gyro)
@@ -206,4 +206,4 @@ def _on_forearm_clock(t_upper: FloatArray, upper: Clock, forearm: Clock, store: 
 def _tissue(model: SelfCalibration) -> float:
     """From the part of the residuals that lasts: soft tissue, and what the camera adds of that kind."""
     lasting = [noise.memory_m for noise in model.joint_noise.values()]
-    return OPPOSITE * float(np.clip(max(lasting, default=0.0), LEAST_TISSUE_M, MOST_TISSUE_M))
+    return OPPOSED_ERROR_FACTOR * float(np.clip(max(lasting, default=0.0), LEAST_TISSUE_M, MOST_TISSUE_M))

@@ -15,7 +15,7 @@ from ..recording import ImuStream, Recording, TrunkSensors, Truth
 from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
-from .gaps import deceive, dim_belly, lose_forearm, random_gaps, settle
+from .gaps import add_false_tracks, debounce, degrade_before_trunk, lose_forearm, random_gaps
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion, MotionModel, Stage, draw_stage, draw_wobble
 from .protocol import Performance, perform
@@ -166,13 +166,15 @@ def record_arm(
         )
         hidden |= times >= performance.duration_s - config.end_gap_s
     else:
-        hidden = settle(motion.hidden(times), config.frame_rate_hz)
+        hidden = debounce(motion.hidden(times), config.frame_rate_hz)
     before_belly = np.zeros(len(times), dtype=bool)
     for begin, end in performance.belly_s:
         before_belly |= (times >= begin) & (times < end) & ~hidden
-    dim_belly(footage, before_belly, true, config, gap_rng)
+    degrade_before_trunk(footage, before_belly, true, config, gap_rng)
     lose_forearm(footage, hidden, true, config, gap_rng)
-    parameters |= deceive(footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng)
+    parameters |= add_false_tracks(
+        footage, hidden, film(times, motion.other_arm(times)).position, config, gap_rng
+    )
     parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
     same_stamps = deepcopy(stamp_rng)
     tracks, delivered = deliver(footage, "simulated", config, stamp_rng)

@@ -15,7 +15,7 @@ _FOREARM = [JOINTS.index(joint) for joint in FOREARM_JOINTS]
 _ELBOW, _SHOULDER = JOINTS.index("elbow"), JOINTS.index("shoulder")
 
 
-def settle(hidden: BoolArray, rate_hz: float) -> BoolArray:
+def debounce(hidden: BoolArray, rate_hz: float) -> BoolArray:
     """The mask (F,) without runs under 0.2 s, of either kind: no tracker loses or gets a limb so fast."""
     size = np.ones(max(round(0.2 * rate_hz), 1), dtype=bool)
     padded = np.pad(hidden, len(size))
@@ -54,7 +54,7 @@ def lose_forearm(
     footage.state[blind, _SHOULDER] = JointState.NOT_TRACKED
 
 
-def dim_belly(
+def degrade_before_trunk(
     footage: Footage,
     before_belly: BoolArray,
     true: FloatArray,
@@ -86,7 +86,7 @@ def _set_state(
         footage.position[where, joint] = guess[where, column]
 
 
-def deceive(
+def add_false_tracks(
     footage: Footage, hidden: BoolArray, other: FloatArray, config: ArmSimulation, rng: np.random.Generator
 ) -> dict[str, list[tuple[float, float]]]:
     """Make some occlusions look tracked: joints that stand still, or the other arm's (F, 5, 3) m in {K}.

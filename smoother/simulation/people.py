@@ -21,7 +21,7 @@ from ..recording import CameraFrame, ImuStream, JointTracks
 from .body import BodyMeasures, draw_measures
 from .camera import add_noise, add_outliers, deliver, exposures, film
 from .config import ArmSimulation
-from .gaps import lose_forearm, settle
+from .gaps import debounce, lose_forearm
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion, Stage, draw_stage, draw_wobble
 from .path import band_noise
@@ -204,7 +204,7 @@ def simulate_people(
         footage = film(times, motion.joints(times))
         true = footage.position.copy()
         add_noise(footage, arm, noise_rng)
-        hidden = settle(motion.hidden(times), arm.frame_rate_hz)
+        hidden = debounce(motion.hidden(times), arm.frame_rate_hz)
         lose_forearm(footage, hidden, true, arm, noise_rng)
         add_outliers(footage, arm, noise_rng)
         # one camera: all arms have the same frames

@@ -20,7 +20,7 @@ from ..io.mcap.merge import Output
 from ..io.mcap.messages import Topic
 from ..io.media.images import ImageMessage
 from ..io.media.strap_cameras import Cameras, StrapFound
-from ..io.recording.carried import Carrying
+from ..io.recording.passthrough_topics import Passthrough
 from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
@@ -108,7 +108,7 @@ def import_strap(
         covariances[row] = covariance.ravel()
     with_strap = replace(arm, position=position, state=state)
 
-    carrying = Carrying(passthrough_images)
+    carrying = Passthrough(passthrough_images)
 
     def wanted(topic: Topic) -> bool:
         return topic.name != skeleton and carrying(topic)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..runtime.printable import printable
-from .lsl_library import is_asked_for, listed, lsl_module
+from .lsl_library import is_wanted, listed, lsl_module
 
 #: Samples that are received together at most, and for how long the library holds them, s.
 _MOST, _BUFFER_S = 512, 120
@@ -47,7 +47,7 @@ class LslInlet:
 
     Parameters
     ----------
-    asked : str, optional
+    wanted : str, optional
         Name (or a part of it) or source_id of the stream; None for the only one of its types.
     types : tuple of str
         Content types that are looked for where no name was given.
@@ -56,7 +56,7 @@ class LslInlet:
 
     Attributes
     ----------
-    asked : str or None
+    wanted : str or None
         As given.
     stream : pylsl.StreamInfo or None
         Its full description once it was there.
@@ -66,11 +66,11 @@ class LslInlet:
         Time correction in use; nan before it is known.
     """
 
-    def __init__(self, asked: str | None, types: tuple[str, ...], wake: Callable[[], None]):
+    def __init__(self, wanted: str | None, types: tuple[str, ...], wake: Callable[[], None]):
         self.stream: Any = None
         self.others: list[Any] = []
         self.correction_s = float("nan")
-        self.asked, self._types, self._wake = asked, types, wake
+        self.wanted, self._types, self._wake = wanted, types, wake
         self._samples: SimpleQueue[LslSamples] = SimpleQueue()
         self._failure: UnoccludeError | None = None
         self._closing = threading.Event()
@@ -150,14 +150,14 @@ class LslInlet:
 
     def _matching(self) -> Any:
         """The stream that is meant among those that answered; None where it is not there."""
-        if self.asked is not None:
-            exact = [s for s in self.others if self.asked in (s.name(), s.source_id())]
-            fitting = exact or [stream for stream in self.others if is_asked_for(stream, self.asked)]
+        if self.wanted is not None:
+            exact = [s for s in self.others if self.wanted in (s.name(), s.source_id())]
+            fitting = exact or [stream for stream in self.others if is_wanted(stream, self.wanted)]
         else:
             fitting = [stream for stream in self.others if stream.type().lower() in self._types]
         if len({stream.uid() for stream in fitting}) <= 1:
             return fitting[0] if fitting else None
-        option = self.asked if self.asked is not None else "/".join(self._types)
+        option = self.wanted if self.wanted is not None else "/".join(self._types)
         raise UnoccludeError(
             f"several streams are meant by {option}: {listed(fitting)}; give the whole name or the source_id"
         )

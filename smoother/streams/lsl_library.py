@@ -56,7 +56,7 @@ def listed(streams: Sequence[Any]) -> str:
     return ", ".join([*shown, *more]) or "none"
 
 
-def is_asked_for(stream: Any, asked: str) -> bool:
+def is_wanted(stream: Any, wanted: str) -> bool:
     """Whether a stream is meant: by its name or source_id, or by a part of the name."""
     name = stream.name()
-    return asked in (name, stream.source_id()) or asked.lower() in name.lower()
+    return wanted in (name, stream.source_id()) or wanted.lower() in name.lower()

@@ -170,7 +170,7 @@ class LslSource:
 
     def _missing(self, seconds: float) -> str:
         names = [
-            f"--{option} {inlet.asked}" if inlet.asked is not None else f"an {option} of type {types[0]}"
+            f"--{option} {inlet.wanted}" if inlet.wanted is not None else f"an {option} of type {types[0]}"
             for option, inlet, types in zip(
                 ("imu", "skeleton"), self._inlets, (_IMU_TYPES, _SKELETON_TYPES), strict=True
             )

@@ -16,7 +16,7 @@ _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
-class Fingerprint:
+class InputSelection:
     """What to take of a recording that has several of it, and what to carry over; see `smooth --help`."""
 
     imu: str | None = None
@@ -41,7 +41,7 @@ def file_hash(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def config_hash(config: Config, choice: Fingerprint) -> str:
+def config_hash(config: Config, choice: InputSelection) -> str:
     """SHA-256 of all settings that a result depends on; the number of processes is none of them."""
     settings: dict[str, Any] = config.model_dump(mode="json", exclude={"windows": {"processes"}})
     return text_hash(json.dumps([settings, asdict(choice)], sort_keys=True))

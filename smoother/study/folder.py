@@ -23,7 +23,7 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 from ..runtime.atomic import writing
-from ..runtime.leftovers import sweep
+from ..runtime.leftovers import remove_stale_tempfiles
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class StudyFolder:
             if not self.mark.exists():
                 with writing(self.mark) as temporary:
                     temporary.write_text(secrets.token_hex(16), encoding="ascii")
-            self.sweep()
+            self.remove_stale_tempfiles()
             return self._word()
 
     def _holds_others(self) -> bool:
@@ -153,9 +153,9 @@ class StudyFolder:
         with lock:
             yield
 
-    def sweep(self) -> None:
+    def remove_stale_tempfiles(self) -> None:
         """Remove what processes of this machine that are gone left half written."""
-        sweep(self.rows, again=True)
+        remove_stale_tempfiles(self.rows, again=True)
         for folder in self.stage.iterdir():
             host, _, process = folder.name.rpartition("~")
             if host == socket.gethostname() and process.isdigit() and not _alive(int(process)):

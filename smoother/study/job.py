@@ -18,7 +18,7 @@ from ..result import is_of_arm
 from ..runtime.inputs import check_input
 from ..runtime.store import Store
 from .columns import DONE, FAILED, Row, figures_of_arms
-from .fingerprint import Fingerprint, file_hash, row_id, text_hash
+from .fingerprint import InputSelection, file_hash, row_id, text_hash
 from .folder import StudyFolder
 from .limits import Limits, TimeUp, limited
 from .measured import measured_arms
@@ -58,7 +58,7 @@ class Job:
         The study's folder, absolute.
     word : str
         The study's word, by which the worker knows that it sees the same folder.
-    config, choice : Config, Fingerprint
+    config, choice : Config, InputSelection
         Settings.
     config_hash : str
         Of both.
@@ -87,7 +87,7 @@ class Job:
     folder: str
     word: str
     config: Config
-    choice: Fingerprint
+    choice: InputSelection
     config_hash: str
     calibration: str = ""
     calibration_hash: str = ""

@@ -16,7 +16,7 @@ from .columns import DONE, Row
 from .folder import StudyFolder
 from .privacy import hashed_name
 from .row_files import rows_table
-from .sessions import Attendance, by_folders, in_order, read_sessions
+from .sessions import SessionEntry, by_folders, in_order, read_sessions
 
 _READ = (
     *("recording", "status", "error", "finished", "config_hash", "calibration_hash", "version"),
@@ -67,7 +67,7 @@ def read_rows(folder: Path) -> list[Row]:
 
 def sessions_of(
     folder: Path, rows: Sequence[Row], table: Path | None = None
-) -> tuple[dict[str, Attendance], list[str]]:
+) -> tuple[dict[str, SessionEntry], list[str]]:
     """Whose each recording is, and of which session.
 
     Parameters
@@ -81,7 +81,7 @@ def sessions_of(
 
     Returns
     -------
-    sessions : dict of str to Attendance
+    sessions : dict of str to SessionEntry
         By the recordings' names.
     left_out : list of str
         Recordings that are of nobody, one sentence each.
@@ -108,7 +108,7 @@ def sessions_of(
 
 
 def progress_of(
-    rows: Sequence[Row], sessions: Mapping[str, Attendance], mdc95: Mapping[str, float] | None = None
+    rows: Sequence[Row], sessions: Mapping[str, SessionEntry], mdc95: Mapping[str, float] | None = None
 ) -> list[PersonProgress]:
     """The measures of every person over the sessions.
 
@@ -116,7 +116,7 @@ def progress_of(
     ----------
     rows : sequence of dict
         Of the study (`read_rows`).
-    sessions : mapping of str to Attendance
+    sessions : mapping of str to SessionEntry
         Whose each recording is (`sessions_of`).
     mdc95 : mapping of str to float, optional
         Minimal detectable change by the measures' keys, in their units.
@@ -134,7 +134,7 @@ def progress_of(
     if not any(row["measures"] is not None for row in rows):
         raise UnoccludeError(f"the study holds no measures; {_AGAIN}")
     by_name = {row["recording"]: row for row in rows}
-    persons: dict[str, list[Attendance]] = {}
+    persons: dict[str, list[SessionEntry]] = {}
     for name, attendance in sessions.items():
         if name in by_name:
             persons.setdefault(attendance.person, []).append(attendance)
@@ -142,7 +142,7 @@ def progress_of(
 
 
 def _progress(
-    person: str, attendances: Sequence[Attendance], rows: Mapping[str, Row], mdc95: Mapping[str, float]
+    person: str, attendances: Sequence[SessionEntry], rows: Mapping[str, Row], mdc95: Mapping[str, float]
 ) -> PersonProgress:
     """One person: the sessions' values by measure, then their changes, then what limits them."""
     _refuse_doubles(attendances)
@@ -184,7 +184,7 @@ def _progress(
     )
 
 
-def _refuse_doubles(attendances: Sequence[Attendance]) -> None:
+def _refuse_doubles(attendances: Sequence[SessionEntry]) -> None:
     first: dict[tuple[str, str], str] = {}
     for each in attendances:
         other = first.setdefault((each.session, each.task), each.recording)
@@ -219,14 +219,14 @@ def _has_doubts(row: Row) -> bool:
     return row["status"] == DONE and row["trusted"] is not False and bool(row["gaps_untrusted"])
 
 
-def _partly(attendance: Attendance, row: Row) -> str:
+def _partly(attendance: SessionEntry, row: Row) -> str:
     return (
         f"session {attendance.session} ({attendance.recording}): {row['gaps_untrusted']} of {row['gaps']}"
         " gaps are not to be trusted; what was measured in them may be wrong"
     )
 
 
-def _value(attendance: Attendance, day: float, entry: Mapping[str, Any]) -> SessionValue:
+def _value(attendance: SessionEntry, day: float, entry: Mapping[str, Any]) -> SessionValue:
     return SessionValue(
         session=attendance.session,
         day=day,

@@ -13,7 +13,7 @@ from .. import __version__
 from ..config import Config
 from ..errors import UnoccludeError
 from .columns import DONE, FAILED, Row
-from .fingerprint import Fingerprint, config_hash, file_hash, text_hash
+from .fingerprint import InputSelection, config_hash, file_hash, text_hash
 from .folder import StudyFolder
 from .inputs import Entry
 from .job import SAME, Job
@@ -35,7 +35,7 @@ class StudySettings:
     ----------
     config : Config
         Settings; its number of processes does not matter.
-    choice : Fingerprint
+    choice : InputSelection
         What to take of recordings that have several of it.
     calibration : str
         File for all recordings that have none of their own; "" without one.
@@ -56,7 +56,7 @@ class StudySettings:
     """
 
     config: Config = field(default_factory=Config)
-    choice: Fingerprint = field(default_factory=Fingerprint)
+    choice: InputSelection = field(default_factory=InputSelection)
     calibration: str = ""
     again: bool = False
     retry_failed: bool = False
@@ -153,7 +153,7 @@ def run_study(
         try:
             return _work_off(entries, plan, work, progress)
         finally:
-            folder.sweep()  # of processes that were ended in the middle of an output
+            folder.remove_stale_tempfiles()  # of processes that were ended in the middle of an output
 
 
 def _work_off(

@@ -20,7 +20,7 @@ _EXPECTED = "expected the columns file, person, and session or date (and perhaps
 
 
 @dataclass(frozen=True)
-class Attendance:
+class SessionEntry:
     """A recording as one of a person's sessions.
 
     Attributes
@@ -42,7 +42,7 @@ class Attendance:
     day: float = math.nan
 
 
-def by_folders(name: str, day: float) -> Attendance | None:
+def by_folders(name: str, day: float) -> SessionEntry | None:
     """A recording's session by its name in the study.
 
     `PERSON/SESSION.mcap`, or `PERSON/SESSION/TASK.mcap` where a session has several recordings.
@@ -56,18 +56,18 @@ def by_folders(name: str, day: float) -> Attendance | None:
 
     Returns
     -------
-    Attendance or None
+    SessionEntry or None
         None where the recording lies in no folder.
     """
     person, *rest = name.removesuffix(ENDING).split("/")
     if not rest:
         return None
-    return Attendance(name, person, rest[0], "/".join(rest[1:]), day)
+    return SessionEntry(name, person, rest[0], "/".join(rest[1:]), day)
 
 
 def read_sessions(
     path: Path, recordings: Iterable[str], known_as: Callable[[str], str]
-) -> dict[str, Attendance]:
+) -> dict[str, SessionEntry]:
     """The sessions of a table: CSV with the columns `file`, `person`, `session` or `date`, perhaps `task`.
 
     Parameters
@@ -82,7 +82,7 @@ def read_sessions(
 
     Returns
     -------
-    sessions : dict of str to Attendance
+    sessions : dict of str to SessionEntry
         By the recordings' names in the study.
 
     Raises
@@ -90,7 +90,7 @@ def read_sessions(
     UnoccludeError
         The table cannot be used: names the line and what is wrong with it.
     """
-    names, sessions = set(recordings), dict[str, Attendance]()
+    names, sessions = set(recordings), dict[str, SessionEntry]()
     for line, row in _rows(path):
         where = f"{path}, line {line}"
         file, person = row.get("file", ""), row.get("person", "")
@@ -109,18 +109,18 @@ def read_sessions(
         if not session and not date:
             raise UnoccludeError(f"{where}: there is neither session nor date; {_EXPECTED}")
         day = _day(date, where) if date else math.nan
-        sessions[name] = Attendance(name, person, session or date, row.get("task", ""), day)
+        sessions[name] = SessionEntry(name, person, session or date, row.get("task", ""), day)
     if not sessions:
         raise UnoccludeError(f"{path} names no recording; {_EXPECTED}")
     return sessions
 
 
-def in_order(attendances: Iterable[Attendance]) -> list[list[Attendance]]:
+def in_order(attendances: Iterable[SessionEntry]) -> list[list[SessionEntry]]:
     """A person's sessions in the order of time, each with its recordings.
 
     By the days where all are known, else by the sessions' names, numbers in them as numbers.
     """
-    sessions: dict[str, list[Attendance]] = {}
+    sessions: dict[str, list[SessionEntry]] = {}
     for attendance in attendances:
         sessions.setdefault(attendance.session, []).append(attendance)
     days = {name: min(each.day for each in rows) for name, rows in sessions.items()}

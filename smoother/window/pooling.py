@@ -58,7 +58,10 @@ class _Information:
 
 
 def leave_one_out_priors(
-    messages: Sequence[Message], prior: Priors, t_s: FloatArray | None = None, asked: IntArray | None = None
+    messages: Sequence[Message],
+    prior: Priors,
+    t_s: FloatArray | None = None,
+    selected: IntArray | None = None,
 ) -> Iterator[Priors]:
     """The second pass's priors: what the first pass's prior and all other windows say.
 
@@ -69,8 +72,8 @@ def leave_one_out_priors(
     prior : Priors
         The first pass's, the same for all of its windows.
     t_s : ndarray, shape (k,), s, optional
-        Middles of all windows, where not all were asked.
-    asked : ndarray of int, shape (len(messages),), optional
+        Middles of all windows, where not all were selected.
+    selected : ndarray of int, shape (len(messages),), optional
         Of each message, which of these windows it is of.
 
     Yields
@@ -83,7 +86,7 @@ def leave_one_out_priors(
     walk[prior.layout.bias] = SLOW_WALK
     if prior.layout.has_upper_imu:
         walk[prior.layout.upper_bias] = SLOW_WALK
-    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk, asked)
+    others = leave_one_out([message.shared for message in messages], prior.shared, t, walk, selected)
     return (replace(prior, shared=shared) for shared in others)
 
 
@@ -150,7 +153,7 @@ def leave_one_out(
     prior: Gaussian,
     t: FloatArray,
     walk: FloatArray,
-    asked: IntArray | None = None,
+    selected: IntArray | None = None,
 ) -> Iterator[Gaussian]:
     """For each window, what the prior and all other windows say.
 
@@ -166,7 +169,7 @@ def leave_one_out(
         Increasing times of the windows.
     walk : ndarray, shape (s,), unit/sqrt(s)
         How each component wanders; zero for a constant.
-    asked : ndarray of int, shape (len(answers),), optional
+    selected : ndarray of int, shape (len(answers),), optional
         Of each answer, which of the windows it is of, where not all have one.
 
     Yields
@@ -176,7 +179,7 @@ def leave_one_out(
     """
     start, own, spread = _accumulated(answers, prior)
     count, size = len(t), len(prior.mean)
-    widened = own if asked is None else own.among(asked, count)
+    widened = own if selected is None else own.among(selected, count)
 
     def wander(information: _Information, step_s: float) -> _Information:
         return _widen(information, np.diag(walk**2) * step_s)

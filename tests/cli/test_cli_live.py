@@ -19,9 +19,9 @@ from made_recordings import make
 import smoother.live.smoother
 from smoother.cli import live as command
 from smoother.cli.live_dashboard import Lines, drawn, words
-from smoother.cli.live_ending import Ending
 from smoother.cli.output import console
 from smoother.cli.run import run
+from smoother.cli.stop_request import StopRequest
 from smoother.io import read_recording, write_recording
 from smoother.live.live_state import LiveState
 from smoother.live.output import Dropped, LiveOutput
@@ -213,13 +213,13 @@ def test_keys_end_a_session(monkeypatch):
     with os.fdopen(slave) as terminal:
         monkeypatch.setattr(sys, "stdin", terminal)
         monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())
-        with Ending() as ending:
-            assert ending.has_keys
+        with StopRequest() as stop_request:
+            assert stop_request.has_keys
             os.write(master, b"x")
-            assert not ending()
+            assert not stop_request()
             os.write(master, b"s")
             deadline = time.monotonic() + 5
-            while not ending() and time.monotonic() < deadline:
+            while not stop_request() and time.monotonic() < deadline:
                 time.sleep(0.01)
-            assert (ending.wanted, ending.smooth) == (True, True)
+            assert (stop_request.wanted, stop_request.smooth) == (True, True)
     os.close(master)

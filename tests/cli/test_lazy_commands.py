@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from smoother.cli.app import app
-from smoother.cli.lazy_commands import LazyCommands, Place
+from smoother.cli.lazy_commands import CommandSpec, LazyCommands
 from smoother.cli.run import run
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
@@ -21,17 +21,17 @@ LOADED = (
 )
 
 
-def all_places() -> dict[str, Place]:
+def all_places() -> dict[str, CommandSpec]:
     """Every command's place, by all its words."""
     group = typer.main.get_command(app)
-    places = {}
+    commands = {}
     for name in group.commands:
         if name in group.commands._places:
-            places[name] = group.commands._places[name]
+            commands[name] = group.commands._places[name]
         else:
             below = group.commands[name].commands._places
-            places |= {f"{name} {command}": place for command, place in below.items()}
-    return places
+            commands |= {f"{name} {command}": place for command, place in below.items()}
+    return commands
 
 
 def loaded(*arguments: str) -> set[str]:
@@ -45,9 +45,9 @@ def loaded(*arguments: str) -> set[str]:
 
 def others(command: str) -> set[str]:
     """Modules that hold other commands only."""
-    places = all_places()
-    return {f"smoother.cli.{place.module}" for place in places.values()} - {
-        f"smoother.cli.{places[command].module}"
+    commands = all_places()
+    return {f"smoother.cli.{place.module}" for place in commands.values()} - {
+        f"smoother.cli.{commands[command].module}"
     }
 
 
@@ -88,9 +88,9 @@ def test_the_help_of_all_starts_no_server() -> None:
 
 
 def test_every_place_has_its_command() -> None:
-    places = all_places()
-    assert len(places) > 30
-    for words, place in places.items():
+    commands = all_places()
+    assert len(commands) > 30
+    for words, place in commands.items():
         command = place.command(words.split()[-1])
         assert command.help and command.name == words.split()[-1]
         assert place.epilog.startswith(f"Example: unocclude {words}")
@@ -98,7 +98,7 @@ def test_every_place_has_its_command() -> None:
 
 def test_a_command_is_made_once_and_only_when_it_is_looked_up() -> None:
     commands = LazyCommands(
-        {"config": Place("config", ""), "none": Place("no_such_module", "")}, {"more": "group"}
+        {"config": CommandSpec("config", ""), "none": CommandSpec("no_such_module", "")}, {"more": "group"}
     )
     assert list(commands) == ["config", "none", "more"] and len(commands) == 3
     assert commands["config"] is commands["config"] and commands["more"] == "group"

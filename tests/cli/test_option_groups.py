@@ -50,8 +50,8 @@ def test_four_commands_share_the_set_up(command: str, capsys) -> None:
     assert run([command, "--help"]) == 0
     shown = capsys.readouterr().out
     options = ("--mirror", "--swap", "--negate", "--camera-frame", "--clock-offset", "--clock-sigma")
-    places = [shown.index(option) for option in options]
-    assert places == sorted(places)
+    commands = [shown.index(option) for option in options]
+    assert commands == sorted(commands)
 
 
 def test_a_set_up_undoes_what_its_options_say() -> None:

@@ -13,7 +13,7 @@ from smoother.graph.block_shifts import SLOW_M, CameraBlocks, Cells, cells_of
 from smoother.graph.build import build
 from smoother.graph.error_columns import camera_rows, node_of_variables
 from smoother.graph.linear_system import LinearSystem
-from smoother.graph.solve import settle, solution_of
+from smoother.graph.solve import optimise_window, solution_of
 from smoother.window.problem import Window
 
 
@@ -69,7 +69,7 @@ def test_shifts_are_those_of_dense_least_squares(window: Window) -> None:
 
 
 def test_a_sound_window_has_no_suspicious_block(window: Window) -> None:
-    shifts = solution_of(settle(window), with_covariance=True, with_blocks=True).shifts
+    shifts = solution_of(optimise_window(window), with_covariance=True, with_blocks=True).shifts
     assert len(shifts) > 10
     assert max(shift.score for shift in shifts) < 1.0
 
@@ -78,8 +78,8 @@ def test_a_block_that_was_moved_is_found_with_its_direction(window: Window) -> N
     gap = np.flatnonzero(np.isfinite(window.velocity_change))
     start_s = float(window.t[gap[-1] + 1])
     moved = np.array([0.0, 0.0, -0.18])
-    settled = settle(shifted(window, start_s, start_s + 1.5, moved))
-    shifts = solution_of(settled, with_covariance=True, with_blocks=True).shifts
+    optimised = optimise_window(shifted(window, start_s, start_s + 1.5, moved))
+    shifts = solution_of(optimised, with_covariance=True, with_blocks=True).shifts
     worst = max(shifts, key=lambda shift: shift.score)
     assert worst.score > 3.0
     assert start_s - 0.1 < worst.end_s

@@ -18,7 +18,7 @@ from smoother import Config, Recovery, smooth
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.validate import Validation, validate
-from smoother.graph.solve import Settled
+from smoother.graph.solve import WindowOptimum
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
 from smoother.window.problem import Window
@@ -114,7 +114,7 @@ def jobs(recording: Recording, calibration: ArmCalibration, config: Config = ALO
         solved.append(Job(window, with_covariance, solution))
         return solution
 
-    def listen_again(settled: Settled, with_covariance: bool, **more: Any) -> Solution:
+    def listen_again(settled: WindowOptimum, with_covariance: bool, **more: Any) -> Solution:
         solution = solution_of(settled, with_covariance, **more)
         solved.append(Job(settled.window, with_covariance, solution))
         return solution

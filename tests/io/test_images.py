@@ -13,7 +13,7 @@ from scipy.io import wavfile
 from calib.image_size import unpacked
 from calib.panel.images import read_view
 from smoother.errors import CalibrationError, RecordingError
-from smoother.io.mcap.merge import Outgoing, Output
+from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.media import panel_reading
 from smoother.io.media.audio import read_sound
 from smoother.io.media.image_messages import raw_image
@@ -90,7 +90,7 @@ def test_foxglove_compressed_images_come_back(tmp_path: Path):
     message.timestamp.FromNanoseconds(7)
     with writing(path) as temporary, Output(temporary) as output:
         channel = output.channel("/depth", "foxglove.CompressedImage")
-        output.write([Outgoing(channel, np.array([7]), lambda part: [message.SerializeToString()])])
+        output.write([OutputStream(channel, np.array([7]), lambda part: [message.SerializeToString()])])
     (image,) = read_images(path)
     assert isinstance(image, ImageMessage) and image.stamp_ns == 7
     np.testing.assert_array_equal(image.pixels(), depth)
@@ -148,7 +148,7 @@ def test_a_damaged_message_of_an_image_or_of_sound_is_left_out_and_told(tmp_path
         for name, data in payloads.items():
             channel = output.channel(f"/marker/{name}", name)
             stamps = np.arange(7, 7 + len(data))
-            output.write([Outgoing(channel, stamps, lambda part, data=data: data[part])])
+            output.write([OutputStream(channel, stamps, lambda part, data=data: data[part])])
     notes: list[str] = []
     assert [type(each) for each in read_images(path, notes=notes)] == [ImageMessage] * 2
     assert notes == ["damaged.mcap: damaged messages of images, left out: 2."]

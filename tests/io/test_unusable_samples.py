@@ -16,8 +16,8 @@ from calib.image_size import stated_size
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.io import read_recording
 from smoother.io.recording.clean import clean_arm, clean_imu
-from smoother.io.recording.outlying import largest_group
 from smoother.io.recording.streams import ArmFrames, ImuSamples
+from smoother.io.recording.timestamp_outliers import largest_group
 from smoother.io.recording.unusable import unusable_samples
 from smoother.io.recording.write import write_recording
 from smoother.recording import JointState, Recording

@@ -23,7 +23,7 @@ from smoother.io.export.csv import csv_columns
 from smoother.io.export.mot import MotTable, write_mot
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.markers.c3d import read_c3d
-from smoother.io.mcap.merge import Outgoing, Output
+from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.stamps import nanoseconds
 from smoother.io.media.image_messages import raw_image
 from smoother.io.media.images import read_images
@@ -180,7 +180,7 @@ def test_images(tmp_path: Path, depth: np.ndarray, stamp: int, frame: str):
     path, data = tmp_path / "a.mcap", raw_image(frame, "16UC1", depth, stamp)
     with writing(path, True) as temporary, Output(temporary) as output:
         channel = output.channel("/depth", "foxglove.RawImage")
-        output.write([Outgoing(channel, np.array([stamp]), lambda part: [data])])
+        output.write([OutputStream(channel, np.array([stamp]), lambda part: [data])])
     (image,) = read_images(path)
     assert (image.stamp_ns, image.frame_id) == (stamp, frame)
     np.testing.assert_array_equal(image.pixels(), depth)

@@ -9,29 +9,29 @@ import pytest
 from live_play import Event, events, play, simulated
 
 from smoother.live.calibrator import InlineCalibrator
-from smoother.live.follower import Follower
 from smoother.live.live_state import LiveState
 from smoother.live.smoother import LiveSmoother
-from smoother.live.succession import CATCH_UP_FRAMES, SUCCESSOR_FRAMES
+from smoother.live.tracker import Tracker
+from smoother.live.tracker_handover import CATCH_UP_FRAMES, SUCCESSOR_FRAMES
 
 ARRIVALS = events(simulated(3, 27.0, ()))
 
 
 @pytest.fixture
-def fed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Follower, int]]:
-    """How many frames each follower was fed, in order."""
-    counts: list[tuple[Follower, int]] = []
-    feed = Follower.feed
+def fed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Tracker, int]]:
+    """How many frames each tracker was fed, in order."""
+    counts: list[tuple[Tracker, int]] = []
+    feed = Tracker.feed
 
     def counted(self, frames):
         counts.append((self, len(frames)))
         return feed(self, frames)
 
-    monkeypatch.setattr(Follower, "feed", counted)
+    monkeypatch.setattr(Tracker, "feed", counted)
     return counts
 
 
-def steps(arrivals: list[Event], fed: list[tuple[Follower, int]]) -> Iterator[tuple[object, list[int]]]:
+def steps(arrivals: list[Event], fed: list[tuple[Tracker, int]]) -> Iterator[tuple[object, list[int]]]:
     """Every answer, and how many frames were fed in its step."""
     live, before = LiveSmoother("right", calibrator=InlineCalibrator(5)), 0
     for output in play(arrivals, live):
@@ -39,7 +39,7 @@ def steps(arrivals: list[Event], fed: list[tuple[Follower, int]]) -> Iterator[tu
         before = len(fed)
 
 
-def test_catching_up_is_spread_over_steps(fed: list[tuple[Follower, int]]) -> None:
+def test_catching_up_is_spread_over_steps(fed: list[tuple[Tracker, int]]) -> None:
     outputs = list(steps(ARRIVALS, fed))
     assert max(sum(counts) for _, counts in outputs) <= CATCH_UP_FRAMES + 2  # two that had just come
     first = next(k for k, (output, _) in enumerate(outputs) if output.now is not None)
@@ -51,9 +51,9 @@ def test_catching_up_is_spread_over_steps(fed: list[tuple[Follower, int]]) -> No
     assert first - calibrated < 30
 
 
-def test_a_successor_takes_over_without_a_break(fed: list[tuple[Follower, int]]) -> None:
+def test_a_successor_takes_over_without_a_break(fed: list[tuple[Tracker, int]]) -> None:
     outputs = list(steps(ARRIVALS, fed))
-    followers = list(dict.fromkeys(follower for follower, _ in fed))
+    followers = list(dict.fromkeys(tracker for tracker, _ in fed))
     assert len(followers) == 2, "one calibration from 8 s, one 15 s later"
     first, second = followers
     beside = [

@@ -74,6 +74,6 @@ def test_left_and_right_are_swapped_as_a_file_is_read(recording: Recording, tmp_
     assert (recording.side, read.side) == ("right", "left")
     assert any("left and right" in note for note in read.notes)
     assert any("--mirror x" in note for note in read.notes)
-    assert read.undone == ("--swap left,right", "--mirror x")
+    assert read.applied_fixes == ("--swap left,right", "--mirror x")
     with pytest.raises(RecordingError, match="the camera saw one arm"):
         Remedy(sides=True).applied(replace(recording, opposite=None))

@@ -108,7 +108,7 @@ def test_what_fits_clearly_better_is_the_cause(
     assert judged.trusted is trusted and not judged.untrusted
     assert judged.remedies == (() if trusted else ("--mirror x", "--negate accelerometer"))
     if not trusted:
-        undone = replace(recording, undone=("--mirror x",))
+        undone = replace(recording, applied_fixes=("--mirror x",))
         again = with_ambiguities(answer, undone, []).estimates
         assert again.remedies == () and again.cause is not None
         assert again.cause.endswith("run again without --mirror x")

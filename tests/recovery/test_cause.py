@@ -19,7 +19,7 @@ from smoother.errors import CalibrationError, SolveError
 from smoother.measurements.clock import constant_clock
 from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
-from smoother.recovery.cause import likeliest_cause, naming_the_cause
+from smoother.recovery.cause import diagnose_failures, likeliest_cause
 from smoother.recovery.limb_lengths import sensor_at_elbow, swapped_joints
 from smoother.selfcal.closed_form import closed_form
 from smoother.selfcal.coarse_clock import synchronise_coarsely
@@ -115,7 +115,7 @@ def test_two_options_that_cancel_each_other_are_not_trusted(sound: Recording) ->
     assert mirrored.estimates.trusted is False and len(mirrored.estimates.reasons) == 1
     assert "--mirror x and --negate accelerometer" in mirrored.estimates.reasons[0]
     truly = both.applied(both.applied(sound))  # it was sound, and is again; but that only we know
-    assert smooth(replace(truly, undone=()), processes=1).estimates.trusted
+    assert smooth(replace(truly, applied_fixes=()), processes=1).estimates.trusted
 
 
 def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
@@ -128,7 +128,7 @@ def test_a_hand_at_the_elbow_tells_swapped_joints(sound: Recording) -> None:
 def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) -> None:
     needless = Remedy(swap=("wrist", "hand"))
     synchronised, _ = synchronise_coarsely(sound)
-    cause = likeliest_cause(replace(needless.applied(synchronised), undone=()))
+    cause = likeliest_cause(replace(needless.applied(synchronised), applied_fixes=()))
     assert cause is not None and [remedy.options for remedy in cause.remedies] == ["--swap wrist,hand"]
     assert cause.sentence.startswith("wrist and hand seem swapped")
     recovery = smooth(needless.applied(sound), processes=1)
@@ -139,9 +139,9 @@ def test_a_hand_between_elbow_and_wrist_tells_swapped_names(sound: Recording) ->
 def test_a_refusal_names_its_cause(sound: Recording) -> None:
     wrong = replace(sound, imu=replace(sound.imu, gyro=-sound.imu.gyro))
     named = r"nothing is left; the gyroscope's sign .* --negate gyroscope"
-    with pytest.raises(SolveError, match=named), naming_the_cause(wrong, ArmCalibration()):
+    with pytest.raises(SolveError, match=named), diagnose_failures(wrong, ArmCalibration()):
         raise SolveError("nothing is left.")
-    with pytest.raises(SolveError, match=r"^nothing is left$"), naming_the_cause(sound, ArmCalibration()):
+    with pytest.raises(SolveError, match=r"^nothing is left$"), diagnose_failures(sound, ArmCalibration()):
         raise SolveError("nothing is left")
 
 
@@ -169,7 +169,7 @@ def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
     assert cause.sentence.startswith("left and right of the skeleton seem exchanged")
     mended = Remedy(sides=True).applied(exchanged)
     assert exchanged.opposite is not None and mended.arm is exchanged.opposite
-    assert mended.undone == ("--swap left,right",)
+    assert mended.applied_fixes == ("--swap left,right",)
     assert likeliest_cause(synchronise_coarsely(mended)[0]) is None
     # an arm alone: the files are doubted
     alone = likeliest_cause(replace(exchanged, opposite=None))
@@ -179,7 +179,7 @@ def test_exchanged_sides_are_named_and_mended(exchanged: Recording) -> None:
 def test_clocks_that_the_wrong_arm_leaves_open_end_with_the_cause(exchanged: Recording) -> None:
     with (
         pytest.raises(CalibrationError, match=r"^no clock; left and right .* --swap left,right$"),
-        naming_the_cause(exchanged, ArmCalibration()),
+        diagnose_failures(exchanged, ArmCalibration()),
     ):
         raise CalibrationError("no clock.")
 
@@ -204,6 +204,6 @@ def test_a_sensor_at_the_joint_called_elbow_tells_swapped_joints(sound: Recordin
 def test_elbow_and_wrist_exchanged_without_a_shoulder(sound: Recording) -> None:
     bare = replace(sound, arm=sound.arm.hide(np.ones(len(sound.arm), bool), ("shoulder", "hand")))
     swap = Remedy(swap=("elbow", "wrist"))
-    swapped = smooth(replace(swap.applied(bare), undone=()), processes=1).estimates
+    swapped = smooth(replace(swap.applied(bare), applied_fixes=()), processes=1).estimates
     assert swapped.trusted is False and swapped.remedies == ("--swap elbow,wrist",)
     assert smooth(bare, processes=1).estimates.trusted

@@ -16,7 +16,7 @@ from smoother.io import import_broad
 from smoother.measurements.interpolation import interpolated
 from smoother.recording import JOINTS, JointState
 from smoother.recovery.change_signs import down_jumps, strap_slipped
-from smoother.recovery.trust import judged
+from smoother.recovery.trust import with_verdict
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
@@ -150,7 +150,7 @@ def judged_with(**changes: object) -> tuple[bool | None, str]:
         recording = replace(recording, imu=changes["imu"])
     if "calibration" in changes:
         recovery = replace(recovery, calibration=changes["calibration"])
-    estimates = judged(recovery, recording, Anatomy.ADULT).estimates
+    estimates = with_verdict(recovery, recording, Anatomy.ADULT).estimates
     return estimates.trusted, estimates.verdict
 
 

@@ -15,7 +15,7 @@ from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.io import import_utd_mhad
 from smoother.recording import CameraFrame
-from smoother.recovery.trust import judged
+from smoother.recovery.trust import with_verdict
 from smoother.result import Estimates
 from smoother.simulation import ArmSimulation, simulate_arm
 
@@ -101,7 +101,7 @@ def test_whose_arm_it_is_decides_what_is_possible() -> None:
     recovery = smooth(small, None, ALONE)
     for anatomy, trusted in (("adult", False), ("child", True), ("any", True)):
         config = Config.model_validate({"arm": {"anatomy": anatomy}})
-        again = judged(recovery, small, config.arm.anatomy).estimates
+        again = with_verdict(recovery, small, config.arm.anatomy).estimates
         assert (anatomy, any("possible" in each for each in again.reasons)) == (anatomy, not trusted)
 
 
@@ -110,18 +110,22 @@ def test_a_slow_sensor_and_a_clipped_one() -> None:
     recovery = smooth(recording, None, ALONE)
     anatomy = ALONE.arm.anatomy
     slow = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 8 == 0))
-    assert judged(recovery, slow, anatomy).estimates.reasons == (
+    assert with_verdict(recovery, slow, anatomy).estimates.reasons == (
         "the IMU has 10 samples a second, where 40 are needed and 80 are better",
     )
     half = replace(recording, imu=recording.imu.select(np.arange(len(recording.imu)) % 3 == 0))
-    assert "Usable with care: the IMU has 27" in judged(recovery, half, anatomy).estimates.verdict
+    assert "Usable with care: the IMU has 27" in with_verdict(recovery, half, anatomy).estimates.verdict
     acc = np.clip(recording.imu.acc, -10.0, 10.0)
-    clipped = judged(recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy).estimates
+    clipped = with_verdict(
+        recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy
+    ).estimates
     assert clipped.trusted is False
     assert any("clipped at about 10 m/s^2 in 18 % of its samples" in reason for reason in clipped.reasons)
     limit = float(np.sort(np.abs(recording.imu.acc).ravel())[-20])  # the ends of a few samples
     acc = np.clip(recording.imu.acc, -limit, limit)
-    touched = judged(recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy).estimates
+    touched = with_verdict(
+        recovery, replace(recording, imu=replace(recording.imu, acc=acc)), anatomy
+    ).estimates
     assert touched.trusted is True
     assert any("the accelerometer was clipped" in caution for caution in touched.cautions)
 
@@ -141,7 +145,7 @@ def test_a_sensor_that_sends_zeros_is_said() -> None:
     acc = recording.imu.acc.copy()
     acc[800:880] = 0.0
     silent = replace(recording, imu=replace(recording.imu, acc=acc))
-    estimates = judged(smooth(recording, None, ALONE), silent, ALONE.arm.anatomy).estimates
+    estimates = with_verdict(smooth(recording, None, ALONE), silent, ALONE.arm.anatomy).estimates
     assert estimates.trusted is False
     assert "the IMU sends zeros (80 samples" in estimates.reasons[0]
 

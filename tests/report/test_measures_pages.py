@@ -19,7 +19,7 @@ from smoother.measures.symmetry import COMPARED
 from smoother.report.measures import write_measures_page
 from smoother.report.progress import write_progress_page
 from smoother.study.progress import progress_of
-from smoother.study.sessions import Attendance
+from smoother.study.sessions import SessionEntry
 
 EVIL = "</script><script>hacked=1</script><img src=x onerror=hacked=1><b>bold</b>&amp;"
 BADGES = re.compile(r'<span class="word [a-z]+">(?:\S )?([^<]+)</span>')
@@ -64,7 +64,7 @@ def person(
     """A person whose elbow bends more every time."""
     rng = np.random.default_rng(0)
     attended = {
-        f"{name}/s{n}.mcap": Attendance(f"{name}/s{n}.mcap", name, f"s{n}", "", 14.0 * n)
+        f"{name}/s{n}.mcap": SessionEntry(f"{name}/s{n}.mcap", name, f"s{n}", "", 14.0 * n)
         for n in range(sessions)
     }
     rows = [

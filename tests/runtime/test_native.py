@@ -44,20 +44,20 @@ def hang(path: Path) -> None:
 
 
 def test_a_file_that_is_read_or_refused(file: Path):
-    assert not native.ends_the_process(file, Path.read_bytes)
-    assert not native.ends_the_process(file, refuse)
+    assert not native.crashes_in_subprocess(file, Path.read_bytes)
+    assert not native.crashes_in_subprocess(file, refuse)
 
 
 def test_crashes(file: Path):
-    assert native.ends_the_process(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
-    assert native.ends_the_process(file, lambda path: os.abort())
-    assert native.ends_the_process(file, lambda path: bytearray(1 << 31))
+    assert native.crashes_in_subprocess(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
+    assert native.crashes_in_subprocess(file, lambda path: os.abort())
+    assert native.crashes_in_subprocess(file, lambda path: bytearray(1 << 31))
 
 
 def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
     mine = os.getpid()
     try:
-        ends = native.ends_the_process(file, refuse_without_memory)
+        ends = native.crashes_in_subprocess(file, refuse_without_memory)
     finally:
         if os.getpid() != mine:  # the copy: it must not run the tests that follow
             os._exit(0)
@@ -70,9 +70,9 @@ def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
     monkeypatch.setattr(native, "_LONGEST_S", 1)
     before = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGALRM, signal.SIGXCPU)}
     try:
-        assert native.ends_the_process(file, hang)
+        assert native.crashes_in_subprocess(file, hang)
         monkeypatch.setattr(native, "_WAITING", 1)
-        assert native.ends_the_process(file, lambda path: signal.sigwait([signal.SIGUSR1]))
+        assert native.crashes_in_subprocess(file, lambda path: signal.sigwait([signal.SIGUSR1]))
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -203,7 +203,7 @@ def test_what_a_killed_program_left_is_swept(tmp_path: Path):
         programs[0].kill()
         programs[0].wait()
         (tmp_path / ".mine.tmp").touch()
-        leftovers.sweep(tmp_path, again=True)
+        leftovers.remove_stale_tempfiles(tmp_path, again=True)
         hidden = sorted(name.split(".")[1] for name in os.listdir(tmp_path))
         assert hidden == ["b", "mine"], "that of the living, and what is not ours"
     finally:
@@ -224,7 +224,7 @@ def test_a_folder_that_was_being_written_is_swept(tmp_path: Path):
     working = leftovers.temporary_name(tmp_path / "session")
     with leftovers.locked_folder(working):
         assert mode(working) == 0o700
-        leftovers.sweep(tmp_path, again=True)
+        leftovers.remove_stale_tempfiles(tmp_path, again=True)
         assert working.exists() and not left.exists()
 
 

@@ -11,7 +11,7 @@ from studies import BROKEN, NAMES
 from smoother.config import Config
 from smoother.io import write_recording
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.study.fingerprint import Fingerprint, config_hash
+from smoother.study.fingerprint import InputSelection, config_hash
 from smoother.study.job import Job
 from smoother.study.run import study_folder
 
@@ -42,6 +42,6 @@ def job(made: Path, tmp_path: Path) -> Job:
     """The first recording's job in a study of its own."""
     folder = study_folder(tmp_path / "out")
     word = folder.open()
-    config, choice = Config(), Fingerprint()
+    config, choice = Config(), InputSelection()
     source, hashed = str(made / NAMES[0]), config_hash(config, choice)
     return Job(NAMES[0], source, str(folder.path), word, config, choice, hashed)

@@ -13,7 +13,7 @@ from studies import BROKEN, NAMES, batch, query, start_batch, state, until_stopp
 from smoother.config import Config
 from smoother.errors import UnoccludeError
 from smoother.study import cluster
-from smoother.study.fingerprint import Fingerprint
+from smoother.study.fingerprint import InputSelection
 from smoother.study.inputs import find_entries
 from smoother.study.job import Job, run_job
 from smoother.study.run import StudySettings, run_study, study_folder
@@ -98,7 +98,9 @@ def test_a_scheduler_that_goes_away(monkeypatch, tmp_path, capfd):
             for number in range(100):
                 if number == 5:
                     leaving.close()
-                yield Job(f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), Fingerprint(), "")
+                yield Job(
+                    f"{number}.mcap", "/nowhere.mcap", str(tmp_path), "", Config(), InputSelection(), ""
+                )
 
         with pytest.raises(UnoccludeError, match="went away; the same command continues"):
             list(cluster.run_cluster(jobs(), address))

@@ -16,7 +16,7 @@ from smoother.evaluation.series import PersonProgress
 from smoother.study.folder import StudyFolder
 from smoother.study.privacy import hashed_name
 from smoother.study.progress import progress_of, read_rows, sessions_of
-from smoother.study.sessions import Attendance, by_folders, in_order, read_sessions
+from smoother.study.sessions import SessionEntry, by_folders, in_order, read_sessions
 
 FLEXION = "elbow_flexion_range_deg"
 
@@ -36,13 +36,13 @@ def persons_of(folder: Path, table: Path | None = None, **mdc95: float) -> list[
 )
 def test_folders_say_whose_it_is(name: str, person: str, session: str, task: str):
     found = by_folders(name, 3.0)
-    assert found == Attendance(name, person, session, task, 3.0)
+    assert found == SessionEntry(name, person, session, task, 3.0)
     assert by_folders("reach.mcap", 3.0) is None
 
 
 def test_order_of_sessions():
     def order(*sessions: tuple[str, float]) -> list[str]:
-        attended = [Attendance(name, "p", name, "", day) for name, day in sessions]
+        attended = [SessionEntry(name, "p", name, "", day) for name, day in sessions]
         return [each[0].session for each in in_order(attended)]
 
     assert order(("s10", math.nan), ("s9", math.nan)) == ["s9", "s10"]
@@ -95,7 +95,7 @@ def test_a_known_change_is_found_and_a_null_change_is_not_called(tmp_path: Path)
 def test_hardly_any_person_without_change_has_one_when_all_count_together():
     """Holm keeps the chance of one false call among all measures of a person at 5 %."""
     rng = np.random.default_rng(1)
-    attended = {f"p/s{n}.mcap": Attendance(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
+    attended = {f"p/s{n}.mcap": SessionEntry(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
     persons = 0
     for _ in range(200):
         rows = [study_row(name, [made_measures(rng=rng, movements=0)]) for name in attended]
@@ -158,7 +158,7 @@ def test_the_minimal_detectable_change_decides_too(tmp_path: Path):
 
 
 def test_means_over_other_movements_are_not_compared():
-    attended = {f"p/s{n}.mcap": Attendance(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
+    attended = {f"p/s{n}.mcap": SessionEntry(f"p/s{n}.mcap", "p", f"s{n}", "", float(n)) for n in range(2)}
     rows = []
     for number, name in enumerate(attended):
         arm = made_measures(change={"sparc": 0.5 * number, FLEXION: 20.0 * number}, movements=0)

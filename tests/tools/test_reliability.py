@@ -23,9 +23,9 @@ from tools.reliability.cases import CASES, SOUND, UNUSUAL, WRONG
 from tools.reliability.judging import (
     ONE_PROCESS,
     Interval,
-    Judged,
     Outcome,
-    judged,
+    Rated,
+    rated,
     trial_of,
     trusted_samples,
 )
@@ -185,7 +185,7 @@ def answered() -> tuple[Scene, Recovery]:
 
 def test_a_sound_answer_is_near_its_truth(answered: tuple[Scene, Recovery]):
     scene, recovery = answered
-    found = judged(recovery, trial_of(scene))
+    found = rated(recovery, trial_of(scene))
     assert len(found) == len(scene.gaps)
     assert all(each.error_m < 0.06 and not each.off() for each in found)
 
@@ -197,13 +197,13 @@ def test_what_is_wrong_and_trusted_is_found(answered: tuple[Scene, Recovery]):
     wrist = recovery.joints["wrist"].copy()
     wrist[rows] += [0.5, 0.0, 0.0]
     moved = replace(recovery, joints=recovery.joints | {"wrist": wrist})
-    first = judged(moved, trial)[0]
+    first = rated(moved, trial)[0]
     assert first.trusted and first.off() and first.error_m == pytest.approx(0.5, abs=0.06)
     assert Outcome((first,), trusted=True).wrong_and_trusted == (first,)
     doubtful = UntrustedInterval(gap[0] - 0.1, gap[1] + 0.1, ("the camera contradicts itself",))
     careful = replace(moved, estimates=replace(moved.estimates, trusted=True, untrusted=(doubtful,)))
-    assert not judged(careful, trial)[0].trusted
-    assert judged(careful, trial)[0].reasons == ("the camera contradicts itself",)
+    assert not rated(careful, trial)[0].trusted
+    assert rated(careful, trial)[0].reasons == ("the camera contradicts itself",)
     assert not trusted_samples(replace(moved, estimates=replace(moved.estimates, trusted=False))).any()
 
 
@@ -234,7 +234,7 @@ def test_a_pair_of_presets_shares_nothing():
 
 def test_the_summary_counts_what_must_not_be(capsys: pytest.CaptureFixture[str]):
     gap = Interval(1.0, 2.0)
-    bad, good = (Judged(gap, error, 0.02, True, np.ones(5), 0.3) for error in (0.5, 0.01))
+    bad, good = (Rated(gap, error, 0.02, True, np.ones(5), 0.3) for error in (0.5, 0.01))
     rows = [
         Row("mirrored", "", "wrong", 1, Outcome((bad,), trusted=True, seconds=1.0, duration_s=10.0)),
         Row("mirrored", "", "wrong", 2, Outcome((replace(bad, trusted=False),), trusted=True)),

@@ -159,14 +159,14 @@ def test_a_sound_recording_is_answered():
 def test_the_results_own_verdict_is_read(monkeypatch: pytest.MonkeyPatch, trusted: bool | None):
     right = setup_errors.smooth
 
-    def judged(*arguments: object) -> Recovery:
+    def with_verdict(*arguments: object) -> Recovery:
         recovery = right(*arguments)  # type: ignore[arg-type]
         reasons, cautions = ((), ("slow",)) if trusted else (("clocks",), ())
         estimates = SimpleNamespace(trusted=trusted, reasons=reasons, cautions=cautions)
         object.__setattr__(recovery, "estimates", estimates)
         return recovery
 
-    monkeypatch.setattr(setup_errors, "smooth", judged)
+    monkeypatch.setattr(setup_errors, "smooth", with_verdict)
     outcome = run(job())
     assert outcome.trusted is trusted
     expected = {True: "trusted", False: "not trusted", None: "no verdict yet"}

@@ -76,7 +76,7 @@ def _measure(
         _say(f"{made.minutes:g} min: its parts on one process, GTSAM listened to")
         figures["rest"].append(_rest(made, result, cores, figures["whole"]))
     if "beside" in options.only and made.minutes in options.beside:
-        figures["beside"][made.minutes] = _beside(made, folder / "told.pickle", options)
+        figures["beside"][made.minutes] = _beside(made, folder / "settings.pickle", options)
 
 
 def _print(figures: dict[str, Any], lengths_s: dict[float, float], cores: int) -> None:

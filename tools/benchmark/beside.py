@@ -84,28 +84,28 @@ def run_method(made: Made, name: str, kept: Path) -> Beside:
     """One of `METHODS`, on what `smooth` estimated."""
     peak = PrivatePeak()
     with kept.open("rb") as file:
-        recording, told = pickle.load(file)
+        recording, settings = pickle.load(file)
     began, cpu = time.perf_counter(), _processor_s()
-    scenes = scenes_of(recording, told)
+    scenes = scenes_of(recording, settings)
     timed = Timed()
     solving = time.perf_counter()
     paths = [_path(scene, name, timed) for scene in scenes]
     own_s = time.perf_counter() - solving
-    recovery = recovery_of(recording, told, scenes, paths, name)
+    recovery = recovery_of(recording, settings, scenes, paths, name)
     seconds, cpu = time.perf_counter() - began, _processor_s() - cpu
     truth = read_truth(made.truth, recovery.origin_ns)
     steps: dict[str, Any] = dict(timed.seconds)
     if steps:
         own_s = timed.total_s  # without the start values, which are the house's
         steps |= {"iterations": timed.iterations, "nodes": timed.nodes}
-    inside = np.asarray(told.occluded)
+    inside = np.asarray(settings.occluded)
     return Beside(
         own_s,
         seconds,
         cpu,
         peak.mb(),
         exactness(recovery, truth, inside),
-        apart_cm(recovery.position[inside], told.position[inside]),
+        apart_cm(recovery.position[inside], settings.position[inside]),
         steps,
     )
 

@@ -56,7 +56,7 @@ class Trial:
         What to judge.
     offset_s : float, s, optional
         Where the IMU's time has nothing to do with the motion: true offset of the camera's stamps, so that
-        the answer is judged on the camera's clock, as the answer itself places it.
+        the answer is rated on the camera's clock, as the answer itself places it.
     calibration : ArmCalibration, optional
     true_t_s : ndarray, shape (N,), s, optional
         When the IMU's samples were taken, where their stamps are wrong.
@@ -87,7 +87,7 @@ def trial_of(scene: Scene) -> Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Rated:
     """An interval of an answer.
 
     Attributes
@@ -125,7 +125,7 @@ class Outcome:
 
     Attributes
     ----------
-    judged : tuple of Judged
+    rated : tuple of Rated
         By interval; empty without an answer.
     sentence : str
         The error that it ended with; "" for an answer.
@@ -141,7 +141,7 @@ class Outcome:
         Where the verdicts of the answer contradict each other.
     """
 
-    judged: tuple[Judged, ...] = ()
+    rated: tuple[Rated, ...] = ()
     sentence: str = ""
     trusted: bool | None = None
     reasons: tuple[str, ...] = ()
@@ -157,13 +157,13 @@ class Outcome:
             return "refused"
         if not self.trusted:
             return "not trusted"
-        return "trusted" if all(each.trusted for each in self.judged) else "with care"
+        return "trusted" if all(each.trusted for each in self.rated) else "with care"
 
     @property
-    def wrong_and_trusted(self) -> tuple[Judged, ...]:
+    def wrong_and_trusted(self) -> tuple[Rated, ...]:
         """Intervals that are wrong and called trusted; all trusted gaps where they are wrong together."""
-        single = tuple(each for each in self.judged if each.trusted and each.off())
-        gaps = [each for each in self.judged if each.trusted and np.isfinite(each.error_m)]
+        single = tuple(each for each in self.rated if each.trusted and each.off())
+        gaps = [each for each in self.rated if each.trusted and np.isfinite(each.error_m)]
         if single or not gaps:
             return single
         weight = np.array([each.interval.end_s - each.interval.start_s for each in gaps])
@@ -175,9 +175,9 @@ class Outcome:
         return (max(gaps, key=lambda each: each.error_m),) if wrong else ()
 
     @property
-    def worst(self) -> Judged | None:
+    def worst(self) -> Rated | None:
         """The interval to show: one that is wrong and trusted, else the one that is farthest off."""
-        answered = [each for each in self.judged if np.isfinite(each.error_m)]
+        answered = [each for each in self.rated if np.isfinite(each.error_m)]
         return max(self.wrong_and_trusted or answered, key=lambda each: each.error_m, default=None)
 
 
@@ -221,7 +221,7 @@ def run(trial: Trial, config: Config = ONE_PROCESS) -> Outcome:
     seconds = time.process_time() - began
     estimates = recovery.estimates
     return Outcome(
-        judged=judged(recovery, trial),
+        rated=rated(recovery, trial),
         trusted=estimates.trusted,
         reasons=estimates.reasons or estimates.cautions,
         pairing=_pairing(recovery),
@@ -231,7 +231,7 @@ def run(trial: Trial, config: Config = ONE_PROCESS) -> Outcome:
     )
 
 
-def judged(recovery: Recovery, trial: Trial) -> tuple[Judged, ...]:
+def rated(recovery: Recovery, trial: Trial) -> tuple[Rated, ...]:
     """Every interval of an answer."""
     t_s = recovery.t_s
     if trial.offset_s is not None:
@@ -258,7 +258,7 @@ def judged(recovery: Recovery, trial: Trial) -> tuple[Judged, ...]:
                 squares.append(_squared_sigmas(error[known], covariance[rows][known]))
         error_m, sigma_m = max(errors, key=lambda pair: pair[0] / pair[1], default=(np.nan, np.nan))
         found.append(
-            Judged(
+            Rated(
                 interval,
                 error_m,
                 sigma_m,

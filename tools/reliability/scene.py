@@ -55,7 +55,7 @@ class Scene:
     sensor_is_worn : bool
         The IMU is this person's own, so its position has a truth.
     unpaired : bool
-        The IMU's time has nothing to do with the motion: answers are judged on the camera's clock.
+        The IMU's time has nothing to do with the motion: answers are rated on the camera's clock.
     clocks_unrelated : bool
         The files count from clocks that have nothing in common.
     calibration : ArmCalibration, optional

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .judging import CHI2_95, TOO_SLOW, Judged, Outcome
+from .judging import CHI2_95, TOO_SLOW, Outcome, Rated
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _show_sound(outcomes: list[Outcome]) -> None:
     print(f"sound recordings not trusted or refused: {len(lost)} of {len(outcomes)}")
     wrong = sum(bool(outcome.wrong_and_trusted) for outcome in outcomes)
     print(f"sound recordings with an interval wrong and trusted: {wrong} of {len(outcomes)}")
-    gaps: list[Judged] = [each for outcome in outcomes for each in outcome.judged if not each.interval.faulty]
+    gaps: list[Rated] = [each for outcome in outcomes for each in outcome.rated if not each.interval.faulty]
     kept = [each for each in gaps if each.trusted]
     print(f"their gaps not trusted: {len(gaps) - len(kept)} of {len(gaps)}")
     if not kept:

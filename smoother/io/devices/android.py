@@ -10,7 +10,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from .assumed_units import acceleration_unit, time_unit, turning_unit, unit_by_size
 from .imu_checks import holds_gravity, with_settled_unit
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
+from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
 from .protocol import FileHead, ImuTable
 from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
@@ -111,7 +111,7 @@ class AndroidLog(ImuSheetFormat):
             table.gyro = angular_velocity(sheet, gyro, unit)
             table.gyro_unit_assumed = not sheet.unit(gyro[0])
             units.append((gyro, unit))
-        table.units = units_said(sheet, *units)
+        table.units = unit_summary(sheet, *units)
         return [with_settled_unit(table)]
 
 

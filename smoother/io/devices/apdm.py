@@ -11,7 +11,7 @@ from .imu_sheet import (
     magnetic_field,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .protocol import ImuTable
 from .sheet import Sheet
@@ -53,7 +53,7 @@ class Apdm(ImuSheetFormat):
                     gyro=angular_velocity(sheet, gyro, "rad/s"),
                     mag=magnetic_field(sheet, mag),
                     rate_hz=layout.stated_number("sample rate"),
-                    units=units_said(sheet, (acc, "m/s^2"), (gyro, "rad/s")),
+                    units=unit_summary(sheet, (acc, "m/s^2"), (gyro, "rad/s")),
                 )
             )
         if not tables:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...runtime.native import ends_the_process
+from ...runtime.native import crashes_in_subprocess
 from .head import shown
 from .imu_checks import size_notes
 from .protocol import FileHead, ImuTable
@@ -51,7 +51,7 @@ class ApdmHdf:
             with h5py.File(file, "r") as opened:
                 return _sensors(opened)
 
-        if ends_the_process(path, read):  # of damaged lengths HDF5 takes all memory
+        if crashes_in_subprocess(path, read):  # of damaged lengths HDF5 takes all memory
             raise RecordingError(f"{path} is a damaged HDF5 file; export it again.")
         try:
             tables = read(path)

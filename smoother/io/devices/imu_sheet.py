@@ -104,7 +104,7 @@ def magnetic_field(sheet: Sheet, columns: Sequence[int] | None) -> FloatArray | 
     return field if np.isfinite(field).all() else None
 
 
-def units_said(sheet: Sheet, *vectors: tuple[Sequence[int] | None, str]) -> str:
+def unit_summary(sheet: Sheet, *vectors: tuple[Sequence[int] | None, str]) -> str:
     """The units of vectors for the line about a file; each with the unit that counts where none is stated."""
     said = [sheet.unit(columns[0]) or unit for columns, unit in vectors if columns is not None]
     return ", ".join(plain_unit(unit) for unit in said)

@@ -10,7 +10,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ..recording.set_back import begins_frames
+from ..recording.clock_resets import begins_frames
 from .joint_columns import column_named, plain_words, time_unit_of
 from .joint_names import AZURE, BLAZEPOSE, KINECT_V2, joint_name
 from .mediapipe import landmarks_in_metres

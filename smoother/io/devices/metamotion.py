@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from .imu_checks import holds_gravity
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, units_said
+from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import FileHead, ImuTable
 from .sheet import Sheet
@@ -81,7 +81,7 @@ class MetaMotion(ImuSheetFormat):
                 t_s=sheet.numbers(epoch) * 1e-3,
                 acc=force,
                 gyro=angular_velocity(sheet, gyro, unit),
-                units=units_said(sheet, (acc, unit), (gyro, unit)),
+                units=unit_summary(sheet, (acc, unit), (gyro, unit)),
                 notes=notes,
             )
         ]

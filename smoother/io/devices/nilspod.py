@@ -13,7 +13,7 @@ from .imu_sheet import (
     magnetic_field,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .protocol import ImuTable
 from .sheet import Sheet
@@ -61,7 +61,7 @@ class NilsPod(ImuSheetFormat):
             gyro=angular_velocity(sheet, gyro, "deg/s"),
             mag=magnetic_field(sheet, mag),
             rate_hz=layout.stated_number("sampling rate", "sampling_rate_hz"),
-            units=units_said(sheet, (acc, unit), (gyro, "deg/s")),
+            units=unit_summary(sheet, (acc, unit), (gyro, "deg/s")),
             notes=notes,
             gyro_unit_assumed=not sheet.unit(gyro[0]),
         )

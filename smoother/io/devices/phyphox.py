@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...errors import RecordingError
 from .imu_checks import holds_gravity
-from .imu_sheet import ImuSheetFormat, angular_velocity, seconds, specific_force, units_said
+from .imu_sheet import ImuSheetFormat, angular_velocity, seconds, specific_force, unit_summary
 from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 from .protocol import ImuTable
 from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
@@ -55,6 +55,6 @@ class Phyphox(ImuSheetFormat):
                 t_s=seconds(sheet, layout.find(*_TIME)),
                 acc=force,
                 gyro=angular_velocity(sheet, gyro),
-                units=units_said(sheet, (acc, ""), (gyro, "")),
+                units=unit_summary(sheet, (acc, ""), (gyro, "")),
             )
         ]

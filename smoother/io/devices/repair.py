@@ -11,8 +11,7 @@ from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
 from ..recording.clean import increasing
-from ..recording.set_back import said as set_back_said
-from ..recording.set_back import set_back
+from ..recording.clock_resets import clock_resets, resets_message
 from .head import amount
 from .protocol import ImuTable, SkeletonTable
 
@@ -60,7 +59,7 @@ def repaired_imu(table: ImuTable, source: str) -> ImuTable:
     table = _rows(table, ~_repeated(table), "rows that repeat the one before were left out")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
-        t_s, more = _gone_on(t_s, table.acc if table.acc is not None else table.gyro, "samples")
+        t_s, more = _unwrap_resets(t_s, table.acc if table.acc is not None else table.gyro, "samples")
         table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
         order = _order(t_s)
         table = table if order is None else _rows(table, order, "")
@@ -78,7 +77,7 @@ def repaired_skeleton(table: SkeletonTable, source: str) -> SkeletonTable:
         raise RecordingError(f"{source} has no usable frames; record or export it again.")
     if table.t_s is not None:
         t_s, notes = _unwrapped(table.t_s)
-        t_s, more = _gone_on(t_s, next(iter(table.position.values())), "frames")
+        t_s, more = _unwrap_resets(t_s, next(iter(table.position.values())), "frames")
         table = replace(table, t_s=t_s, notes=[*table.notes, *notes, *more])
         order = _order(t_s)
         table = table if order is None else _frames(table, order, "")
@@ -124,8 +123,8 @@ def _times(
             f"{amount(even.pauses, 'pause', 'pauses')} in the {what}"
             f" {'stays as it is' if even.pauses == 1 else 'stay as they are'}."
         )
-    if even.set_back:
-        notes.append(f"The clock was set back {_times_said(even.set_back)}; the {what} go on evenly.")
+    if even.clock_resets:
+        notes.append(f"The clock was set back {_times_message(even.clock_resets)}; the {what} go on evenly.")
     return even.t_s, notes
 
 
@@ -156,14 +155,14 @@ def _follows(t_s: FloatArray, number: IntArray) -> bool:
 
 def _unwrapped(t_s: FloatArray) -> tuple[FloatArray, list[str]]:
     t_s, wraps = unwrapped(t_s)
-    said = f"The device's clock started anew {_times_said(wraps)}; it was made to go on."
+    said = f"The device's clock started anew {_times_message(wraps)}; it was made to go on."
     return t_s, [said] if wraps else []
 
 
-def _gone_on(t_s: FloatArray, values: FloatArray | None, what: str) -> tuple[FloatArray, list[str]]:
+def _unwrap_resets(t_s: FloatArray, values: FloatArray | None, what: str) -> tuple[FloatArray, list[str]]:
     """Times of a clock that was set back; before rows are put in order, which would mix what was apart."""
-    t_s, steps = set_back(t_s, values)
-    return t_s, [set_back_said(steps, what)] if steps else []
+    t_s, steps = clock_resets(t_s, values)
+    return t_s, [resets_message(steps, what)] if steps else []
 
 
 def _order(t_s: FloatArray) -> IntArray | None:
@@ -239,7 +238,7 @@ def _rows(table: ImuTable, keep: BoolArray | IntArray, why: str) -> ImuTable:
         name: None if getattr(table, name) is None else getattr(table, name)[keep]
         for name in ("t_s", "acc", "gyro", "mag", "counter")
     }
-    return replace(table, **columns, notes=[*table.notes, _said(keep, why)])
+    return replace(table, **columns, notes=[*table.notes, _message(keep, why)])
 
 
 def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> SkeletonTable:
@@ -250,11 +249,11 @@ def _frames(table: SkeletonTable, keep: BoolArray | IntArray, why: str) -> Skele
         t_s=None if table.t_s is None else table.t_s[keep],
         position={joint: values[keep] for joint, values in table.position.items()},
         state={joint: values[keep] for joint, values in table.state.items()},
-        notes=[*table.notes, _said(keep, why)],
+        notes=[*table.notes, _message(keep, why)],
     )
 
 
-def _said(keep: BoolArray | IntArray, why: str) -> str:
+def _message(keep: BoolArray | IntArray, why: str) -> str:
     if keep.dtype == bool:
         count = int((~keep).sum())
         return f"1 {_one(why)}." if count == 1 else f"{count} {why}."
@@ -277,5 +276,5 @@ def _one(why: str) -> str:
     return why
 
 
-def _times_said(count: int) -> str:
+def _times_message(count: int) -> str:
     return {1: "once", 2: "twice"}.get(count, f"{count} times")

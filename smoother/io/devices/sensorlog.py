@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, seconds, specific_force, units_said
+from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, seconds, specific_force, unit_summary
 from .protocol import ImuTable
 from .sheet import Sheet
 from .table_layout import TableLayout
@@ -63,7 +63,7 @@ class SensorLog(ImuSheetFormat):
                 t_s=_times(sheet, stamp),
                 acc=acc,
                 gyro=angular_velocity(sheet, turning, "rad/s"),
-                units=units_said(sheet, (raw if own_acc else user, "g"), (turning, "rad/s")),
+                units=unit_summary(sheet, (raw if own_acc else user, "g"), (turning, "rad/s")),
                 notes=notes,
             )
         ]

@@ -13,7 +13,7 @@ from .imu_sheet import (
     magnetic_field,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .protocol import ImuTable
 from .sheet import Sheet
@@ -79,7 +79,7 @@ class Shimmer(ImuSheetFormat):
             gyro=angular_velocity(sheet, gyro, "deg/s"),
             mag=magnetic_field(sheet, mag),
             rate_hz=None,
-            units=units_said(sheet, (acc, "m/s^2"), (gyro, "deg/s")),
+            units=unit_summary(sheet, (acc, "m/s^2"), (gyro, "deg/s")),
             notes=notes,
         )
 

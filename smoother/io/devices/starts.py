@@ -85,8 +85,8 @@ def shifts(streams: list[Timed], imu_starts_at_s: float | None = None) -> tuple[
             shift[row] = -own
         names = ", ".join(streams[row].label for row in group)
         sentences.append(
-            f"The clock of {names} ({_said(own)}) has nothing in common with the camera's"
-            f" ({_said(first_frame)}): both start at zero, and the motion tells the offset"
+            f"The clock of {names} ({_message(own)}) has nothing in common with the camera's"
+            f" ({_message(first_frame)}): both start at zero, and the motion tells the offset"
             " (--imu-starts-at S where it cannot)."
         )
     return shift, sentences
@@ -121,7 +121,7 @@ def _share(a: FloatArray, b: FloatArray) -> bool:
     return shared > min(SHARED_S, 0.5 * shorter) and shared > SHARED_PART * shorter
 
 
-def _said(first_s: float) -> str:
+def _message(first_s: float) -> str:
     """A clock by what it starts at."""
     if first_s > 1e8:
         return f"from {np.datetime64(int(first_s), 's')} UTC on"

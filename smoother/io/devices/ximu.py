@@ -10,7 +10,7 @@ from .imu_sheet import (
     packet_counter,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .physical_units import plain_unit
 from .protocol import ImuTable
@@ -56,6 +56,6 @@ class Ximu(ImuSheetFormat):
                 gyro=angular_velocity(sheet, gyro, "deg/s"),
                 mag=magnetic_field(sheet, mag),
                 counter=packet_counter(sheet, layout.find("packet number")),
-                units=units_said(sheet, (acc, "g"), (gyro, "deg/s")),
+                units=unit_summary(sheet, (acc, "g"), (gyro, "deg/s")),
             )
         ]

@@ -10,7 +10,7 @@ from .imu_sheet import (
     packet_counter,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .increments import acceleration_of, angular_velocity_of, rate_of
 from .protocol import ImuTable
@@ -53,7 +53,7 @@ class XsensDot(ImuSheetFormat):
             rate_hz=rate,
             counter=packet_counter(sheet, layout.find("packetcounter")),
             counter_wraps=2**32,
-            units=units_said(sheet, (acc, "m/s^2"), (gyro, "deg/s")),
+            units=unit_summary(sheet, (acc, "m/s^2"), (gyro, "deg/s")),
         )
         if acc is None or gyro is None:
             self._increments(sheet, table)

@@ -13,7 +13,7 @@ from .imu_sheet import (
     packet_counter,
     seconds,
     specific_force,
-    units_said,
+    unit_summary,
 )
 from .increments import acceleration_of, angular_velocity_of, rate_of
 from .protocol import ImuTable
@@ -62,7 +62,7 @@ class XsensMt(ImuSheetFormat):
             rate_hz=rate,
             counter=packet_counter(sheet, counter),
             counter_wraps=2**16,
-            units=units_said(sheet, (acc, "m/s^2"), (gyro, "rad/s")),
+            units=unit_summary(sheet, (acc, "m/s^2"), (gyro, "rad/s")),
         )
         if rate is None and table.t_s is None:
             raise RecordingError(

@@ -170,7 +170,7 @@ def c3d_content(recovery: Recovery, table: MarkerTable, frame: str, version: str
     answers = table.sigma_m.shape[1]
     near = nearest(recovery.t_s, table.grid)
     channels = {"occluded": (table.occluded.astype(float), "1")}
-    if recovery.judged:
+    if recovery.has_verdict:
         channels["trusted"] = (recovery.trusted[near].astype(float), "1")
     channels["usable"] = (usable(recovery)[near].astype(float), "1")
     for name, sigma in zip(table.names[:answers], table.sigma_m.T, strict=True):

@@ -111,7 +111,7 @@ def mot_table(recovery: Recovery, rate_hz: float | None = None) -> MotTable:
         recovery.occluded[near],
         answered_part,
         _notes(answered_part, len(answered) - len(answered_part), grid.rate_hz, isb_angles),
-        recovery.trusted[near] if recovery.judged else None,
+        recovery.trusted[near] if recovery.has_verdict else None,
     )
 
 
@@ -168,7 +168,7 @@ def write_mot(table: MotTable, path: str | os.PathLike[str], recovery: Recovery,
 
 def _trust_lines(recovery: Recovery) -> list[str]:
     """Lines of the header: what the column `trusted` says, the verdict, and what is not to be trusted."""
-    if not recovery.judged:
+    if not recovery.has_verdict:
         return []
     lines = ["trusted: 0 where the answer is not to be trusted.", recovery.estimates.verdict]
     lines += [f"Not to be trusted: {each}" for each in untrusted_sentences(recovery)]

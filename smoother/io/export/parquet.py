@@ -86,4 +86,4 @@ def trusted_array(recovery: Recovery) -> pyarrow.BooleanArray:
     """(N,) whether samples are to be trusted; null where nobody judged."""
     import pyarrow as pa
 
-    return pa.array(recovery.trusted) if recovery.judged else pa.nulls(len(recovery), pa.bool_())
+    return pa.array(recovery.trusted) if recovery.has_verdict else pa.nulls(len(recovery), pa.bool_())

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ...runtime.native import ends_the_process
+from ...runtime.native import crashes_in_subprocess
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 
@@ -98,7 +98,7 @@ def would_crash(path: Path) -> bool:
     """
     import ezc3d
 
-    return ends_the_process(path, lambda file: ezc3d.c3d(str(file)))
+    return crashes_in_subprocess(path, lambda file: ezc3d.c3d(str(file)))
 
 
 def _whole(path: Path, point: dict[str, Any]) -> None:

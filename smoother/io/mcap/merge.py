@@ -27,7 +27,7 @@ END = int(np.iinfo(np.int64).max)
 
 
 @dataclass
-class Outgoing:
+class OutputStream:
     """Messages of one channel still to be encoded.
 
     Attributes
@@ -104,12 +104,12 @@ class Output:
         self._foreign = iter(chunks)
         self._next_foreign = next(self._foreign, None)
 
-    def write(self, outgoing: Sequence[Outgoing], until: int = END) -> None:
+    def write(self, outgoing: Sequence[OutputStream], until: int = END) -> None:
         """Write streams by log time, and between them those of another file.
 
         Parameters
         ----------
-        outgoing : sequence of Outgoing
+        outgoing : sequence of OutputStream
             Streams to encode.
         until : int, ns
             Log time before which all of them lie, and from which on others will come.
@@ -153,7 +153,7 @@ class Output:
         self._file.messages(*records)
 
 
-def _slices(outgoing: Sequence[Outgoing], until: int) -> Iterator[tuple[int, Batch]]:
+def _slices(outgoing: Sequence[OutputStream], until: int) -> Iterator[tuple[int, Batch]]:
     """Yield batches of messages of all streams, and the log time that each ends before."""
     streams = [stream for stream in outgoing if len(stream.time_ns)]
     longest = max((stream.time_ns for stream in streams), key=len, default=np.empty(0, np.int64))

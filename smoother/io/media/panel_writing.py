@@ -22,8 +22,8 @@ from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...recording import ImuStream
 from ...runtime.atomic import check_output, umask, writing
-from ...runtime.leftovers import locked_folder, sweep, temporary_name
-from ..mcap.merge import Outgoing, Output
+from ...runtime.leftovers import locked_folder, remove_stale_tempfiles, temporary_name
+from ..mcap.merge import Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
@@ -78,7 +78,7 @@ def writing_folder(path: str | os.PathLike[str], force: bool = False) -> Iterato
     beside = temporary_name(target)
     old = beside.with_suffix(".old")
     try:
-        sweep(target.absolute().parent)
+        remove_stale_tempfiles(target.absolute().parent)
         with locked_folder(beside):
             yield beside
             beside.chmod(stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o777 & ~umask())
@@ -204,25 +204,25 @@ def write_panel_recording(
 
 def _images(
     output: Output, topic: str, encoding: str, stamp: NDArray[np.int64], images: Sequence[NDArray]
-) -> Outgoing:
+) -> OutputStream:
     def encode(rows: slice) -> list[bytes]:
         return [
             raw_image(CAMERA, encoding, image, int(at))
             for at, image in zip(stamp[rows], images[rows], strict=True)
         ]
 
-    return Outgoing(output.channel(topic, RAW_IMAGE), stamp, encode)
+    return OutputStream(output.channel(topic, RAW_IMAGE), stamp, encode)
 
 
-def _lens(output: Output, lens: dict[str, Any], stamp: NDArray[np.int64]) -> Outgoing:
+def _lens(output: Output, lens: dict[str, Any], stamp: NDArray[np.int64]) -> OutputStream:
     numbers = {key: float(lens[key]) for key in ("fx", "fy", "cx", "cy")}
     seen = Intrinsics(lens["width"], lens["height"], **numbers, distortion=tuple(lens["distortion"]))
     data = lens_message(CAMERA, seen, int(stamp[0]))
     channel = output.channel(LENS_TOPIC, CAMERA_CALIBRATION)
-    return Outgoing(channel, stamp, lambda rows: [data] * len(stamp[rows]))
+    return OutputStream(channel, stamp, lambda rows: [data] * len(stamp[rows]))
 
 
-def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[PanelShot]) -> Outgoing:
+def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[PanelShot]) -> OutputStream:
     """A sphere a marker, in the mocap's frame."""
 
     def encode(part: slice) -> list[bytes]:
@@ -240,7 +240,7 @@ def _marker_stream(output: Output, stamp: NDArray[np.int64], shots: Sequence[Pan
             out.append(message.SerializeToString(deterministic=True))
         return out
 
-    return Outgoing(output.channel(MARKER_TOPIC, "foxglove.SceneUpdate"), stamp, encode)
+    return OutputStream(output.channel(MARKER_TOPIC, "foxglove.SceneUpdate"), stamp, encode)
 
 
 def _write_markers(path: Path, shot: PanelShot) -> None:

@@ -80,7 +80,7 @@ class Cameras:
     def __init__(
         self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray
     ):
-        self._path, self._asked, self._R_C_K = path, {"colour": colour, "depth": depth}, R_C_K
+        self._path, self._wanted, self._R_C_K = path, {"colour": colour, "depth": depth}, R_C_K
         self._lenses: dict[str, Intrinsics] = {}
         self._transforms = _transforms(path)
         self.chosen: dict[str, str] = {}
@@ -116,9 +116,9 @@ class Cameras:
         """What a topic's images are, by their first one; "" for infrared and what was not asked for."""
         is_depth = message.pixels().dtype != np.uint8
         role = "depth" if is_depth else "colour"
-        asked = self._asked[role]
-        if asked is not None:
-            return role if asked in message.topic else ""
+        wanted = self._wanted[role]
+        if wanted is not None:
+            return role if wanted in message.topic else ""
         return "" if any(word in message.topic.lower() for word in _INFRARED) else role
 
     def camera(

@@ -15,7 +15,7 @@ from calib.intrinsics import PlacedCamera
 from ...array_types import FloatArray, IntArray
 from ...recording import Recording
 from ...runtime.atomic import writing
-from ..mcap.merge import Outgoing, Output
+from ..mcap.merge import Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..recording.write import as_file, recording_streams
 from ..wire.schemas import message_class
@@ -89,7 +89,7 @@ def write_strap_recording(
         streams.append(_once(output.channel("/tf", TRANSFORMS), stamp, _beside(colour)))
         channel = output.channel(f"/{COLOUR}/image", COMPRESSED_IMAGE)
         streams.append(
-            Outgoing(
+            OutputStream(
                 channel,
                 stamp,
                 lambda rows: [
@@ -100,7 +100,7 @@ def write_strap_recording(
         )
         channel = output.channel(f"/{DEPTH}/image", RAW_IMAGE)
         streams.append(
-            Outgoing(
+            OutputStream(
                 channel,
                 later,
                 lambda rows: [
@@ -112,9 +112,9 @@ def write_strap_recording(
         output.write(streams)
 
 
-def _once(channel: int, stamp: IntArray, data: bytes) -> Outgoing:
+def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
     """A message that holds from the first image on."""
-    return Outgoing(channel, stamp[:1], lambda rows: list(islice([data], rows.start, rows.stop)))
+    return OutputStream(channel, stamp[:1], lambda rows: list(islice([data], rows.start, rows.stop)))
 
 
 def _beside(colour: PlacedCamera) -> bytes:

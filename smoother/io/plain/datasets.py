@@ -12,7 +12,7 @@ from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
 from ...runtime.inputs import check_input
-from ...runtime.native import ends_the_process
+from ...runtime.native import crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0
@@ -153,7 +153,7 @@ def _load(path: str | os.PathLike[str], fields: tuple[str, ...], kind: str) -> d
     check_input(path, RecordingError)
     if not Path(path).exists():
         raise RecordingError(f"{path} does not exist; check the name.")
-    if ends_the_process(Path(path), loadmat):  # a damaged type of data leads it past its table
+    if crashes_in_subprocess(Path(path), loadmat):  # a damaged type of data leads it past its table
         raise RecordingError(f"{path} is a damaged Matlab file; download it again.")
     try:
         data = loadmat(path)

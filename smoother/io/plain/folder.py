@@ -22,11 +22,10 @@ from ..devices.protocol import SkeletonTable
 from ..devices.repair import repaired_imu, repaired_skeleton
 from ..devices.starts import Timed, shifts
 from ..mcap.stamps import nanoseconds
+from ..recording.clock_resets import begins_frames, clock_resets, resets_message
 from ..recording.joint_rows import JointRows, frames_of
 from ..recording.read import select_recording
 from ..recording.selection import Selection
-from ..recording.set_back import begins_frames, set_back
-from ..recording.set_back import said as set_back_said
 from ..recording.skeletons import joint_code
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
 from .columns import read_imu_columns
@@ -205,9 +204,9 @@ def _add_columns(
 
 def _imu(file: RecordingFile, path: Path, name: str, section: ImuKeys) -> ImuSamples:
     t_s, acc, gyro, mag = imu_columns(path)
-    t_s, steps = set_back(t_s, acc)
+    t_s, steps = clock_resets(t_s, acc)
     if steps:
-        file.notes.append(f"{path.name}: {set_back_said(steps, 'samples')}")
+        file.notes.append(f"{path.name}: {resets_message(steps, 'samples')}")
     acc *= ACCELERATION[section.accelerometer_unit]
     if section.gyroscope_unit != "rad/s":
         gyro = gyro * ANGULAR_VELOCITY[section.gyroscope_unit]
@@ -258,9 +257,9 @@ def _frame_times(file: RecordingFile, path: Path, t_s: FloatArray, kind: IntArra
     if not begins_frames(t_s, kind):
         return t_s
     is_new = np.append(True, t_s[1:] != t_s[:-1])
-    times, steps = set_back(t_s[is_new])
+    times, steps = clock_resets(t_s[is_new])
     if steps:
-        file.notes.append(f"{path.name}: {set_back_said(steps, 'frames')}")
+        file.notes.append(f"{path.name}: {resets_message(steps, 'frames')}")
     return times[np.cumsum(is_new) - 1]
 
 

@@ -65,7 +65,7 @@ def choose(
     if body is None:
         arms, notes = people(file, store)
         file = replace(file, arms=arms)
-    arms = arms_asked_for(file, skeleton, side, body)
+    arms = wanted_arms(file, skeleton, side, body)
     imus = forearm_imus(file, imu)
     pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
     if not pairs:
@@ -113,7 +113,7 @@ def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[I
     return None, []
 
 
-def arms_asked_for(
+def wanted_arms(
     file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
 ) -> list[ArmFrames]:
     """The tracked arms that fit what was asked for.
@@ -143,13 +143,13 @@ def arms_asked_for(
         and (body is None or arm.body == body)
     ]
     if not fitting:
-        asked = [
+        wanted = [
             f"--{name} {value}"
             for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
             if value is not None
         ]
         raise RecordingError(
-            f"{file.path}: no tracked arm fits {' '.join(asked)}; it has "
+            f"{file.path}: no tracked arm fits {' '.join(wanted)}; it has "
             f"{', '.join(arm.label for arm in seen)}{_what_fits(seen, skeleton, side)}."
         )
     return fitting

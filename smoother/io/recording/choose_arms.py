@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from ...errors import RecordingError
 from ...runtime.store import Store
-from .choose import arms_asked_for, choose, choose_upper
+from .choose import choose, choose_upper, wanted_arms
 from .imu_choice import forearm_imus
 from .people import people
 from .selection import Selection, StreamChoice
@@ -76,13 +76,13 @@ def choose_arms(
 
     if selection.get("imu") is not None:
         return one_arm()
-    asked = (selection.get("skeleton"), selection.get("side"), selection.get("body"))
+    wanted = (selection.get("skeleton"), selection.get("side"), selection.get("body"))
     joined = file
     notes: list[str] = []
-    if asked[2] is None:
+    if wanted[2] is None:
         arms, notes = people(file, store)
         joined = replace(file, arms=arms)
-    arms = arms_asked_for(joined, *asked)
+    arms = wanted_arms(joined, *wanted)
     imus = _candidates(joined, arms)
     if len(imus) < 2 or len(arms) < 2:
         return one_arm()

@@ -13,7 +13,7 @@ from ...recording import JOINTS, JointState
 from ...runtime.column import batches, sampled
 from ...runtime.store import Store
 from ...units import STANDARD_GRAVITY
-from .set_back import set_back
+from .clock_resets import clock_resets
 from .streams import ArmFrames, ImuSamples, PoseSamples
 from .unusable import FROZEN, GYRO_LIMIT, ZERO, unusable_samples
 
@@ -237,7 +237,7 @@ def _refuse_set_back(stamp_ns: IntArray, values: FloatArray, name: str, source: 
     """Dropping what goes back would leave all that follows at the wrong time."""
     if (stamp_ns[1:] > stamp_ns[:-1]).all():
         return
-    _, steps = set_back((stamp_ns - stamp_ns[0]) / 1e9, values)
+    _, steps = clock_resets((stamp_ns - stamp_ns[0]) / 1e9, values)
     if steps:
         (by, at), more = steps[0], f" (and {len(steps) - 1} more)" if len(steps) > 1 else ""
         raise RecordingError(

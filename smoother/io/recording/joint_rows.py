@@ -13,7 +13,7 @@ from .streams import ArmFrames
 
 SIDES = ("", "left", "right")
 #: State of a joint of which a row says nothing.
-UNSAID = -128
+UNREPORTED = -128
 
 
 class JointRows:
@@ -45,10 +45,10 @@ class JointRows:
         body, side : ndarray of int, shape (n,)
             The arm; sides as positions in `SIDES`.
         state : ndarray of int8, shape (n, 5)
-            Of the joints; `UNSAID` where the message does not name one.
+            Of the joints; `UNREPORTED` where the message does not name one.
         position : ndarray, shape (n, 5, 3), m
         """
-        position[(state == JointState.NOT_TRACKED) | (state == UNSAID)] = np.nan
+        position[(state == JointState.NOT_TRACKED) | (state == UNREPORTED)] = np.nan
         arm = body * len(SIDES) + side
         self._arms.update(np.unique(arm).tolist())
         self._arm.append(arm)
@@ -70,7 +70,7 @@ class JointRows:
             return
         arms, arm = np.unique(body * len(SIDES) + side, return_inverse=True)
         code, row = np.unique(message * len(arms) + arm, return_inverse=True)
-        states = np.full((len(code), len(JOINTS)), UNSAID, np.int8)
+        states = np.full((len(code), len(JOINTS)), UNREPORTED, np.int8)
         positions = np.full((len(code), len(JOINTS), 3), np.nan)
         states[row, joint], positions[row, joint] = state, position
         which, side_of = np.divmod(arms[code % len(arms)], len(SIDES))
@@ -97,7 +97,10 @@ class JointRows:
         for which in sorted(self._arms):
             body, side = divmod(which, len(SIDES))
             if alone:
-                positions, states = position, np.maximum(state, np.int8(0), out=state, where=state == UNSAID)
+                positions, states = (
+                    position,
+                    np.maximum(state, np.int8(0), out=state, where=state == UNREPORTED),
+                )
             else:
                 positions, states = self._scattered(frame, arm == which, position, state, len(frames))
             arms.append(
@@ -118,7 +121,7 @@ class JointRows:
         states = np.zeros((count, len(JOINTS)), np.int8)
         for part in batches(len(frame)):
             at, said, there = frame[part][mine[part]], state[part][mine[part]], position[part][mine[part]]
-            row, joint = np.nonzero(said != UNSAID)
+            row, joint = np.nonzero(said != UNREPORTED)
             states[at[row], joint] = said[row, joint]
             positions[at[row], joint] = there[row, joint]
         return positions, states

@@ -23,12 +23,12 @@ from .arrival_order import sort_arrivals
 from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
 from .joining import TRUTH_PREFIX, join_field, join_truth_joints
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
-from .outlying import drop_outlying
 from .select import select_recording, select_recordings
 from .selection import Selection
 from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
 from .stream_names import OTHER_SIDE
 from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
+from .timestamp_outliers import drop_timestamp_outliers
 
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"
@@ -107,7 +107,7 @@ def open_recording(
     ]
     _gather(file, [decoder for decoder in decoders.values() if decoder is not None], store)
     sort_arrivals(file, file.metadata.get(METADATA, {}), store)
-    drop_outlying(file, store)
+    drop_timestamp_outliers(file, store)
     angles = [t.name for t in file.topics if t.schema.replace("/msg/", "/") == "sensor_msgs/JointState"]
     if angles:
         file.notes.append(
@@ -180,7 +180,11 @@ def read_recording(
     if swap_sides:
         _swap_sides(file)
     recording = select_recording(file, prefer_side=prefer_side, store=store, **selection)
-    return replace(recording, undone=(*recording.undone, SWAPPED_SIDES)) if swap_sides else recording
+    return (
+        replace(recording, applied_fixes=(*recording.applied_fixes, SWAPPED_SIDES))
+        if swap_sides
+        else recording
+    )
 
 
 def read_recordings(
@@ -217,7 +221,10 @@ def read_recordings(
     if swap_sides:
         _swap_sides(file)
     recordings = select_recordings(file, prefer_side=prefer_side, store=store, **selection)
-    return [replace(one, undone=(*one.undone, SWAPPED_SIDES)) if swap_sides else one for one in recordings]
+    return [
+        replace(one, applied_fixes=(*one.applied_fixes, SWAPPED_SIDES)) if swap_sides else one
+        for one in recordings
+    ]
 
 
 def _swap_sides(file: RecordingFile) -> None:

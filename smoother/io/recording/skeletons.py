@@ -18,7 +18,7 @@ from ..wire import cdr
 from ..wire import protobuf_decode as proto
 from ..wire.layout import Block, Grouper, MessageLayout, axes
 from .decode import in_order, proto_grouper
-from .joint_rows import SIDES, UNSAID, JointRows
+from .joint_rows import SIDES, UNREPORTED, JointRows
 from .streams import ArmFrames
 
 #: Joint index of the Azure Kinect Body Tracking SDK to side and joint, as positions in SIDES, JOINTS.
@@ -73,7 +73,7 @@ class SkeletonDecoder:
             side, joint = code
             if side not in sides:
                 shape = (count, len(JOINTS))
-                sides[side] = np.full(shape, UNSAID, np.int8), np.full((*shape, 3), np.nan)
+                sides[side] = np.full(shape, UNREPORTED, np.int8), np.full((*shape, 3), np.nan)
             state, position = sides[side]
             said = layout.integer(block, f"joints.{i}.state")
             if (said.view(np.uint64) > JointState.TRACKED).any():  # damaged

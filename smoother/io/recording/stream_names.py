@@ -41,9 +41,9 @@ def named_body(name: str) -> int | None:
     return None if match is None else int(match.group(1))
 
 
-def is_named(asked: str, topic: str, frame_id: str) -> bool:
+def is_named(wanted: str, topic: str, frame_id: str) -> bool:
     """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
-    return asked.strip("/").lower() in topic.lower() or asked == frame_id
+    return wanted.strip("/").lower() in topic.lower() or wanted == frame_id
 
 
 def words(name: str) -> str:

@@ -13,7 +13,7 @@ from ...array_types import FloatArray, IntArray
 from ...linalg import runs
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
 from ...runtime.atomic import writing
-from ..mcap.merge import Encoded, Outgoing, Output
+from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
 from .read import CLOCKS_UNRELATED, METADATA
@@ -52,7 +52,7 @@ def write_recording(
         output.write(recording_streams(output, file))
 
 
-def recording_streams(output: Output, file: RecordingFile) -> list[Outgoing]:
+def recording_streams(output: Output, file: RecordingFile) -> list[OutputStream]:
     """Enter a recording's metadata and channels into an output; its messages, to be written."""
     metadata = {"notes": json.dumps(file.notes), "name": file.name}
     if file.camera_frame is not None:
@@ -204,7 +204,7 @@ def _free(topic: str, topics: set[str]) -> str:
     return free
 
 
-def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
+def imu_messages(output: Output, imu: ImuSamples) -> OutputStream:
     """Messages of an IMU, on its topic."""
     parts = [
         wire.timestamp(1, "stamp"),
@@ -223,7 +223,7 @@ def imu_messages(output: Output, imu: ImuSamples) -> Outgoing:
         stamp = imu.stamp_ns[part]
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
 
-    return Outgoing(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
+    return OutputStream(output.channel(imu.topic, "unocclude.Imu"), imu.stamp_ns, encode)
 
 
 def arm_messages(
@@ -231,7 +231,7 @@ def arm_messages(
     arm: ArmFrames,
     present: list[int] | None = None,
     strap_covariance: FloatArray | None = None,
-) -> Outgoing:
+) -> OutputStream:
     """Skeleton messages of an arm, on its topic; joints that are never there are left out.
 
     Parameters
@@ -270,7 +270,7 @@ def arm_messages(
             columns["covariance"] = np.nan_to_num(strap_covariance[part])
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
 
-    return Outgoing(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
+    return OutputStream(output.channel(arm.topic, "unocclude.Skeleton"), arm.stamp_ns, encode)
 
 
 def joints_there(state: NDArray[np.int8]) -> list[int]:
@@ -278,7 +278,7 @@ def joints_there(state: NDArray[np.int8]) -> list[int]:
     return np.flatnonzero((state != JointState.NOT_TRACKED).any(axis=0)).tolist()
 
 
-def _poses(output: Output, poses: PoseSamples) -> list[Outgoing]:
+def _poses(output: Output, poses: PoseSamples) -> list[OutputStream]:
     pose = wire.message(3, wire.vector(1, "position"), wire.vector(2, "quaternion", (1, 2, 3, 0)))
     template = wire.join(wire.timestamp(1, "stamp"), wire.text(2, poses.frame_id), pose)
 
@@ -287,7 +287,7 @@ def _poses(output: Output, poses: PoseSamples) -> list[Outgoing]:
         columns = {"position": poses.position[part], "quaternion": poses.quaternion[part]}
         return template.encode(len(stamp), columns | wire.stamps("stamp", stamp))
 
-    outgoing = [Outgoing(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
+    outgoing = [OutputStream(output.channel(poses.topic, "foxglove.PoseInFrame"), poses.stamp_ns, encode)]
     if poses.joints:
         outgoing.append(arm_messages(output, _truth_joints(poses, poses.stamp_ns)))
     return outgoing

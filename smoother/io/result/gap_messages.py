@@ -28,7 +28,7 @@ def gap_messages(
     side : str
         Of the arm; "" where it is not known.
     verdicts : sequence of GapVerdict, optional
-        Whether each is to be trusted; None where nobody judged. An event then has no `trusted`.
+        Whether each is to be trusted; None where nobody each_verdict. An event then has no `trusted`.
 
     Returns
     -------
@@ -36,8 +36,8 @@ def gap_messages(
         One of each a gap.
     """
     events, lines = [], []
-    judged: Sequence[GapVerdict | None] = [None] * len(gaps) if verdicts is None else verdicts
-    for gap, verdict, start, end in zip(gaps, judged, start_ns.tolist(), end_ns.tolist(), strict=True):
+    each_verdict: Sequence[GapVerdict | None] = [None] * len(gaps) if verdicts is None else verdicts
+    for gap, verdict, start, end in zip(gaps, each_verdict, start_ns.tolist(), end_ns.tolist(), strict=True):
         event = message_class("foxglove.Event")()
         event.start_time.FromNanoseconds(start)
         event.end_time.FromNanoseconds(end)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...recording import JOINTS, JointState
 from ...result import FrameResiduals, Recovery
-from ..mcap.merge import Encoded, Outgoing, Output
+from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..mcap.time_batches import TimeAxis
 from ..recording.read import RESULT_PREFIX
@@ -19,7 +19,7 @@ from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from . import drawing as scene
-from .beads import bead_clouds
+from .arm_point_cloud import arm_point_clouds
 from .draw_messages import SCHEMA, draw_messages, message_rows
 from .gap_messages import gap_messages
 from .odometry import odometry, thorax_poses, upper_arm_poses
@@ -81,7 +81,7 @@ class RecoveryStreams:
 
     def batch(
         self, samples: slice, frames: slice, residuals: slice, gaps: slice, draws: slice
-    ) -> list[Outgoing]:
+    ) -> list[OutputStream]:
         """Every stream of a batch, from its rows on the `axes`."""
         part = self.recovery.rows(samples)
         part = replace(part, arm=part.arm.select(frames), gaps=part.gaps[gaps])
@@ -110,7 +110,7 @@ class RecoveryStreams:
         stamp: IntArray,
         rows: IntArray,
         columns: wire.Columns,
-    ) -> Outgoing:
+    ) -> OutputStream:
         """Some rows of stamps (n,) on a topic."""
 
         def encode(part: slice) -> Encoded:
@@ -118,9 +118,9 @@ class RecoveryStreams:
             return template.encode(len(chosen), columns(chosen) | wire.stamps("stamp", stamp[chosen]))
 
         channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
-        return Outgoing(channel, stamp[rows] + self.shift, encode)
+        return OutputStream(channel, stamp[rows] + self.shift, encode)
 
-    def _poses(self, r: Recovery) -> Iterator[Outgoing]:
+    def _poses(self, r: Recovery) -> Iterator[OutputStream]:
         """Of the forearm's IMU, and where there are, of the upper arm's and the trunk's."""
         poses = {"forearm": (r, self.body)}
         if (upper := upper_arm_poses(r)) is not None:
@@ -132,7 +132,7 @@ class RecoveryStreams:
             for rows, template, columns in odometry(moving, self.frame_id, body):
                 yield self._stream(topic, "foxglove.Odometry", template, stamp, rows, columns)
 
-    def _skeleton(self, r: Recovery) -> Outgoing:
+    def _skeleton(self, r: Recovery) -> OutputStream:
         """Every sample, so that times and occlusion are whole even where there is no answer."""
         names = [joint for joint in JOINTS if joint in r.joints]
         parts = [wire.timestamp(1, "stamp"), wire.text(2, self.frame_id)]
@@ -163,21 +163,21 @@ class RecoveryStreams:
         stamp, rows = self._stamps(r.t_s), np.arange(len(r))
         return self._stream("skeleton", "unocclude.Skeleton", wire.join(*parts), stamp, rows, columns)
 
-    def _camera(self, r: Recovery) -> Iterator[Outgoing]:
+    def _camera(self, r: Recovery) -> Iterator[OutputStream]:
         topic = f"{RESULT_PREFIX}camera{self.suffix}"
         stamp = self._stamps(r.arm.t_s)
         arm = ArmFrames(topic, self.frame_id, 0, r.side, stamp, r.arm.position, r.arm.state)
         stream = arm_messages(self.output, arm, self.camera_joints)
-        yield Outgoing(stream.channel, stream.time_ns + self.shift, stream.encode)
+        yield OutputStream(stream.channel, stream.time_ns + self.shift, stream.encode)
 
-    def _residuals(self, residuals: FrameResiduals | None) -> Iterator[Outgoing]:
+    def _residuals(self, residuals: FrameResiduals | None) -> Iterator[OutputStream]:
         if self.residual_messages is None or residuals is None or not len(residuals):
             return
         stamp = self._stamps(residuals.t_s)
         for rows, template, columns in self.residual_messages.of_batch(residuals):
             yield self._stream("residuals", "unocclude.Residuals", template, stamp, rows, columns)
 
-    def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+    def _drawn(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[OutputStream]:
         whole, stamp = self.recovery, self._stamps(r.arm.t_s)
         after = np.full((len(nearest), len(JOINTS), 3), np.nan)
         for joint, position in {"strap": whole.position, **whole.joints}.items():
@@ -187,7 +187,7 @@ class RecoveryStreams:
         name = f"arm{self.suffix.replace('/', '_')}"
         for rows, template, columns in scene.drawings(after, shade, scene.ANSWER, self.frame_id, name):
             yield self._stream("arm", "foxglove.SceneUpdate", template, stamp[inside], rows, columns)
-        for rows, template, columns in bead_clouds(after, kind, self.frame_id):
+        for rows, template, columns in arm_point_clouds(after, kind, self.frame_id):
             yield self._stream("beads", "foxglove.PointCloud", template, stamp[inside], rows, columns)
         guessed = (r.arm.state == JointState.INFERRED).astype(np.int64)
         colors = (scene.CAMERA, scene.GUESSED)
@@ -195,7 +195,7 @@ class RecoveryStreams:
         for rows, template, columns in scene.drawings(r.arm.position, guessed, colors, self.frame_id, name):
             yield self._stream("arm_camera", "foxglove.SceneUpdate", template, stamp, rows, columns)
 
-    def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[Outgoing]:
+    def _transforms(self, r: Recovery, nearest: IntArray, inside: BoolArray) -> Iterator[OutputStream]:
         position, quaternion = self.recovery.position[nearest], self.recovery.quaternion[nearest]
         has_pose = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
         forearm = wire.message(
@@ -217,7 +217,7 @@ class RecoveryStreams:
             if template.data and len(rows):
                 yield self._stream("tf", "foxglove.FrameTransforms", template, stamp, rows, columns)
 
-    def _joint_states(self, r: Recovery) -> Iterator[Outgoing]:
+    def _joint_states(self, r: Recovery) -> Iterator[OutputStream]:
         flexion = elbow_flexion(r.joints)
         if flexion is None or not np.isfinite(flexion).any():
             return
@@ -235,19 +235,19 @@ class RecoveryStreams:
             lambda chosen: {"angle": flexion[chosen]},
         )
 
-    def _gaps(self, r: Recovery) -> Iterator[Outgoing]:
+    def _gaps(self, r: Recovery) -> Iterator[OutputStream]:
         """Each gap as an event, and as a line of a log, which more programs show."""
         gaps = r.gaps
         if not gaps:
             return
         start = self._stamps(np.array([gap.start_s for gap in gaps]))
         end = self._stamps(np.array([gap.end_s for gap in gaps]))
-        events, lines = gap_messages(gaps, start, end, r.side, r.gap_verdicts if r.judged else None)
+        events, lines = gap_messages(gaps, start, end, r.side, r.gap_verdicts if r.has_verdict else None)
         for topic, schema, data in (("gaps", "foxglove.Event", events), ("log", "foxglove.Log", lines)):
             channel = self.output.channel(f"{RESULT_PREFIX}{topic}{self.suffix}", schema)
-            yield Outgoing(channel, start + self.shift, data.__getitem__)
+            yield OutputStream(channel, start + self.shift, data.__getitem__)
 
-    def _draws(self, messages: slice) -> Iterator[Outgoing]:
+    def _draws(self, messages: slice) -> Iterator[OutputStream]:
         """Motions drawn from the posterior, where there are."""
         draws = self.recovery.draws
         if draws is None:
@@ -258,7 +258,7 @@ class RecoveryStreams:
             return list(draw_messages(draws, stamp, first[part], self.frame_id))
 
         channel = self.output.channel(f"{RESULT_PREFIX}draws{self.suffix}", SCHEMA)
-        yield Outgoing(channel, stamp[first] + self.shift, encode)
+        yield OutputStream(channel, stamp[first] + self.shift, encode)
 
     def _at_frames(self, samples: slice, batch: Recovery) -> tuple[IntArray, BoolArray]:
         """The IMU sample nearest to each frame that the IMU covers, and which of its frames those are.

@@ -13,7 +13,7 @@ from ...runtime.atomic import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.time_batches import time_batches
-from ..recording.carried import Carrying
+from ..recording.passthrough_topics import Passthrough
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
 from .metadata import recovery_values
@@ -75,7 +75,7 @@ def write_recovery(
     check_output(path, force)
     if source is not None and os.path.exists(path) and os.path.samefile(source, path):
         raise UnoccludeError(f"{path} is the recording itself; give another name to write to.")
-    carrying = Carrying(passthrough_images)
+    carrying = Passthrough(passthrough_images)
     frames: dict[str, str] = {}
     shift = 0
     level_down = None

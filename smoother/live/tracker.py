@@ -36,7 +36,7 @@ LONGEST_PAUSE_S = 0.3
 WIDER = 2.0
 
 
-class Follower:
+class Tracker:
     """Follows the arm with one calibration.
 
     Parameters
@@ -51,7 +51,7 @@ class Follower:
         Of the live smoother, read only.
     length_s : float, s
         How long nodes stay.
-    before : Follower, optional
+    before : Tracker, optional
         With an earlier calibration: its biases and gravity count.
 
     Attributes
@@ -73,7 +73,7 @@ class Follower:
         config: Config,
         imu: ImuBuffer,
         length_s: float = LENGTH_S,
-        before: Follower | None = None,
+        before: Tracker | None = None,
     ) -> None:
         self.model, self.offset_s, self._needed = model, offset_s, needed
         self.noise = noise_of(config, model.upper_arm_sigma_m)

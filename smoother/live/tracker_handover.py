@@ -1,4 +1,4 @@
-"""Who follows the arm: the follower at work, and its successor with a newer calibration."""
+"""Who follows the arm: the tracker at work, and its successor with a newer calibration."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from ..config import Config
 from .calibrations import Calibrations
 from .first_state import AROUND_S, first_state
-from .follower import LENGTH_S, LONGEST_PAUSE_S, Follower
 from .frame_buffer import FrameBuffer
 from .imu_buffer import ImuBuffer
 from .skeleton_frame import SkeletonFrame
+from .tracker import LENGTH_S, LONGEST_PAUSE_S, Tracker
 
-#: A first follower begins so long before the present, s, and catches up by so many frames a step: ten take
+#: A first tracker begins so long before the present, s, and catches up by so many frames a step: ten take
 #: 13 to 17 ms of processor time, so that a step stays within 20 ms.
 CATCH_UP_S, CATCH_UP_FRAMES = 5.0, 10
 #: A successor catches up beside the one at work by so many frames a step.
@@ -21,13 +21,13 @@ SUCCESSOR_FRAMES = 4
 FRESH_S = 1.0
 
 
-class Succession:
-    """Holds the follower at work; a successor catches up beside it and takes its place.
+class TrackerHandover:
+    """Holds the tracker at work; a successor catches up beside it and takes its place.
 
     Parameters
     ----------
     calibrations : Calibrations
-        The last of them is a new follower's.
+        The last of them is a new tracker's.
     config : Config
     imu : ImuBuffer
     frames : FrameBuffer
@@ -37,7 +37,7 @@ class Succession:
 
     Attributes
     ----------
-    follower : Follower or None
+    tracker : Tracker or None
         The one at work.
     has_followed : bool
         There was one at work at some time.
@@ -48,24 +48,24 @@ class Succession:
     ) -> None:
         self._calibrations, self._config, self._imu, self._frames = calibrations, config, imu, frames
         self._lag_s = lag_s
-        self.follower: Follower | None = None
+        self.tracker: Tracker | None = None
         self.has_followed = False
-        self._successor: Follower | None = None
+        self._successor: Tracker | None = None
         self._is_waiting = False
 
     def calibrated(self) -> None:
         """There is a new calibration: a successor begins with it, at once or where the arm is visible."""
-        if self.follower is None:
+        if self.tracker is None:
             self._successor = self._fresh()
         else:
             self._is_waiting, self._successor = True, None
 
     def begin_anew(self) -> None:
         """What is at work is lost: begin anew with the calibration that is there."""
-        self.follower, self._is_waiting = None, False
+        self.tracker, self._is_waiting = None, False
         self._successor = self._fresh()
 
-    def advance(self, now_s: float) -> Follower | None:
+    def advance(self, now_s: float) -> Tracker | None:
         """Let the successor catch up, and take the place of the one at work; that one, where it did."""
         self._begin_where_visible()
         successor = self._successor
@@ -75,29 +75,29 @@ class Succession:
             self._start(successor, now_s)  # work enough for a step
             return None
         if successor.pause_s() > LONGEST_PAUSE_S or not self._catch_up(successor, now_s):
-            self._successor = None if self.follower is not None else self._fresh()
+            self._successor = None if self.tracker is not None else self._fresh()
             return None
         if successor.solution is None or self.ready(successor):
             return None
-        before, self.follower, self._successor = self.follower, successor, None
+        before, self.tracker, self._successor = self.tracker, successor, None
         self.has_followed = True
         return before
 
-    def ready(self, follower: Follower) -> list[SkeletonFrame]:
-        """Frames that a follower has not seen and the IMU reaches."""
-        frames = self._frames.since(np.nextafter(follower.cursor_s, np.inf))
-        reach_s = self._imu.end_s - follower.offset_s
+    def ready(self, tracker: Tracker) -> list[SkeletonFrame]:
+        """Frames that a tracker has not seen and the IMU reaches."""
+        frames = self._frames.since(np.nextafter(tracker.cursor_s, np.inf))
+        reach_s = self._imu.end_s - tracker.offset_s
         return [frame for frame in frames if frame.t_s <= reach_s]
 
     def _begin_where_visible(self) -> None:
         """In a gap there is nothing that a successor could begin with."""
-        active = self.follower
+        active = self.tracker
         if self._is_waiting and active is not None and active.history.sees_all(active.window.t):
             self._is_waiting, self._successor = False, self._fresh()
             if self._successor is not None:
                 self._successor.start(active.window.state(0))
 
-    def _start(self, successor: Follower, now_s: float) -> None:
+    def _start(self, successor: Tracker, now_s: float) -> None:
         """Begin some seconds ago, where the streams suffice."""
         since_s = self._imu.since_pause_s(LONGEST_PAUSE_S, CATCH_UP_S + AROUND_S)
         if self._imu.end_s - since_s < FRESH_S:
@@ -114,9 +114,9 @@ class Succession:
         if state is not None:
             successor.start(state)
 
-    def _catch_up(self, successor: Follower, now_s: float) -> bool:
+    def _catch_up(self, successor: Tracker, now_s: float) -> bool:
         """Feed some frames; False where these did not determine the motion."""
-        limit = CATCH_UP_FRAMES if self.follower is None else SUCCESSOR_FRAMES
+        limit = CATCH_UP_FRAMES if self.tracker is None else SUCCESSOR_FRAMES
         ready = self.ready(successor)[:limit]
         try:
             if ready:
@@ -126,17 +126,17 @@ class Succession:
             return False
         return True
 
-    def _fresh(self) -> Follower | None:
-        """A follower with the last calibration, not yet begun; what the active one has learnt counts."""
+    def _fresh(self) -> Tracker | None:
+        """A tracker with the last calibration, not yet begun; what the active one has learnt counts."""
         calibration = self._calibrations.last
         if calibration is None or calibration.model is None:
             return None
-        return Follower(
+        return Tracker(
             calibration.model,
             self._calibrations.offset_s,
             self._calibrations.needed,
             self._config,
             self._imu,
             max(LENGTH_S, self._lag_s + 0.3),
-            self.follower,
+            self.tracker,
         )

@@ -20,7 +20,7 @@ _FEWEST = 4
 _LEVEL, _SAME = 50, 0.3
 
 
-def set_back(
+def clock_resets(
     t_s: FloatArray, values: FloatArray | None = None
 ) -> tuple[FloatArray, list[tuple[float, float]]]:
     """Times of a clock that was set back, made to go on at the usual interval.
@@ -75,7 +75,7 @@ def begins_frames(time: FloatArray, kind: IntArray) -> bool:
     return 0 < len(back) <= _MOST and len(np.unique(kind)) > 1 and bool((kind[back] == kind[0]).all())
 
 
-def said(steps: list[tuple[float, float]], what: str) -> str:
+def resets_message(steps: list[tuple[float, float]], what: str) -> str:
     """A sentence on steps of a clock; `what` are the rows behind them."""
     back = ", ".join(f"by {by:.{1 if by >= 0.95 else 2}f} s at {at:.1f} s" for by, at in steps)
     return (

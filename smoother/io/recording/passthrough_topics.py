@@ -87,7 +87,7 @@ _SCHEMAS = {
 
 
 #: How the sentence on topics that were left out begins.
-NOT_CARRIED = "Not carried over"
+NOT_PASSED_THROUGH = "Not carried over"
 
 
 def may_copy(topic: Topic, passthrough_images: bool) -> bool:
@@ -108,7 +108,7 @@ def may_copy(topic: Topic, passthrough_images: bool) -> bool:
 
 
 @dataclass
-class Carrying:
+class Passthrough:
     """Decides of topics and remembers which were left out.
 
     Attributes
@@ -137,6 +137,6 @@ class Carrying:
         listed = [f"{name} ({schema})" for name, schema in sorted(self.left_out.items())]
         more = f" and {len(listed) - 5} more" if len(listed) > 5 else ""
         return (
-            f"{NOT_CARRIED}, since they may show or name the person: {', '.join(listed[:5])}{more};"
+            f"{NOT_PASSED_THROUGH}, since they may show or name the person: {', '.join(listed[:5])}{more};"
             " --passthrough-images carries all topics over."
         )

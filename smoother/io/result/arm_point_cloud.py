@@ -23,7 +23,7 @@ _FLOAT32, _UINT8 = 7, 1  # foxglove.PackedElementField.NumericType
 _STRIDE = 16
 
 
-def bead_clouds(position: FloatArray, kind: IntArray, frame_id: str) -> Iterator[wire.AlikeRows]:
+def arm_point_clouds(position: FloatArray, kind: IntArray, frame_id: str) -> Iterator[wire.AlikeRows]:
     """Rows that have the same joints, the foxglove.PointCloud that draws them, and its columns.
 
     Parameters

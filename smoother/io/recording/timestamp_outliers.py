@@ -34,7 +34,7 @@ def largest_group(stamp_ns: IntArray) -> BoolArray | None:
     return mask
 
 
-def drop_outlying(file: RecordingFile, store: Store) -> None:
+def drop_timestamp_outliers(file: RecordingFile, store: Store) -> None:
     """Drop samples whose stamps lie far from all others of their stream; a note says how many."""
     streams: list[ImuSamples | ArmFrames | PoseSamples] = [*file.imus, *file.arms, *file.poses]
     cleaned = {id(stream): without_outlying(stream, file.notes, store) for stream in streams}

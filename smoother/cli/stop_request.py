@@ -13,7 +13,7 @@ from typing import Any
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
-class Ending:
+class StopRequest:
     """Takes signals and keys down; nothing is interrupted, so that the recording stays whole.
 
     Keys on a terminal: `q` ends, `s` ends and smooths what was recorded.
@@ -33,7 +33,7 @@ class Ending:
         self._before: dict[int, Any] = {}
         self._terminal: list[Any] | None = None
 
-    def __enter__(self) -> Ending:
+    def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
             for name in _SIGNALS:
                 number = getattr(signal, name, None)

@@ -1,4 +1,4 @@
-"""The jump of what is shown, spread over a moment."""
+"""The discontinuity of what is shown, spread over a moment."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ..array_types import FloatArray
 from ..rotation import Rotation
 from ..window.lag_solution import NodeState
 
-#: A jump is spread over so long, s.
+#: A discontinuity is spread over so long, s.
 SPREAD_S = 0.2
 
 
 @dataclass(frozen=True)
-class Jump:
+class Discontinuity:
     """What was shown less what is known now, at the moment of the change.
 
     Attributes
@@ -33,7 +33,7 @@ class Jump:
     turn: FloatArray
 
     @classmethod
-    def between(cls, shown: NodeState, known: NodeState) -> Jump:
+    def between(cls, shown: NodeState, known: NodeState) -> Discontinuity:
         """From what was shown to what is known now, at the same moment."""
         turn = Rotation.from_matrix(shown.R @ known.R.T).as_rotvec()
         return cls(known.t, shown.p - known.p, turn)
