@@ -220,9 +220,8 @@ def _coverage(squared_sigmas: np.ndarray, shares: tuple[float, ...] = (0.2, 0.4,
 
 def _parts(figures: dict) -> str:
     return "  ".join(
-        f"{part} {100 * figures[part]['position_rms_m']:5.2f} /"
-        f" {100 * figures[part]['position_max_m']:5.2f} cm"
-        f" {figures[part]['orientation_rms_deg']:5.2f} deg ({figures[part]['nees']:5.2f})"
+        f"{part} {100 * figures[part]['position_rms_m']:5.2f} / {100 * figures[part]['position_max_m']:5.2f}"
+        f" cm {figures[part]['orientation_rms_deg']:5.2f} deg ({figures[part]['nees']:5.2f})"
         for part in ("occluded", "visible")
         if figures[part]["samples"]
     )
@@ -303,12 +302,10 @@ def _show_utd(title: str, rows: list) -> None:
     graph, line = (np.concatenate([r[k] for r in rows]) for k in (3, 4))
     trial = [(rms(r[3]), rms(r[4])) for r in rows]
     print(
-        f"  {title:15}: graph rms {100 * rms(graph):5.1f}"
-        f" median {100 * np.median(graph):5.1f} cm"
-        f"   interpolation rms {100 * rms(line):5.1f} median {100 * np.median(line):5.1f} cm"
-        f"   graph nearer in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}"
-        f"   median sigma {100 * np.median([r[5] for r in rows]):4.1f} cm"
-        f"   inside 2 sigma (camera's noise added)"
+        f"  {title:15}: graph rms {100 * rms(graph):5.1f} median {100 * np.median(graph):5.1f} cm"
+        f"   interpolation rms {100 * rms(line):5.1f} median {100 * np.median(line):5.1f} cm   graph nearer"
+        f" in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}   median sigma"
+        f" {100 * np.median([r[5] for r in rows]):4.1f} cm   inside 2 sigma (camera's noise added)"
         f" {100 * np.mean(np.concatenate([r[6] for r in rows])):3.0f} %"
     )
 

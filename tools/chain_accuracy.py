@@ -203,12 +203,11 @@ def _show(length_s: float, imus: int, gaps: list[ChainErrors], seconds: float) -
     distance = every("distance_m")
     last = np.array([gap.heading_deg[-40:] for gap in gaps if len(gap.heading_deg) >= 40])
     print(
-        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * _rms(distance):5.2f} cm"
-        f"  max {100 * np.nanmax(distance):5.2f}"
-        f"  squared error / sigma^2 {np.nanmean(every('squared_sigmas')) / 3:4.2f}"
-        f"  wrist to shoulder {100 * _rms(every('wrist_to_shoulder_m')):5.2f} cm"
-        f"  orientation {_rms(every('angle_deg')):4.2f} deg"
-        f"  relative heading at the end {_rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
+        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * _rms(distance):5.2f} cm  max"
+        f" {100 * np.nanmax(distance):5.2f}  squared error / sigma^2"
+        f" {np.nanmean(every('squared_sigmas')) / 3:4.2f}  wrist to shoulder"
+        f" {100 * _rms(every('wrist_to_shoulder_m')):5.2f} cm  orientation {_rms(every('angle_deg')):4.2f}"
+        f" deg  relative heading at the end {_rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
         f"  answered {100 * np.isfinite(distance).mean():.1f} %  {seconds:.1f} s",
         flush=True,
     )

@@ -86,8 +86,7 @@ def strap(seeds: int) -> None:
                     nees.append(error @ np.linalg.solve(seen.covariance, error) / 3)
         size = 1e3 * np.linalg.norm(errors, axis=1)
         print(
-            f"joints {1e3 * sigma_m:.0f} mm off: core rms {rms(size):.1f} mm, max"
-            f" {size.max():.1f} mm,"
+            f"joints {1e3 * sigma_m:.0f} mm off: core rms {rms(size):.1f} mm, max {size.max():.1f} mm,"
             f" squared error / sigma^2 {np.mean(nees):.2f}; {dict(reasons)}; accepted behind a body: {wrong}",
             flush=True,
         )

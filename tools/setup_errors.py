@@ -145,9 +145,8 @@ def show(job: Job, outcome: Outcome) -> None:
     """Print a row of the table."""
     text = outcome.sentence or "; ".join(outcome.reasons)
     print(
-        f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s"
-        f" {_cm(outcome.error_m)} {_cm(outcome.sigma_m)}  {outcome.verdict:14}"
-        f" {textwrap.shorten(text, 150)}",
+        f"{job.name:32} {job.seed:10} {job.preset:9} {job.duration_s:4.1f} s {_cm(outcome.error_m)}"
+        f" {_cm(outcome.sigma_m)}  {outcome.verdict:14} {textwrap.shorten(text, 150)}",
         flush=True,
     )
 

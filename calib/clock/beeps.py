@@ -114,9 +114,8 @@ def find_beeps(samples: FloatArray, rate_hz: float, tone_hz: float | None = None
     level, at, above = _clearest(power, frequency, tone_hz)
     if above < LOUD_DB:
         raise CalibrationError(
-            f"no beep stands out of the sound (the clearest tone, {frequency[at]:.0f} Hz, is {above:.0f}"
-            " dB above"
-            f" the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
+            f"no beep stands out of the sound (the clearest tone, {frequency[at]:.0f} Hz, is {above:.0f} dB"
+            f" above the quiet, {LOUD_DB:.0f} are needed); bring the buzzer nearer to the microphone"
         )
     beeps = []
     for first, last in _runs(level):

@@ -193,8 +193,7 @@ def disagreements(network: ClockNetwork) -> list[str]:
     """Links that were measured in two ways which contradict each other."""
     return [
         f"{each.source} ({each.node[0]}) is {1e3 * each.residual_s[0]:+.1f} ms off from what the other"
-        " measurements"
-        f" say, {abs(each.residual_s[0]) / each.sigma_s:.0f} of its sigmas: one of them is wrong"
+        f" measurements say, {abs(each.residual_s[0]) / each.sigma_s:.0f} of its sigmas: one of them is wrong"
         for each in network.leftovers
         if len(each.residual_s) == 1 and abs(each.residual_s[0]) > DISAGREE * each.sigma_s
     ]
@@ -241,10 +240,8 @@ def open_questions(
         pairs = ", ".join(f"{link.from_clock}-{link.to_clock}" for link in weak[:4])
         sentences.append(
             f"the skew of {pairs}{' and others' if len(weak) > 4 else ''} is not measured: the offset may"
-            " drift"
-            f" by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
-            " time that"
-            " it is stated for"
+            f" drift by some {6e-2 * max(link.skew_sigma_ppm for link in weak):.0f} ms a minute away from the"
+            " time that it is stated for"
         )
     sentences += [
         f"the beep that ends at {beep.end_s:.2f} s is followed by a loud echo: its end is known to"

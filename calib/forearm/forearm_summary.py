@@ -201,8 +201,7 @@ def verdict(calibration: ForearmCalibration, rows: list[Compared]) -> list[str]:
     said.append(f"pose and motion agree in {len(rows) - len(broken)} of {len(rows)} measures")
     return said + [
         f"{row.name}: {row.pose:.0f} {row.unit} in the pose, {row.motion:.0f} in motion, {row.apart:.1f}"
-        " sigmas apart:"
-        f" {_BROKEN[row.name]}"
+        f" sigmas apart: {_BROKEN[row.name]}"
         for row in broken
     ]
 
@@ -217,9 +216,8 @@ def open_questions(calibration: ForearmCalibration) -> list[str]:
         )
     if calibration.measured.strap_from == "usual":
         said.append(
-            "the strap's place was neither seen nor measured: usual values stand for it (5 +- 2 cm to"
-            " the wrist,"
-            " 3.5 +- 0.8 cm to the forearm's core)"
+            "the strap's place was neither seen nor measured: usual values stand for it (5 +- 2 cm to the"
+            " wrist, 3.5 +- 0.8 cm to the forearm's core)"
         )
     if calibration.pose.turning_rad_s > RESTLESS_RAD_S:
         said.append(
@@ -230,8 +228,7 @@ def open_questions(calibration: ForearmCalibration) -> list[str]:
     if towards > np.sin(CORONAL_RAD):
         said.append(
             f"the forearm points {np.degrees(np.arcsin(towards)):.0f} degrees towards or away from the"
-            " camera: depth"
-            " errors are in its length"
+            " camera: depth errors are in its length"
         )
     return said
 
@@ -246,9 +243,8 @@ def next_time(calibration: ForearmCalibration, rows: list[Compared]) -> list[str
     if calibration.measured.strap_from == "usual":
         said.append(
             "measure by ruler from the middle of the strap to the wrist's crease and half the wrist's"
-            " thickness"
-            " (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude import"
-            " strap`"
+            " thickness (--strap-to-wrist-m, --radius-m), or record the camera's images and use `unocclude"
+            " import strap`"
         )
     if any(row.name == "roll" and not row.agrees for row in rows):
         said.append("hold the palm square to the camera, and put the sensor on the back of the wrist")

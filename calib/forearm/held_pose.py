@@ -95,9 +95,8 @@ def find_held_pose(
     if from_s is not None and to_s is not None:
         if inside.sum() < FEWEST_FRAMES:
             raise CalibrationError(
-                f"{recording.name}: between {from_s:g} and {to_s:g} s shoulder, elbow and wrist are"
-                " tracked together in"
-                f" {int(inside.sum())} frames; {FEWEST_FRAMES} are needed"
+                f"{recording.name}: between {from_s:g} and {to_s:g} s shoulder, elbow and wrist are tracked"
+                f" together in {int(inside.sum())} frames; {FEWEST_FRAMES} are needed"
             )
         pose = _pose(recording, inside, offset_s, "given")
         if pose.turning_rad_s > MOVING_RAD_S:
@@ -111,11 +110,9 @@ def find_held_pose(
     runs = [run for run in _runs(t, good) if t[run[1]] - t[run[0]] >= SHORTEST_S]
     if not runs:
         raise CalibrationError(
-            f"{recording.name}: no held pose was found (forearm raised beside the head, palm to the"
-            " camera, still for"
-            f" {SHORTEST_S:g} s, shoulder, elbow and wrist tracked); hold it at the start, or name its"
-            " times with"
-            " --from and --to"
+            f"{recording.name}: no held pose was found (forearm raised beside the head, palm to the camera,"
+            f" still for {SHORTEST_S:g} s, shoulder, elbow and wrist tracked); hold it at the start, or name"
+            " its times with --from and --to"
         )
     first, last = runs[0]
     chosen = good & (t >= t[first]) & (t <= min(t[last], t[first] + LONGEST_S))

@@ -137,9 +137,8 @@ def imu_verdict(calibration: ImuCalibration) -> list[str]:
             else "roughly"
         )
         said.append(
-            f"{acc.poses} rest poses determine the accelerometer {word}: corrected, gravity's length is"
-            " known to"
-            f" {acc.sigma:.4f} m/s^2 on average and {acc.worst_sigma:.4f} in the worst direction"
+            f"{acc.poses} rest poses determine the accelerometer {word}: corrected, gravity's length is known"
+            f" to {acc.sigma:.4f} m/s^2 on average and {acc.worst_sigma:.4f} in the worst direction"
         )
         before = float(
             np.sqrt(np.mean((np.linalg.norm(calibration.rests.acc, axis=1) - calibration.gravity) ** 2))
@@ -191,9 +190,8 @@ def imu_next(calibration: ImuCalibration) -> list[str]:
     said = list(calibration.accelerometer.remarks) if calibration.accelerometer is not None else []
     if calibration.accelerometer is None:
         said.append(
-            "for offset, scale and cross-axis: twelve rest poses of three seconds each, the sensor on its"
-            " six sides"
-            " and on six edges between them"
+            "for offset, scale and cross-axis: twelve rest poses of three seconds each, the sensor on its six"
+            " sides and on six edges between them"
         )
     if calibration.gyroscope.rule == "running":
         said.append("for the gyroscope's bias: leave the sensor lying for five seconds while it records")
@@ -209,9 +207,8 @@ def imu_next(calibration: ImuCalibration) -> list[str]:
         )
     elif not_seen(noise):
         said.append(
-            f"bias instability or random walk did not show in {noise.duration_s / 60.0:.0f} minutes; a"
-            " longer rest"
-            " at an even temperature may show them"
+            f"bias instability or random walk did not show in {noise.duration_s / 60.0:.0f} minutes; a longer"
+            " rest at an even temperature may show them"
         )
     return said
 
@@ -242,9 +239,8 @@ def magnetometer_next(calibration: MagnetometerCalibration) -> list[str]:
     said = list(calibration.remarks)
     if calibration.residual > 0.5 * LARGE_RESIDUAL:
         said.append(
-            "turn the sensor on one spot rather than carrying it about, half a metre from iron,"
-            " loudspeakers and"
-            " telephones"
+            "turn the sensor on one spot rather than carrying it about, half a metre from iron, loudspeakers"
+            " and telephones"
         )
     said.append(
         "calibrate again when the sensor's battery, case or strap buckle changes: iron on it moves the field"

@@ -232,8 +232,7 @@ def _remarks(off: FloatArray, residual: float, coverage: Coverage) -> list[str]:
     if stray > STRAY_SHARE:
         said.append(
             f"{100 * stray:.1f} % of the samples lie far off the rest and hardly counted: something of iron"
-            " came"
-            " near for a while"
+            " came near for a while"
         )
     if coverage.hole_rad > LARGE_HOLE_RAD:
         said.append(

@@ -212,9 +212,8 @@ def print_recovery(recording: Recording, recovery: Recovery) -> None:
     duration_s = float(recovery.t_s[-1] - recovery.t_s[0]) if len(recovery) else 0.0
     say_verdict(recovery)
     say(
-        f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples,"
-        f" {len(rows)} {'gap' if len(rows) == 1 else 'gaps'},"
-        f" {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
+        f"{recovery.name}: {duration_s:.1f} s, {len(recovery)} samples, {len(rows)}"
+        f" {'gap' if len(rows) == 1 else 'gaps'}, {sum(gap.length_s for gap in recovery.gaps):.1f} s occluded"
     )
     if rows:
         columns = (

@@ -184,9 +184,8 @@ def factor_sentences(factors: Sequence[LengthFactor]) -> list[str]:
     if fewest.level < LEVELS[1]:
         sentences.append(
             f"{fewest.count} {'gap is' if fewest.count == 1 else 'gaps are'} too few for 95 %: the largest"
-            " error counts, which holds in"
-            f" {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are needed (--repetitions, or several"
-            " recordings)"
+            f" error counts, which holds in {100 * fewest.level:.0f} of 100; {ENOUGH_GAPS} or more are needed"
+            " (--repetitions, or several recordings)"
         )
     if max(row.factor for row in factors) > LARGEST_FACTOR:
         sentences.append(

@@ -286,9 +286,8 @@ def test_smooth_imports_nothing_that_it_does_not_use(tmp_path: Path) -> None:
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from smoother.cli.run import run; run(['--help']);"
-        "heavy = {'gtsam', 'scipy', 'plotly', 'numpy', 'open3d', 'cv2'} & set(sys.modules);"
-        "sys.exit(f'imported {heavy}' if heavy else 0)"
+        "import sys; from smoother.cli.run import run; run(['--help']);heavy = {'gtsam', 'scipy', 'plotly',"
+        " 'numpy', 'open3d', 'cv2'} & set(sys.modules);sys.exit(f'imported {heavy}' if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

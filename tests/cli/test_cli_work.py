@@ -181,8 +181,7 @@ def test_export_csv(session, tmp_path):
     with open(tmp_path / "o.csv", newline="") as file:
         rows = list(csv.reader(file))
     assert ",".join(rows[0]).startswith(
-        "t_s,occluded,imu_x,imu_y,imu_z,imu_qw,imu_qx,imu_qy,imu_qz,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,"
-        "wrist_z,shoulder_x,shoulder_y,shoulder_z,sigma_x,sigma_y,sigma_z,sigma_deg"
+        "t_s,occluded,imu_x,imu_y,imu_z,imu_qw,imu_qx,imu_qy,imu_qz,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z,shoulder_x,shoulder_y,shoulder_z,sigma_x,sigma_y,sigma_z,sigma_deg"
     )
     figures = json.loads((tmp_path / "e.json").read_text())
     assert figures["files"][0]["rows"] == len(rows) - 1

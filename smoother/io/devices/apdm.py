@@ -58,8 +58,7 @@ class Apdm(ImuSheetFormat):
             )
         if not tables:
             raise RecordingError(
-                f"{sheet.path} is an {self.title} without both acceleration and angular velocity of a"
-                " sensor; export"
-                " the raw data (CSV with Acceleration and Angular Velocity)."
+                f"{sheet.path} is an {self.title} without both acceleration and angular velocity of a sensor;"
+                " export the raw data (CSV with Acceleration and Angular Velocity)."
             )
         return tables

@@ -80,8 +80,7 @@ def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str
     if not 0.35 < median / GRAVITY < 2:
         raise RecordingError(
             f"{source} states no unit of acceleration, and its usual size of {median:.3g} is neither 9.81"
-            " m/s^2"
-            " nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
+            " m/s^2 nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
         )
     notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
     return "m/s^2"

@@ -90,8 +90,7 @@ class BareKinect:
         if order is None:
             raise RecordingError(
                 f"{path}: {rows.shape[1]} numbers a row are not 32 joints of an Azure Kinect or 25 of a"
-                " Kinect v2"
-                " in their SDK's order; export the table with a header."
+                " Kinect v2 in their SDK's order; export the table with a header."
             )
         raw = RawSkeleton(path, {}, notes=list(sheet.notes))
         is_azure = len(order.joints) == len(AZURE)

@@ -36,8 +36,7 @@ KINECT_V2 = _listed(
 #: OpenPose's BODY_25, whose first 18 are not those of its COCO model.
 BODY_25 = _listed(
     "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee LAnkle"
-    " REye"
-    " LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
+    " REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
 )
 OPENPOSE_18 = _listed(
     "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist RHip RKnee RAnkle LHip LKnee LAnkle REye LEye"
@@ -46,8 +45,7 @@ OPENPOSE_18 = _listed(
 #: COCO's 17 keypoints; HALPE_26 and COCO's 133 of the whole body begin with them.
 COCO_17 = _listed(
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
-    " left_wrist"
-    " right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+    " left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
 #: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
 POINT_SETS = {

@@ -144,8 +144,7 @@ def _joints(sheet: Sheet, column: int, path: Path) -> tuple[list[str], str]:
             return [order[int(cell)] for cell in cells], kind
     raise RecordingError(
         f"{path}: joints are numbered 0 to {last}, which is neither a Kinect v2 (24), an Azure Kinect (31)"
-        " nor"
-        " BlazePose (32); export their names."
+        " nor BlazePose (32); export their names."
     )
 
 

@@ -20,9 +20,8 @@ from .wide_skeleton import header_of, read_wide, share_states
 #: World landmarks have the middle of the hips within this of their origin, m.
 _ABOUT_HIPS_M = 0.06
 RELATIVE_NOTE = (
-    "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the"
-    " place in"
-    " the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
+    "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the place"
+    " in the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
 )
 
 
@@ -92,9 +91,8 @@ def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False)
         return raw.skeletons(Conventions())
     if normalised or (not is_about_hips and (_in_image(raw) or (fits is None and not world))):
         raise RecordingError(
-            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which"
-            " are no"
-            " metres; export pose_world_landmarks of the same video."
+            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which are"
+            " no metres; export pose_world_landmarks of the same video."
         )
     if is_about_hips or world or _middle_of_hips(raw) is None:
         raw.notes.append(RELATIVE_NOTE)

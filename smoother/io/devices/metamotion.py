@@ -96,6 +96,5 @@ def _vector(sheet: Sheet) -> Columns:
             return columns[0], columns[1], columns[2]  # type: ignore[return-value]
     raise RecordingError(
         f"{sheet.path} is a MetaMotion CSV without x-axis, y-axis and z-axis; record accelerometer and"
-        " gyroscope,"
-        " not sensor fusion."
+        " gyroscope, not sensor fusion."
     )

@@ -46,8 +46,7 @@ class Phyphox(ImuSheetFormat):
         if (acc is None and gyro is None) or (force is not None and not holds_gravity(force)):
             raise RecordingError(
                 f"{sheet.path} is a {self.title} of acceleration without gravity; record 'Acceleration with"
-                " g'"
-                " together with 'Gyroscope'."
+                " g' together with 'Gyroscope'."
             )
         return [
             ImuTable(

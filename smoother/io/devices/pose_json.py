@@ -157,8 +157,7 @@ def _add(frames: _Frames, key: str, frame: Any, path: Path) -> None:
         if "pose_keypoints_2d" in frame and "pose_keypoints_3d" not in frame:
             raise RecordingError(
                 f"{path} holds keypoints in the image (pose_keypoints_2d), which are no place in space;"
-                " triangulate"
-                " them (Pose2Sim, OpenPose with --3d) and give the file that makes."
+                " triangulate them (Pose2Sim, OpenPose with --3d) and give the file that makes."
             )
     digits = re.search(r"\d+(\.\d+)?", key)
     value, world = _points_in(frame, path)

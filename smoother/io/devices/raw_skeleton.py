@@ -165,8 +165,7 @@ class RawSkeleton:
         if conventions.unit and unit != conventions.unit:
             self.notes.append(
                 f"Positions count as {unit}, not {conventions.unit} as the format has them as a rule: arms"
-                " are"
-                f" {length * metres:.2f} m long so."
+                f" are {length * metres:.2f} m long so."
             )
         elif not conventions.unit:
             self.notes.append(f"Positions count as {unit}: half an arm is {length * metres:.2f} m long so.")
@@ -185,9 +184,8 @@ class RawSkeleton:
             if upright is None or stated is None or upright != (1, -stated[1]):
                 return conventions.frame, None
             self.notes.append(
-                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or"
-                " sits in"
-                " most frames."
+                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or sits"
+                " in most frames."
             )
             return frame_of(*upright, camera=True), None
         if upright is None:

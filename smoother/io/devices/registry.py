@@ -104,9 +104,8 @@ def unknown_file(head: FileHead) -> RecordingError:
         return RecordingError(f"{head.path} {what}")
     return RecordingError(
         f"{head.path} is of no known format{_lacking(head)}; it begins with: {first_rows(head)}. Known are"
-        f" {keys()}"
-        " (`unocclude import formats`); for any other table `unocclude import describe"
-        f" {head.path}` prints a recording.toml."
+        f" {keys()} (`unocclude import formats`); for any other table `unocclude import describe {head.path}`"
+        " prints a recording.toml."
     )
 
 

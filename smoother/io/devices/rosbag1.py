@@ -112,8 +112,7 @@ def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
         )
         raise RecordingError(
             f"{path} holds no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
-            " record"
-            " the IMU's topic and the body tracking's."
+            " record the IMU's topic and the body tracking's."
         )
     angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
     if angles:

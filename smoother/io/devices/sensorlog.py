@@ -42,8 +42,7 @@ class SensorLog(ImuSheetFormat):
         if (raw is None and not summed) or (gyro is None and rate is None):
             raise RecordingError(
                 f"{sheet.path} is a {self.title} without both accelerometer and gyroscope; log"
-                " 'Accelerometer' and"
-                " 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
+                " 'Accelerometer' and 'Gyroscope', or 'Device Motion' with user acceleration and gravity."
             )
         notes = ["iOS writes gravity, which points down; the signs were turned to specific force."]
         own_gyro = gyro is not None and (raw is not None or rate is None)

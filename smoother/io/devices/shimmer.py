@@ -50,8 +50,7 @@ class Shimmer(ImuSheetFormat):
         what = "uncalibrated values only" if raw else "no gyroscope or no accelerometer"
         raise RecordingError(
             f"{sheet.path} is a {self.title} that holds {what}; record both sensors and export calibrated"
-            " data"
-            " (the columns end in _CAL)."
+            " data (the columns end in _CAL)."
         )
 
     def _table(self, sheet: Sheet, prefix: str) -> ImuTable | None:

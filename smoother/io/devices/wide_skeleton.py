@@ -154,8 +154,7 @@ def inferred_throughout(raw: RawSkeleton) -> None:
     if joints:
         raw.notes.append(
             f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they count as"
-            " inferred, so"
-            " they are kept and not measured by."
+            " inferred, so they are kept and not measured by."
         )
 
 

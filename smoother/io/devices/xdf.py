@@ -79,9 +79,8 @@ class XdfFile:
             why = f"; {reasons[0]}" if reasons else ""
             raise RecordingError(
                 f"{path} holds no stream of an accelerometer, a gyroscope or joints by its channels' labels"
-                " (streams:"
-                f" {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x, WristRight_X"
-                " and units."
+                f" (streams: {shown(listed, 150)}{why}); stream them with labels such as acc_x, gyro_x,"
+                " WristRight_X and units."
             )
         for reason in reasons:
             (imus or skeletons)[0].notes.append(f"A stream was left out: {reason}.")

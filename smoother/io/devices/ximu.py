@@ -38,15 +38,13 @@ class Ximu(ImuSheetFormat):
         if acc is None or gyro is None:
             raise RecordingError(
                 f"{sheet.path} is an {self.title} without both gyroscope and accelerometer; export the"
-                " inertial"
-                " messages (Inertial.csv, sensors.csv)."
+                " inertial messages (Inertial.csv, sensors.csv)."
             )
         t_s = seconds(sheet, layout.find("timestamp", "time"), "us")
         if t_s is None:
             raise RecordingError(
                 f"{sheet.path} has a packet number and no times; write rate_hz into a recording.toml"
-                " (`unocclude"
-                " import describe` prints one)."
+                " (`unocclude import describe` prints one)."
             )
         return [
             ImuTable(

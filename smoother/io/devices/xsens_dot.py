@@ -68,23 +68,20 @@ class XsensDot(ImuSheetFormat):
             has = _fused_only(layout, table)
             raise RecordingError(
                 f"{sheet.path} is an {self.title} that holds {has}; record 'Custom mode 5' or 'Rate"
-                " quantities',"
-                " which hold acceleration and angular velocity."
+                " quantities', which hold acceleration and angular velocity."
             )
         rate = table.rate_hz or rate_of(table.t_s)
         if rate is None:
             raise RecordingError(
                 f"{sheet.path} holds increments but neither SampleTimeFine nor OutputRate; export it again"
-                " with"
-                " SampleTimeFine."
+                " with SampleTimeFine."
             )
         table.acc = acceleration_of(sheet.vectors(velocity), rate)
         table.gyro = angular_velocity_of(sheet.vectors([at for at in rotation if at is not None]), rate)
         table.units = "dv in m/s, dq"
         table.notes.append(
             f"The increments dv and dq were multiplied by the rate of {rate:.4g} Hz to acceleration and"
-            " angular"
-            " velocity."
+            " angular velocity."
         )
 
 

@@ -66,9 +66,8 @@ class XsensMt(ImuSheetFormat):
         )
         if rate is None and table.t_s is None:
             raise RecordingError(
-                f"{sheet.path} is an {self.title} that states neither a rate nor times; export it again"
-                " with UTC"
-                " time, or write rate_hz into a recording.toml (`unocclude import describe` prints one)."
+                f"{sheet.path} is an {self.title} that states neither a rate nor times; export it again with"
+                " UTC time, or write rate_hz into a recording.toml (`unocclude import describe` prints one)."
             )
         if acc is None or gyro is None:
             self._increments(sheet, table)

@@ -131,8 +131,7 @@ def _from_mcap(path: Path, wanted: str | None, ros_rate_hz: int, notes: list[str
         what = "has no audio topic that can be read" if not chosen else "has several audio topics"
         raise RecordingError(
             f"{path} {what} (foxglove.RawAudio, audio_common_msgs); found: {has}; name one with"
-            " --audio-topic, or"
-            " give a WAV file."
+            " --audio-topic, or give a WAV file."
         )
     (position,) = chosen
     return _tracks([block for block in blocks[position] if len(block[1])], f"{path}, {names[position]}")

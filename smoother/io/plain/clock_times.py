@@ -69,9 +69,8 @@ def read_broadcast(path: str | os.PathLike[str], resolution_s: float) -> Recepti
                 number = rounds.setdefault(row["round"].strip(), len(rounds))
                 if (number, name) in line_of:
                     raise RecordingError(
-                        f"{path}, line {line}: {name} has a second time in round {row['round'].strip()}"
-                        f" (the first is in line {line_of[number, name]}); keep the first reception of each"
-                        " round."
+                        f"{path}, line {line}: {name} has a second time in round {row['round'].strip()} (the"
+                        f" first is in line {line_of[number, name]}); keep the first reception of each round."
                     )
                 line_of[number, name] = line
                 event.append(number)
