@@ -11,6 +11,7 @@ import argparse
 import os
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 from tools.reference.archive import Reference
@@ -51,7 +52,9 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"no case holds '{options.only}'; `python -m tools.reference list` shows them")
     if options.what == "write":
         now.write(file)
-        print(f"{options.file}: {took}")
+        codes = Counter(now.texts[parts["exit code"]].strip() for parts in now.hashes.values())
+        ends = ", ".join(f"{count} with {code}" for code, count in sorted(codes.items()))
+        print(f"{options.file}: {took}; ended {ends}")  # many that fail make a poor reference
         return 0
     old = Reference.read(file)
     found = findings(old, now, options.only)

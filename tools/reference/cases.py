@@ -105,8 +105,8 @@ simulate arm -o a.mcap --calibration-out cal.toml --preset realistic --protocol 
 compare a.mcap --live --methods graph --calibration cal.toml --json live.json --processes 1
 """
 _STUDY = """
-simulate arm -o sessions/p1_a.mcap --protocol random --duration-s 8 --seed 15
-simulate arm -o sessions/p1_b.mcap --protocol random --duration-s 8 --seed 16
+simulate arm -o sessions/p1/a.mcap --protocol random --duration-s 8 --seed 15
+simulate arm -o sessions/p1/b.mcap --protocol random --duration-s 8 --seed 16
 batch sessions -o study --processes 1 --measures --draws 20 --json study.json
 progress study --json progress.json --csv progress.csv --report progress.html
 """

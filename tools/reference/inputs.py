@@ -26,8 +26,8 @@ _NAMED = {"apdm": "'forearm_right=file#Right Wrist'", "metamotion": "forearm_rig
 
 
 def sessions_folder(folder: Path) -> None:
-    """The folder of a study's recordings."""
-    (folder / "sessions").mkdir()
+    """The folder of a study's recordings, of one person."""
+    (folder / "sessions" / "p1").mkdir(parents=True)
 
 
 def devices(folder: Path) -> Iterator[Step]:

@@ -26,6 +26,7 @@ MASKS: tuple[tuple[str, str], ...] = (
     # `batch`: how long it took, and where and when its inputs and the study itself came to be
     (r"\b(now in )[\d.]+ \w+, [\d.]+ times real time", r"\1TIME"),
     (r'("(?:input_place|input_state)":\s*)"[0-9a-f]{32}"', r'\1"PLACE"'),
+    (r'("output_mtime_ns":\s*)\d+', r"\1MOMENT"),
     (r"\A[0-9a-f]{32}\s*\Z", "STUDY"),
     # files of a study's rows are called by the moment
     (r"\brows-\d+-[0-9a-f]+\.parquet", "rows-MOMENT.parquet"),

@@ -22,7 +22,7 @@ LONG_LINE = 300
 _ROW, _SMALL, _BLOCK = 64, 1 << 16, 1 << 12
 #: Columns of Parquet files that hold times of the wall or figures of the machine, in studies.
 MASKED_COLUMNS = re.compile(
-    r"(^|_)(input_place|input_state|finished|started|seconds|cpu_s|elapsed_s|took_s|memory|peak\w*)(_|$)"
+    r"(^|_)(input_place|input_state|output_mtime_ns|finished|started|seconds|cpu_s|elapsed_s|took_s|memory|peak\w*)(_|$)"
 )
 
 
