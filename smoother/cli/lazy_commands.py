@@ -50,18 +50,18 @@ class LazyCommands(Mapping[str, Any]):
 
     Parameters
     ----------
-    commands : mapping of str to CommandSpec
+    specs : mapping of str to CommandSpec
     groups : mapping
         Groups by name, as typer made them; they come last.
     """
 
-    def __init__(self, commands: Mapping[str, CommandSpec], groups: Mapping[str, Any]) -> None:
-        self._places, self._commands = commands, dict(groups)
-        self._names = [*commands, *groups]
+    def __init__(self, specs: Mapping[str, CommandSpec], groups: Mapping[str, Any]) -> None:
+        self._specs, self._commands = specs, dict(groups)
+        self._names = [*specs, *groups]
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._commands:
-            self._commands[name] = self._places[name].command(name)
+            self._commands[name] = self._specs[name].command(name)
         return self._commands[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -71,12 +71,12 @@ class LazyCommands(Mapping[str, Any]):
         return len(self._names)
 
 
-def lazy_group(commands: Mapping[str, CommandSpec]) -> type[TyperGroup]:
+def lazy_group(specs: Mapping[str, CommandSpec]) -> type[TyperGroup]:
     """A kind of group that holds commands.
 
     Parameters
     ----------
-    commands : mapping of str to CommandSpec
+    specs : mapping of str to CommandSpec
         By the commands' names, in the order of the help.
 
     Returns
@@ -88,7 +88,7 @@ def lazy_group(commands: Mapping[str, CommandSpec]) -> type[TyperGroup]:
     class LazyGroup(TyperGroup):
         def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
             super().__init__(commands=commands, **attributes)
-            self.commands = LazyCommands(commands, self.commands)  # type: ignore[assignment]
+            self.commands = LazyCommands(specs, self.commands)  # type: ignore[assignment]
 
         def list_commands(self, ctx: Any) -> list[str]:
             return list(self.commands)
