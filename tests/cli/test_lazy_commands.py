@@ -26,10 +26,10 @@ def all_places() -> dict[str, CommandSpec]:
     group = typer.main.get_command(app)
     commands = {}
     for name in group.commands:
-        if name in group.commands._places:
-            commands[name] = group.commands._places[name]
+        if name in group.commands._specs:
+            commands[name] = group.commands._specs[name]
         else:
-            below = group.commands[name].commands._places
+            below = group.commands[name].commands._specs
             commands |= {f"{name} {command}": place for command, place in below.items()}
     return commands
 
