@@ -30,9 +30,8 @@ from typing import Any
 
 from smoother.calibration import ArmCalibration
 from smoother.errors import CalibrationError, UnoccludeError
-from smoother.runtime.atomic import writing
-from smoother.runtime.file_text import read_toml, toml_text
-from smoother.runtime.inputs import check_input
+from smoother.runtime.inputs import check_input, read_toml, toml_text
+from smoother.runtime.outputs import writing
 
 from .arm_section import arm_of_section, checked_section, section_of_arm
 from .toml_edit import to_toml

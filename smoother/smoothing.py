@@ -26,8 +26,7 @@ from .recovery.task import Task
 from .recovery.trunk import with_trunk
 from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
-from .runtime.blas_threads import one_blas_thread
-from .runtime.pool import Pool
+from .runtime.pool import Pool, one_blas_thread
 from .runtime.store import Store
 from .selfcal.coarse_clock import pair
 from .selfcal.excerpts import informative_excerpts

@@ -18,10 +18,9 @@ from shared import rms
 
 from smoother.evaluation.lag import lag_s
 from smoother.evaluation.live_methods import arrivals
-from smoother.live.calibrator import InlineCalibrator
-from smoother.live.imu_batch import ImuBatch
-from smoother.live.live_state import LiveState
-from smoother.live.output import LiveOutput
+from smoother.live.buffers import ImuBatch
+from smoother.live.calibrations import InlineCalibrator
+from smoother.live.estimate import LiveOutput, LiveState
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 

@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
-from smoother.runtime.file_text import read_toml
-from smoother.runtime.inputs import check_input
+from smoother.runtime.inputs import check_input, read_toml
 
 from ..intrinsics import Intrinsics
 

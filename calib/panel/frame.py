@@ -88,7 +88,7 @@ def kabsch(source: FloatArray, target: FloatArray) -> Frame:
 
 def principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Centre (3,) and principal components (columns, the largest first) of points (N, 3) less outliers."""
-    from smoother.runtime.open3d_loader import load_open3d
+    from smoother.runtime.packages import load_open3d
 
     open3d = load_open3d()
     points = points[:: -(-len(points) // MOST)]

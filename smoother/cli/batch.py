@@ -150,7 +150,7 @@ def batch(
     were recovered, and a result is not to be trusted.
     """
     from ..measures.intervals import FEWEST_DRAWS
-    from ..runtime.atomic import check_output
+    from ..runtime.outputs import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import InputSelection
     from ..study.inputs import find_entries, left_out_note

@@ -139,7 +139,7 @@ def pictured(path: Path) -> Iterator[None]:
             raise
         from calib.panel.drawing import drawn_spots
 
-        from ..runtime.atomic import writing
+        from ..runtime.outputs import writing
 
         with writing(path, force=True) as temporary:
             temporary.write_bytes(drawn_spots(error.view.infrared, error.blobs))

@@ -10,8 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..config import Config
 from ..errors import UnoccludeError
-from ..runtime.file_text import read_toml
-from ..runtime.inputs import check_input
+from ..runtime.inputs import check_input, read_toml
 
 Settings = TypeVar("Settings", bound=BaseModel)
 

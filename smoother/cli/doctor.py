@@ -85,7 +85,7 @@ def solve_something() -> str:
 
 def use_open3d() -> str:
     """Import Open3D and cast a ray."""
-    from ..runtime.open3d_loader import load_open3d
+    from ..runtime.packages import load_open3d
 
     open3d = load_open3d()
     scene = open3d.t.geometry.RaycastingScene()

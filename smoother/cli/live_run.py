@@ -69,7 +69,7 @@ def engine_session(
     receivers: Sequence[Receiver],
 ) -> Iterator[LiveSession]:
     """A session; whatever ends it, its recording is whole."""
-    from ..live.calibrator import InlineCalibrator
+    from ..live.calibrations import InlineCalibrator
     from ..live.smoother import LiveSmoother
     from ..streams.session import LiveSession
 

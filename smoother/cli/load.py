@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from ..errors import UnoccludeError
-from ..runtime.memory_limit import check_allowance
+from ..runtime.pool import check_allowance
 from .output import say
 
 if TYPE_CHECKING:

@@ -74,7 +74,7 @@ def write_csv(path: Path, rows: Sequence[Measures], pairs: Sequence[BothArms], f
     import csv
 
     from ..measures import Measure
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     names = [each.name for each in fields(Measure)]
     with writing(path, force) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:

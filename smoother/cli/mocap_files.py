@@ -56,7 +56,7 @@ class MocapFiles:
 
         from ..io.export.c3d import C3dContent, write_c3d
         from ..io.export.trc import write_trc
-        from ..runtime.atomic import writing
+        from ..runtime.outputs import writing
 
         write_c3d(self.c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)
         write_trc(self.trc, capture.names, capture.t_s, capture.position, capture.rate_hz, force)

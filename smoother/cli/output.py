@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
-from ..runtime.plain_values import plain
-from ..runtime.printable import printable
+from ..runtime.printable import plain, printable
 
 _TRUTH = "Simulated: what the calibration of these files should find."
 
@@ -29,10 +28,8 @@ def check_outputs(force: bool, outputs: Iterable[Path | None], inputs: Iterable[
         An output exists and `--force` is not given, two are one file, one is an input (under this name or
         another: a link), or an input is no file.
     """
-    from ..runtime.atomic import check_output
     from ..runtime.inputs import check_input
-    from ..runtime.leftovers import remove_stale_tempfiles
-    from ..runtime.stream_output import is_stream
+    from ..runtime.outputs import check_output, is_stream, remove_stale_tempfiles
 
     read: set[object] = set()
     for path in (path for path in inputs if path is not None):
@@ -91,7 +88,7 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
     """Write figures as JSON; numbers that are not finite become null."""
     if path is None:
         return
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     with writing(path, force) as temporary:
         temporary.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -99,7 +96,7 @@ def write_json(path: Path | None, figures: dict[str, Any], force: bool) -> None:
 
 def write_truth(path: Path, tables: dict[str, Any], force: bool) -> None:
     """Write what a calibration of simulated files should find, in the form of a calibration file."""
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     with writing(path, force) as temporary:
         temporary.write_text(truth_text(tables), encoding="utf-8")

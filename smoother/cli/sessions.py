@@ -180,7 +180,7 @@ def _write_csv(path: Path | None, persons: Sequence[PersonProgress], force: bool
     """A row a person, measure and session, with the change since the first."""
     if path is None:
         return
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     with (
         writing(path, force) as temporary,

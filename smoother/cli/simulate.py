@@ -127,7 +127,7 @@ def taken(changes: dict[str, Any], model: Any) -> dict[str, Any]:
 def _write_calibration(calibrations: list[Any], markers: Any, path: Path, force: bool) -> None:
     from calib.file import CalibrationFile, calibration_text
 
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     file = CalibrationFile()
     for calibration in calibrations:

@@ -12,9 +12,8 @@ from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
 from ..linalg import interpolate
+from ..live.buffers import ImuBatch, SkeletonFrame
 from ..live.estimate import LiveEstimate
-from ..live.imu_batch import ImuBatch
-from ..live.skeleton_frame import SkeletonFrame
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 
@@ -72,7 +71,7 @@ class LivePlay:
 
     def _played(self, recording: Recording, offset_s: float) -> dict[str, list[tuple[float, FloatArray]]]:
         """Time and values (position, quaternion, velocity, covariance, joints) of each answer."""
-        from ..live.calibrator import InlineCalibrator
+        from ..live.calibrations import InlineCalibrator
         from ..live.smoother import LiveSmoother
 
         answers: dict[str, list[tuple[float, FloatArray]]] = {"now": [], "settled": []}

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..measures.definitions import definitions, is_measure
-from ..runtime.file_text import read_toml
+from ..runtime.inputs import read_toml
 from .measure_pairs import MeasurePair
 
 

@@ -6,8 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..runtime.atomic import check_output as check_output
-    from ..runtime.atomic import writing as writing
+    from ..runtime.outputs import check_output as check_output
+    from ..runtime.outputs import writing as writing
     from .devices.files import ImuFiles as ImuFiles
     from .devices.files import import_files as import_files
     from .export.csv import export_csv as export_csv

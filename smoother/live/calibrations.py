@@ -1,19 +1,237 @@
-"""The self-calibrations of a session: when one is asked for, and what the last one says."""
+"""The self-calibrations of a session, worked out in the background while the arm is followed."""
 
 from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+from abc import ABC, abstractmethod
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..config import Config
+from ..errors import UnoccludeError
+from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
+from ..measurements.outliers import reject_by_camera
+from ..measurements.timeline import Timeline
 from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
-from .calibration_job import CalibrationJob, LiveCalibration
-from .calibrator import Calibrator
-from .camera_clock import USUAL_LATENCY_S, CameraClock
-from .frame_buffer import FrameBuffer
-from .imu_buffer import ImuBuffer
+from ..runtime.pool import Pool, blank_main, interrupts_wait, one_thread_each, prepare_worker
+from ..selfcal.coarse_clock import coarse_clock
+from ..selfcal.excerpts import informative_excerpts
+from ..selfcal.rounds import self_calibrate
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.priors import with_measured_noise
+from .buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer, ImuBuffer
+
+#: Joints that fit no better than this to any mounting and clock are not calibrated, m an axis.
+LARGEST_SIGMA_M = 0.10
+
+
+@dataclass(frozen=True)
+class CalibrationJob:
+    """What a self-calibration reads.
+
+    Attributes
+    ----------
+    recording : Recording
+        The last minutes.
+    given : ArmCalibration
+        What is known beforehand.
+    config : Config
+    offset_s : float, s
+        t_imu = t_camera + offset, to some tenths of a second: from the frames' arrival, or an earlier answer.
+    """
+
+    recording: Recording
+    given: ArmCalibration
+    config: Config
+    offset_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class LiveCalibration:
+    """What a self-calibration answered.
+
+    Attributes
+    ----------
+    from_s, until_s : float, s
+        The first and the last IMU sample that it read, on the IMU's clock.
+    model : SelfCalibration or None
+        None where the motion did not suffice.
+    clock : Clock or None
+        t_imu = t_camera + offset, of the camera's own stamps; None without a model.
+    reason : str
+        Why there is no model, one sentence; "" where there is one.
+    """
+
+    from_s: float
+    until_s: float
+    model: SelfCalibration | None = None
+    clock: Clock | None = None
+    reason: str = ""
+
+
+def calibrate_excerpts(job: CalibrationJob) -> LiveCalibration:
+    """Work a self-calibration out, as `smooth` begins with it; what fails is answered, not raised.
+
+    Parameters
+    ----------
+    job : CalibrationJob
+
+    Returns
+    -------
+    calibration : LiveCalibration
+    """
+    answer = _calibrated(job, constant_clock(job.offset_s))
+    if answer.model is None:  # the clocks may be farther apart than the frames' arrival says
+        with suppress(UnoccludeError):
+            coarse = coarse_clock(job.recording)
+            answer = answer if coarse is None else _calibrated(job, coarse)
+    t = job.recording.imu.t_s
+    return replace(answer, from_s=float(t[0]), until_s=float(t[-1]))
+
+
+def _calibrated(job: CalibrationJob, before: Clock) -> LiveCalibration:
+    """A self-calibration with the camera's stamps moved beforehand."""
+    arm = job.recording.arm
+    recording = replace(job.recording, arm=replace(arm, t_s=before.to_imu(arm.t_s)))
+    try:
+        excerpts = [
+            reject_by_camera(excerpt) for excerpt in informative_excerpts(recording, Timeline.of(recording))
+        ]
+        if not excerpts:
+            return LiveCalibration(
+                np.nan, np.nan, reason="the IMU and a visible forearm have not come together yet"
+            )
+        config = with_measured_noise(job.config, recording.imu)
+        with Pool(1, 0) as here:
+            model = self_calibrate(excerpts, job.given, config, here, OFFSET_SIGMA_S)
+    except (UnoccludeError, ValueError, ArithmeticError) as error:
+        return LiveCalibration(np.nan, np.nan, reason=str(error))
+    if model.mounting_unknown:
+        return LiveCalibration(
+            np.nan, np.nan, reason="the arm has to move more: how the IMU sits does not show yet"
+        )
+    if not model.joint_sigma_m.max() < LARGEST_SIGMA_M:
+        return LiveCalibration(
+            np.nan, np.nan, reason="camera and IMU do not fit each other yet: move the arm in view"
+        )
+    return LiveCalibration(np.nan, np.nan, model, model.clock.after(before))
+
+
+#: The background leaves the processor to what is live (`os.nice`).
+NICE = 10
+
+
+class Calibrator(ABC):
+    """Works one self-calibration out at a time."""
+
+    @property
+    @abstractmethod
+    def busy(self) -> bool:
+        """It works, or its answer was not fetched yet."""
+
+    @abstractmethod
+    def submit(self, job: CalibrationJob) -> None:
+        """Begin with a job; not while busy."""
+
+    @abstractmethod
+    def answer(self) -> LiveCalibration | None:
+        """The answer, once; None while there is none."""
+
+    def close(self) -> None:  # noqa: B027 - nothing to end unless there is a process
+        """End what it works at."""
+
+
+class InlineCalibrator(Calibrator):
+    """Works at once, in this process: for recordings that are played as fast as possible.
+
+    Parameters
+    ----------
+    delay : int
+        The answer is there only when it was asked for so many times: a background's time, in steps.
+    """
+
+    def __init__(self, delay: int = 0) -> None:
+        self._delay, self._asked = delay, 0
+        self._answer: LiveCalibration | None = None
+
+    @property
+    def busy(self) -> bool:
+        """As `Calibrator.busy`."""
+        return self._answer is not None
+
+    def submit(self, job: CalibrationJob) -> None:
+        """As `Calibrator.submit`."""
+        with ThreadPoolExecutor(1) as aside:  # its processor time is not the live thread's
+            self._answer, self._asked = aside.submit(calibrate_excerpts, job).result(), 0
+
+    def answer(self) -> LiveCalibration | None:
+        """As `Calibrator.answer`."""
+        self._asked += 1
+        if self._answer is None or self._asked <= self._delay:
+            return None
+        answer, self._answer = self._answer, None
+        return answer
+
+
+class BackgroundCalibrator(Calibrator):
+    """Works in a process of its own, which ends with this one."""
+
+    def __init__(self) -> None:
+        self._executor: ProcessPoolExecutor | None = None
+        self._future: Future[LiveCalibration] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """As `Calibrator.busy`."""
+        return self._future is not None
+
+    def submit(self, job: CalibrationJob) -> None:
+        """As `Calibrator.submit`."""
+        # spawn: GTSAM's threads do not survive a fork, and macOS and Windows have no other way
+        with blank_main(), one_thread_each(), interrupts_wait(), suppress(BrokenProcessPool):
+            if self._executor is None:
+                context = multiprocessing.get_context("spawn")
+                self._executor = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare)
+            self._future = self._executor.submit(calibrate_excerpts, job)
+
+    def answer(self) -> LiveCalibration | None:
+        """As `Calibrator.answer`; a process that was killed is started again with the next job."""
+        if self._future is None or not self._future.done():
+            return None
+        future, self._future = self._future, None
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            self.close()
+            return LiveCalibration(
+                math.nan, math.nan, reason="the background process was ended; it is started again"
+            )
+
+    def close(self) -> None:
+        """As `Calibrator.close`."""
+        if self._executor is None:
+            return
+        for process in list((getattr(self._executor, "_processes", None) or {}).values()):
+            with suppress(OSError, ValueError):
+                process.terminate()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+        self._executor, self._future = None, None
+
+
+def _prepare() -> None:
+    prepare_worker()
+    with suppress(OSError, AttributeError):
+        os.nice(NICE)
+
 
 #: Self-calibrations begin with so much and are tried so often until one works; then at these lengths, and
 #: as often as the last says, s.

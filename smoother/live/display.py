@@ -1,13 +1,280 @@
-"""What is shown: the arm now and a lag ago, and the change at once that is spread over a moment."""
+"""What is shown: the arm now and a lag ago, predicted by the IMU, its discontinuities spread."""
 
 from __future__ import annotations
 
-from ..window.lag_solution import LagSolution
-from .answer import Circumstances, estimate_of, shown_state
-from .discontinuity import SPREAD_S, Discontinuity
-from .estimate import LiveEstimate
-from .prediction import Prediction, predict
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..linalg import skew
+from ..measurements.inertial import InertialSignal, integrate_between
+from ..recording import FOREARM_JOINTS, JOINTS
+from ..recovery.samples import widen_turns
+from ..rotation import Rotation
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.constant_errors import JOINT_ERRORS
+from ..window.lag_solution import LagSolution, NodeState
+from ..window.problem import NoiseModel
+from .estimate import LiveEstimate, LiveState
 from .tracker import Tracker
+
+#: The IMU's last rate holds for no longer than this beyond its last sample, s.
+BEYOND_S = 0.05
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A state, and how it follows what the window has solved.
+
+    Attributes
+    ----------
+    state : NodeState
+    follows : ndarray, shape (9, 18)
+        (turn, position, velocity) by (turn, position, velocity, bias, gravity) of the node that it began
+        at; rotations as vectors in {K}.
+    noise : ndarray, shape (9, 9)
+        What the IMU's white noise adds to the covariance.
+    """
+
+    state: NodeState
+    follows: FloatArray
+    noise: FloatArray
+
+
+def predict(
+    start: NodeState,
+    solution: LagSolution,
+    signal: InertialSignal,
+    t_s: float,
+    noise: NoiseModel,
+) -> Prediction:
+    """Propagate a node's state to a time (Forster et al., TRO 2017, eq 32; first-order covariance).
+
+    Parameters
+    ----------
+    start : NodeState
+    solution : LagSolution
+        Its bias and gravity.
+    signal : InertialSignal
+        Covers the node; beyond its end the last rate holds for `BEYOND_S`.
+    t_s : float, s
+        At the node or later.
+    noise : NoiseModel
+
+    Returns
+    -------
+    prediction : Prediction
+        At `t_s`, or as far as the IMU reaches.
+    """
+    inside_s = min(t_s, signal.end_s)
+    R, p, v = start.R, start.p, start.v
+    follows, white = np.eye(9, 18), np.zeros((9, 9))
+    t = start.t
+    if inside_s > start.t + 1e-9:
+        delta = integrate_between(signal, np.array([start.t]), np.array([inside_s]), solution.bias)
+        step = delta.delta_R[0], delta.delta_v[0], delta.delta_p[0], float(delta.dt[0])
+        R, p, v, follows, white = _advance(R, p, v, solution.gravity, *step, noise)
+        t = inside_s
+    beyond_s = min(t_s - t, BEYOND_S)
+    if beyond_s > 1e-4:
+        last = signal.mean(np.array([signal.end_s - 0.02]), np.array([signal.end_s]))[0] - solution.bias
+        turn = Rotation.from_rotvec(last[3:] * beyond_s).as_matrix()
+        dv, dp = last[:3] * beyond_s, 0.5 * last[:3] * beyond_s**2
+        R, p, v, more, added = _advance(R, p, v, solution.gravity, turn, dv, dp, beyond_s, noise)
+        whole = np.eye(18)
+        whole[:9] = follows
+        follows, white = more @ whole, more[:, :9] @ white @ more[:, :9].T + added
+        t += beyond_s
+    return Prediction(NodeState(t, R, p, v), follows, white)
+
+
+def _advance(
+    R: FloatArray,
+    p: FloatArray,
+    v: FloatArray,
+    gravity: FloatArray,
+    delta_R: FloatArray,
+    delta_v: FloatArray,
+    delta_p: FloatArray,
+    dt: float,
+    noise: NoiseModel,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """One interval: state, how it follows the state before, and the noise."""
+    dv, dp = R @ delta_v, R @ delta_p
+    after_R, after_v = R @ delta_R, v + gravity * dt + dv
+    after_p = p + v * dt + 0.5 * gravity * dt**2 + dp
+    middle = R @ Rotation.from_rotvec(0.5 * Rotation.from_matrix(delta_R).as_rotvec()).as_matrix()
+    follows = np.eye(9, 18)
+    turn, place, speed, acc, gyro, down = (slice(k, k + 3) for k in (0, 3, 6, 9, 12, 15))
+    follows[turn, gyro] = -middle * dt
+    follows[place, turn], follows[place, speed] = -skew(dp), np.eye(3) * dt
+    follows[place, acc], follows[place, down] = -0.5 * dt**2 * middle, 0.5 * dt**2 * np.eye(3)
+    follows[speed, turn] = -skew(dv)
+    follows[speed, acc], follows[speed, down] = -dt * middle, dt * np.eye(3)
+    force, rate = (
+        float(np.linalg.norm(delta_v)) / dt,
+        float(np.linalg.norm(Rotation.from_matrix(delta_R).as_rotvec())) / dt,
+    )
+    beyond = abs(force - float(np.linalg.norm(gravity)))
+    q_acc = noise.accelerometer_density**2 + (noise.accelerometer_share * beyond) ** 2
+    q_gyro = noise.gyroscope_density**2 + (noise.gyroscope_share * rate) ** 2
+    white = np.zeros((9, 9))
+    white[turn, turn] = np.eye(3) * q_gyro * dt
+    white[speed, speed] = np.eye(3) * q_acc * dt
+    white[place, place] = np.eye(3) * q_acc * dt**3 / 3.0
+    white[place, speed] = white[speed, place] = np.eye(3) * q_acc * dt**2 / 2.0
+    return after_R, after_p, after_v, follows, white
+
+
+#: A discontinuity is spread over so long, s.
+SPREAD_S = 0.2
+
+
+@dataclass(frozen=True)
+class Discontinuity:
+    """What was shown less what is known now, at the moment of the change.
+
+    Attributes
+    ----------
+    at_s : float, s
+        When it happened.
+    offset : ndarray, shape (3,), m
+        Of the position in {K}.
+    turn : ndarray, shape (3,), rad
+        Of the orientation in {K}.
+    """
+
+    at_s: float
+    offset: FloatArray
+    turn: FloatArray
+
+    @classmethod
+    def between(cls, shown: NodeState, known: NodeState) -> Discontinuity:
+        """From what was shown to what is known now, at the same moment."""
+        turn = Rotation.from_matrix(shown.R @ known.R.T).as_rotvec()
+        return cls(known.t, shown.p - known.p, turn)
+
+    def share(self, t_s: float) -> float:
+        """How much of it is left at a time: 1 at first, 0 after `SPREAD_S`, smooth between."""
+        u = float(np.clip((t_s - self.at_s) / SPREAD_S, 0.0, 1.0))
+        return 1.0 - u * u * (3.0 - 2.0 * u)
+
+
+_NEWEST = ("turn", "position", "velocity", "bias", "gravity")
+_SETTLED = ("settled_turn", "settled_position", "settled_velocity", "bias", "gravity")
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What an estimate needs to know besides the solution.
+
+    Attributes
+    ----------
+    kind : {"now", "settled"}
+    state : LiveState
+    since_s : float or None, s
+        When the gap began.
+    clock_sigma_s : float, s
+        Of the camera's clock.
+    shoulder_variance : float, m^2
+        How far the shoulder may have gone since its knot.
+    discontinuity : Discontinuity or None
+        That is being spread.
+    """
+
+    kind: Literal["now", "settled"]
+    state: LiveState
+    since_s: float | None
+    clock_sigma_s: float
+    shoulder_variance: float
+    discontinuity: Discontinuity | None
+
+
+def estimate_of(
+    prediction: Prediction, solution: LagSolution, model: SelfCalibration, about: Circumstances
+) -> LiveEstimate:
+    """The arm at a moment with its covariance.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        From the solution's newest node or its settled one, as `about.kind` says.
+    solution : LagSolution
+    model : SelfCalibration
+    about : Circumstances
+    """
+    joints = list(solution.levers)
+    shoulder = ["shoulder"] if solution.shoulder is not None else []
+    start = _NEWEST if about.kind == "now" else _SETTLED
+    before = solution.block(*start, *joints, *shoulder)
+    size = 9 + 3 * (len(joints) + len(shoulder))
+    follows = np.zeros((size, len(before)))
+    follows[:9, :18] = prediction.follows
+    follows[9:, 18:] = np.eye(size - 9)
+    covariance = follows @ before @ follows.T
+    covariance[:9, :9] += prediction.noise
+    state, common = prediction.state, common_error(model)
+    # a clock that is off by a moment moves the whole path along itself
+    common = common + about.clock_sigma_s**2 * np.outer(state.v, state.v)
+    R, p, offset = state.R, state.p, np.zeros(3)
+    if about.discontinuity is not None:
+        share = about.discontinuity.share(state.t)
+        offset, turn = share * about.discontinuity.offset, share * about.discontinuity.turn
+        p, R = p + offset, Rotation.from_rotvec(turn).as_matrix() @ R
+        common = common + np.outer(offset, offset)
+        covariance[:3, :3] += np.outer(turn, turn)
+    order = np.r_[3:6, 0:3]
+    pose = covariance[order][:, order]
+    pose[:3, :3] += common
+    pose = widen_turns(pose[None])[0]
+    places, spreads = {}, {}
+    for k, joint in enumerate(joints):
+        arm = R @ solution.levers[joint]
+        rows = np.r_[0:6, 9 + 3 * k : 12 + 3 * k]
+        jacobian = np.hstack([-skew(arm), np.eye(3), R])
+        places[joint] = p + arm
+        spreads[joint] = jacobian @ covariance[rows][:, rows] @ jacobian.T + common
+    if solution.shoulder is not None:
+        places["shoulder"] = solution.shoulder
+        spreads["shoulder"] = covariance[-3:, -3:] + about.shoulder_variance * np.eye(3)
+    return LiveEstimate(
+        t_s=state.t,
+        kind=about.kind,
+        state=about.state,
+        since_s=about.since_s,
+        position=p,
+        quaternion=Rotation.from_matrix(R).as_quat(scalar_first=True),
+        velocity=state.v,
+        pose_covariance=pose,
+        joints=places,
+        joint_covariance=spreads,
+        offset=offset,
+    )
+
+
+def shown_state(state: NodeState, discontinuity: Discontinuity | None) -> NodeState:
+    """The state as it is shown while a discontinuity is being spread."""
+    if discontinuity is None:
+        return state
+    share = discontinuity.share(state.t)
+    R = Rotation.from_rotvec(share * discontinuity.turn).as_matrix() @ state.R
+    return NodeState(state.t, R, state.p + share * discontinuity.offset, state.v)
+
+
+def common_error(model: SelfCalibration) -> FloatArray:
+    """Covariance (3, 3), m^2, of what the camera's errors of the forearm's joints have in common."""
+    if model.errors.considered is None:
+        return np.eye(3) * model.joint_bias.sigma_m**2
+    covariance = model.errors.considered.covariance[JOINT_ERRORS, JOINT_ERRORS]
+    used = [JOINTS.index(joint) for joint in FOREARM_JOINTS if joint in model.joint_bias.joints]
+    if not used:
+        return np.eye(3) * model.joint_bias.sigma_m**2
+    mean = np.zeros((3, covariance.shape[0]))
+    for column in used:
+        mean[:, 3 * column : 3 * column + 3] = np.eye(3) / len(used)
+    return np.asarray(mean @ covariance @ mean.T)
 
 
 class Display:

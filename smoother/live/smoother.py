@@ -13,18 +13,10 @@ from ..calibration import ArmCalibration
 from ..config import Config
 from ..errors import UnoccludeError
 from ..recording import CameraFrame
-from .calibration_job import LiveCalibration
-from .calibrations import Calibrations
-from .calibrator import BackgroundCalibrator, Calibrator
-from .camera_clock import USUAL_LATENCY_S, CameraClock
+from .buffers import USUAL_LATENCY_S, CameraClock, FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from .calibrations import BackgroundCalibrator, Calibrations, Calibrator, LiveCalibration
 from .display import Display, predicted
-from .estimate import LiveEstimate
-from .frame_buffer import FrameBuffer
-from .imu_batch import ImuBatch
-from .imu_buffer import ImuBuffer
-from .live_state import LiveState
-from .output import Dropped, LiveOutput
-from .skeleton_frame import SkeletonFrame
+from .estimate import Dropped, LiveEstimate, LiveOutput, LiveState
 from .tracker import LONGEST_PAUSE_S, Tracker
 from .tracker_handover import TrackerHandover
 

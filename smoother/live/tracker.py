@@ -4,25 +4,257 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..config import Config
 from ..graph.lag_window import LagWindow
-from ..measurements.inertial import InertialSignal
-from ..recording import FOREARM_JOINTS, JOINTS, JointState
+from ..linalg import interpolate
+from ..measurements.clock import constant_clock
+from ..measurements.inertial import (
+    InertialSignal,
+    equivalent_samples,
+    integrate,
+    integrate_between,
+    split_steps,
+)
+from ..measurements.segment import SegmentTraits, make_segment, without_spikes
+from ..measurements.visibility import MISSING_S
+from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks
 from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
 from ..window.lag_solution import LagSolution, NodeState
+from ..window.prepare import prepare
 from ..window.priors import first_priors, noise_of
-from ..window.problem import Priors
+from ..window.problem import ImuIncrements, Priors
 from ..window.shared import Gaussian
-from .frame_history import FrameHistory
-from .imu_buffer import ImuBuffer
-from .live_signal import BEFORE_S, LiveSignal, displacement, increments_between, propagated
-from .skeleton_frame import SkeletonFrame
+from .buffers import ImuBuffer, SkeletonFrame
+from .estimate import LiveState
+
+#: So many frames are remembered.
+FRAMES = 400
+
+
+class FrameHistory:
+    """The last frames, and whether each showed the forearm.
+
+    Attributes
+    ----------
+    visible_s : float, s
+        Time of the last visible frame, on the IMU's clock.
+    """
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[float, bool]] = deque(maxlen=FRAMES)
+        self.visible_s = -np.inf
+
+    def add(self, t_s: float, is_visible: bool) -> None:
+        """Add a frame, in any order."""
+        self._frames.append((t_s, is_visible))
+        if is_visible:
+            self.visible_s = max(self.visible_s, t_s)
+
+    def sees_all(self, t: FloatArray) -> bool:
+        """Whether the forearm was visible all the time that nodes at these times (n,) cover."""
+        return len(t) > 5 and all(is_visible for t_s, is_visible in self._frames if t_s >= t[0])
+
+    def state_now(self, now_s: float, usual_delay_s: float) -> tuple[LiveState, float | None]:
+        """Visible or gap at the present, as far as the frames that have arrived say.
+
+        Parameters
+        ----------
+        now_s : float, s
+        usual_delay_s : float, s
+            How late frames are.
+
+        Returns
+        -------
+        state : LiveState
+        since_s : float or None
+            When the gap began.
+        """
+        if now_s - self.visible_s > usual_delay_s + MISSING_S:
+            return LiveState.GAP, self.visible_s
+        newest_s, is_visible = max(self._frames, default=(0.0, True))
+        if not is_visible and newest_s > self.visible_s:
+            return LiveState.GAP, self.visible_s
+        return LiveState.VISIBLE, None
+
+    def state_at(self, t_s: float) -> tuple[LiveState, float | None]:
+        """Visible or gap at a moment a little ago, and when the gap began."""
+        visible = sorted(t for t, is_visible in self._frames if is_visible)
+        before = [t for t in visible if t <= t_s]
+        after = [t for t in visible if t > t_s]
+        first = before[-1] if before else self.visible_s
+        last = after[0] if after else np.inf
+        if last - first > MISSING_S and t_s - first > 1e-6:
+            return LiveState.GAP, first
+        return LiveState.VISIBLE, None
+
+
+#: The signal begins so long before what is integrated, s: the spline's end has no effect there.
+BEFORE_S = 0.1
+#: ... and is read so far back at least, so that one serves a whole step, s.
+CACHED_S = 0.4
+#: An arm's acceleration where samples are missing, m/s^2.
+MISSED_ACCELERATION = 4.0
+
+
+class LiveSignal:
+    """The IMU's samples as a signal with one calibration; made anew when samples have come.
+
+    Parameters
+    ----------
+    imu : ImuBuffer
+        Read only.
+    model : SelfCalibration
+        Its scale errors are taken off.
+    """
+
+    def __init__(self, imu: ImuBuffer, model: SelfCalibration) -> None:
+        self._imu = imu
+        self._scale = tuple(np.eye(3) - matrix for matrix in model.errors.imu)
+        self._cached: tuple[int, float, InertialSignal] | None = None
+
+    def since(self, start_s: float) -> InertialSignal:
+        """The signal from some time on."""
+        cached = self._cached
+        if cached is None or cached[0] != self._imu.version or cached[1] > start_s:
+            first_s = min(start_s, self._imu.end_s - CACHED_S)
+            imu = without_spikes(self._imu.stream(first_s - BEFORE_S))
+            acc, gyro = imu.acc @ self._scale[0].T, imu.gyro @ self._scale[1].T
+            cached = self._imu.version, first_s, InertialSignal(replace(imu, acc=acc, gyro=gyro))
+            self._cached = cached
+        return cached[2]
+
+    def pause_s(self, since_s: float) -> float:
+        """Longest time without samples since some time, s."""
+        t = self._imu.t
+        t = t[np.searchsorted(t, since_s) - 1 :] if len(t) else t
+        return float(np.diff(t).max(initial=0.0))
+
+
+def increments_between(
+    signal: InertialSignal, start_s: float, end_s: float, bias: FloatArray
+) -> ImuIncrements:
+    """One interval for the window; where samples are missing, the velocity is uncertain.
+
+    Parameters
+    ----------
+    signal : InertialSignal
+    start_s, end_s : float, s
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+        Subtracted.
+    """
+    t = np.array([start_s, end_s])
+    step_t, first = split_steps(t)
+    acc, gyro, h = equivalent_samples(integrate(signal, step_t, bias))
+    error = signal.velocity_error(t)
+    length_s = np.diff(signal.edges)
+    inside = (signal.edges[1:] > start_s) & (signal.edges[:-1] < end_s)
+    missing_s = float(np.maximum(length_s[inside] - 2.0 * np.median(length_s), 0.0).sum())
+    if missing_s > 0:
+        error = np.hypot(error, MISSED_ACCELERATION * missing_s)
+    return ImuIncrements(acc, gyro, h, first, bias, error)
+
+
+def propagated(
+    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
+) -> NodeState:
+    """Where the IMU leads from a node to a time after it.
+
+    Parameters
+    ----------
+    node : NodeState
+    t_s : float, s
+    signal : InertialSignal
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+    gravity : ndarray, shape (3,), m/s^2
+        In {K}.
+    """
+    delta = integrate_between(signal, np.array([node.t]), np.array([t_s]), bias)
+    dt = t_s - node.t
+    p = node.p + node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
+    v = node.v + gravity * dt + node.R @ delta.delta_v[0]
+    return NodeState(t_s, node.R @ delta.delta_R[0], p, v)
+
+
+def displacement(
+    node: NodeState, t_s: float, signal: InertialSignal, bias: FloatArray, gravity: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Orientation (3, 3) at a time near a node, also before it, and how far the IMU moves until then, (3,) m.
+
+    Parameters as of `propagated`.
+    """
+    first_s, last_s = min(node.t, t_s), max(node.t, t_s)
+    delta = integrate_between(signal, np.array([first_s]), np.array([last_s]), bias)
+    dt = last_s - first_s
+    if t_s > node.t:
+        moved = node.v * dt + 0.5 * gravity * dt**2 + node.R @ delta.delta_p[0]
+        return node.R @ delta.delta_R[0], moved
+    R = node.R @ delta.delta_R[0].T
+    v = node.v - gravity * dt - R @ delta.delta_v[0]
+    return R, -(v * dt + 0.5 * gravity * dt**2 + R @ delta.delta_p[0])
+
+
+#: A first state is read from so much around it, s.
+AROUND_S = 3.0
+
+
+def first_state(
+    imu: ImuStream, frames: JointTracks, model: SelfCalibration, offset_s: float, needed: int, t_s: float
+) -> NodeState | None:
+    """A state to begin with, from what camera and IMU say around it.
+
+    Parameters
+    ----------
+    imu : ImuStream
+        Without a pause.
+    frames : JointTracks
+        On the camera's clock.
+    model : SelfCalibration
+    offset_s : float, s
+        t_imu = t_camera + offset.
+    needed : int
+        Joints of the forearm that make a frame visible.
+    t_s : float, s
+        About when, on the IMU's clock.
+
+    Returns
+    -------
+    state : NodeState or None
+        At the visible frame nearest to it; None where the camera sees too little around it.
+    """
+    samples = imu.select(np.abs(imu.t_s - t_s) < AROUND_S)
+    clock = constant_clock(offset_s)
+    rows = np.abs(frames.t_s + offset_s - t_s) < AROUND_S
+    if len(samples) < 40 or rows.sum() < 10:
+        return None
+    arm = frames.select(rows)
+    traits = SegmentTraits(model.initial.down, None, needed, False)
+    segment = make_segment(samples, samples.t_s, arm, slice(0, len(arm)), traits)
+    if segment is None:
+        return None
+    segment = model.errors.corrected(segment)
+    ready = prepare(segment, model.estimate, clock, model.joint_sigma_m, AROUND_S)
+    if ready is None:
+        return None
+    prepared, alignment = ready
+    usable = prepared.frame_node >= 0
+    usable &= prepared.accepted[:, [JOINTS.index(joint) for joint in FOREARM_JOINTS]].sum(axis=1) >= needed
+    if usable.sum() < 6:
+        return None
+    candidates = prepared.frame_t_imu[usable]
+    at = candidates[[int(np.argmin(np.abs(candidates - t_s)))]]
+    if not samples.t_s[0] < at[0] < samples.t_s[-1]:
+        return None
+    R = (alignment.at(at) * segment.attitude.at(at)).as_matrix()[0]
+    p, v = interpolate(prepared.t, prepared.start.p, at)[0], interpolate(prepared.t, prepared.start.v, at)[0]
+    return NodeState(float(at[0]), R, p, v)
+
 
 #: Nodes stay for so long after the newest, s; longer where `settled` asks for it.
 LENGTH_S = 1.2

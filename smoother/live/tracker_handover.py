@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..config import Config
+from .buffers import FrameBuffer, ImuBuffer, SkeletonFrame
 from .calibrations import Calibrations
-from .first_state import AROUND_S, first_state
-from .frame_buffer import FrameBuffer
-from .imu_buffer import ImuBuffer
-from .skeleton_frame import SkeletonFrame
-from .tracker import LENGTH_S, LONGEST_PAUSE_S, Tracker
+from .tracker import AROUND_S, LENGTH_S, LONGEST_PAUSE_S, Tracker, first_state
 
 #: A first tracker begins so long before the present, s, and catches up by so many frames a step: ten take
 #: 13 to 17 ms of processor time, so that a step stays within 20 ms.

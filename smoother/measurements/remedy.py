@@ -9,8 +9,7 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import RecordingError
 from ..recording import JOINTS, CameraFrame, ImuStream, JointTracks, Recording
-from ..runtime.column import batches
-from ..runtime.store import Store
+from ..runtime.store import Store, batches
 
 AXES = ("x", "y", "z")
 SENSORS = ("accelerometer", "gyroscope")

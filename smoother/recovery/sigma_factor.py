@@ -11,7 +11,7 @@ from ..calibration import SigmaFactors
 from ..measurements.visibility import Gap
 from ..recording import FOREARM_JOINTS
 from ..result import Draws, Recovery
-from ..runtime.column import batches
+from ..runtime.store import batches
 from ..window.trajectory import share_after
 from .self_check import HiddenStretch, summary
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from ..runtime.atomic import writing
+from ..runtime.outputs import writing
 
 #: A longer table is cut, and says so.
 MOST_ROWS = 500

@@ -1,20 +1,108 @@
-"""Jobs done side by side in processes, or here when there is little to do."""
+"""Jobs done side by side in worker processes, or here when there is little to do."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import wait
+from threading import Lock
 from types import ModuleType, TracebackType
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from ..errors import UnoccludeError
-from .worker import interrupts_wait, prepare_worker
+
+#: Libraries and their threads take about so much, bytes; with less they end the process, or never answer.
+LEAST_BYTES = 300 << 20
+
+
+def check_allowance(least_bytes: int = LEAST_BYTES) -> None:
+    """Refuse where this process may use less memory than its work needs before it has read anything.
+
+    Parameters
+    ----------
+    least_bytes : int
+        What it needs.
+
+    Raises
+    ------
+    UnoccludeError
+        As `ulimit -d` limits it.
+    """
+    if sys.platform != "linux":
+        return
+    import resource
+
+    allowed, _ = resource.getrlimit(resource.RLIMIT_DATA)
+    if allowed != resource.RLIM_INFINITY and allowed < least_bytes:
+        raise UnoccludeError(
+            f"memory is limited to {allowed >> 20} MB a process here (ulimit -d); this needs"
+            f" {least_bytes >> 20} MB: raise the limit."
+        )
+
+
+_PR_SET_PDEATHSIG = 1
+
+
+def prepare_worker() -> None:
+    """Prepare a worker process; the first that it runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent ends its workers
+    for number in signal.valid_signals() - {signal.SIGINT}:
+        if callable(signal.getsignal(number)):  # a forked worker has its parent's
+            signal.signal(number, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """End this process as soon as its parent is gone, however that went.
+
+    A thread waits for the parent on every system. It cannot run while a library computes, so Linux is
+    asked to kill the process as well.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            import ctypes
+
+            ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent.pid:  # it was gone before
+            os._exit(1)
+
+
+@contextmanager
+def interrupts_wait() -> Iterator[None]:
+    """Hold SIGINT and SIGHUP back for a moment, and in threads and processes that start meanwhile."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    held = {signal.SIGINT, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        # it lets Ctrl-C through again as it starts; the end of a terminal would end it before its users
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, held)
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
 
 #: With fewer frames than this in all, starting processes costs more than it saves.
 WORTH_FRAMES = 4000
@@ -188,3 +276,36 @@ def _end_workers(executor: ProcessPoolExecutor) -> None:
     for process in list((getattr(executor, "_processes", None) or {}).values()):
         with suppress(OSError, ValueError):
             process.terminate()
+
+
+#: Commands and worker processes start so; what the environment says later, NumPy does not hear.
+_ONE_FROM_THE_START = any(os.environ.get(name) == "1" for name in THREADS)
+_lock = Lock()
+_inside = 0
+_limits: Any = None
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Keep BLAS to one thread meanwhile, in a notebook as in the commands, which start it so.
+
+    A window's matrices are small: more threads take twice the processor time and sum in another order, so
+    that the answer would differ from the command's in its last digits.
+    """
+    global _inside, _limits
+    if _ONE_FROM_THE_START:
+        yield
+        return
+    from threadpoolctl import threadpool_limits
+
+    with _lock:  # the first one in sets the limit, the last one out takes it away
+        if _inside == 0:
+            _limits = threadpool_limits(1, user_api="blas")
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if _inside == 0:
+                _limits.restore_original_limits()

@@ -25,7 +25,7 @@ from ..io.recording.read import METADATA, open_recording
 from ..io.recording.streams import ArmFrames
 from ..io.recording.write import arm_messages
 from ..recording import JOINTS, CameraFrame, JointState
-from ..runtime.atomic import writing
+from ..runtime.outputs import writing
 
 #: A colour image, a depth image and a skeleton frame belong together within this, s.
 TOGETHER_S = 0.02

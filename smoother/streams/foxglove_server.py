@@ -9,9 +9,9 @@ from typing import Any
 
 from ..errors import UnoccludeError
 from ..io.wire.schemas import schema_data
-from ..live.output import LiveOutput
+from ..live.estimate import LiveOutput
 from ..measurements.visibility import Gap
-from ..runtime.extra import extra_module
+from ..runtime.packages import extra_module
 from .arrivals import FrameRows, SourceInfo
 from .live_messages import TOPICS, LiveMessage, LiveMessages
 

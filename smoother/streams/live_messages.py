@@ -15,8 +15,7 @@ from ..io.result.gap_messages import gap_messages
 from ..io.result.streams import RecoveryStreams
 from ..io.wire.protobuf_encode import HEAD_BYTES
 from ..io.wire.schemas import message_class
-from ..live.estimate import LiveEstimate
-from ..live.live_state import LiveState
+from ..live.estimate import LiveEstimate, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS, JointTracks
 from ..result import Recovery

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import UnoccludeError
-from ..runtime.extra import extra_module
+from ..runtime.packages import extra_module
 from ..runtime.printable import printable
 
 #: Where liblsl looks for settings of the user's own.

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..array_types import FloatArray
-from ..live.estimate import LiveEstimate
-from ..live.live_state import LiveState
-from ..live.output import LiveOutput
+from ..live.estimate import LiveEstimate, LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from ..recording import JOINTS
 from .arrivals import FrameRows, SourceInfo

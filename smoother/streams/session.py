@@ -6,9 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from ..live.imu_batch import ImuBatch
-from ..live.output import LiveOutput
-from ..live.skeleton_frame import SkeletonFrame
+from ..live.buffers import ImuBatch, SkeletonFrame
+from ..live.estimate import LiveOutput
 from ..measurements.visibility import Gap
 from .arrivals import Arrivals, FrameRows, ImuRows, Source
 from .session_calibration import SessionCalibration

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from ..live.live_state import LiveState
-from ..live.output import LiveOutput
+from ..live.estimate import LiveOutput, LiveState
 from ..measurements.visibility import Gap
 from .delay_counts import DelayCounts
 from .stream_health import StreamHealth

@@ -17,7 +17,7 @@ from ..io.recording.read import METADATA
 from ..io.recording.streams import ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS
-from ..runtime.atomic import check_output, umask
+from ..runtime.outputs import check_output, umask
 from .arrivals import Arrivals, SourceInfo
 
 #: What came is written after so long, s: more a killed program cannot lose.

@@ -17,9 +17,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UnoccludeError, debugging
-from ..runtime.memory_limit import check_allowance
-from ..runtime.pool import THREADS, blank_main
-from ..runtime.worker import interrupts_wait
+from ..runtime.pool import THREADS, blank_main, check_allowance, interrupts_wait
 from .columns import Row
 from .job import Job, run_job
 

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import UnoccludeError
-from ..runtime.atomic import writing
-from ..runtime.leftovers import remove_stale_tempfiles
+from ..runtime.outputs import remove_stale_tempfiles, writing
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..errors import UnoccludeError
 from ..runtime.inputs import check_input
-from ..runtime.leftovers import is_temporary
+from ..runtime.outputs import is_temporary
 from .fingerprint import text_hash
 from .folder import StudyFolder
 

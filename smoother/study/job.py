@@ -250,7 +250,7 @@ def _recover_in(
 
     from ..io import write_recovery
     from ..io.recording.read_arm import read_arms
-    from ..runtime.atomic import check_output
+    from ..runtime.outputs import check_output
     from ..several_arms import smooth_arms
 
     arms = read_arms(job.source, job.calibration or None, store=store, truth=False, **job.choice.selection)
@@ -296,7 +296,7 @@ def _recover_in(
 
 def _leave(row: Row, folder: StudyFolder) -> None:
     """Write a row to where it waits."""
-    from ..runtime.atomic import writing
+    from ..runtime.outputs import writing
 
     folder.rows.mkdir(parents=True, exist_ok=True)
     with writing(folder.rows / f"{row['id']}.json", force=True) as temporary:

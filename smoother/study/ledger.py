@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..runtime.atomic import writing
+from ..runtime.outputs import writing
 from .columns import COLUMNS, DONE, FAILED, Row, schema
 from .fingerprint import file_hash
 from .folder import StudyFolder

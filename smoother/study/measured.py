@@ -7,7 +7,7 @@ from typing import Any
 
 from ..measures import Measures
 from ..result import Recovery
-from ..runtime.plain_values import plain
+from ..runtime.printable import plain
 from .columns import MEASURE_FIELDS
 
 #: Of a measure itself; the other fields are of its arm.

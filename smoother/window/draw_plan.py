@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..array_types import FloatArray
-from ..runtime.column import sampled
+from ..runtime.store import sampled
 from .constant_errors import Considered
 
 #: Times are told apart to this, s.

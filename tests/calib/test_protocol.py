@@ -16,7 +16,7 @@ from calib.imu.magnetometer import calibrate_magnetometer
 from calib.imu.sensor_calibration import calibrate_imu
 from calib.protocol import Answer
 from smoother.errors import CalibrationError
-from smoother.runtime.plain_values import plain
+from smoother.runtime.printable import plain
 from smoother.simulation.clocks import broadcast
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
 

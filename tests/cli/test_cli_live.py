@@ -23,8 +23,7 @@ from smoother.cli.output import console
 from smoother.cli.run import run
 from smoother.cli.stop_request import StopRequest
 from smoother.io import read_recording, write_recording
-from smoother.live.live_state import LiveState
-from smoother.live.output import Dropped, LiveOutput
+from smoother.live.estimate import Dropped, LiveOutput, LiveState
 from smoother.streams.lsl_library import lsl_module
 from smoother.streams.session_figures import SessionView, StreamView
 
@@ -156,7 +155,7 @@ def view(output: LiveOutput | None, **changes) -> SessionView:
 
 def answered(state: LiveState, since_s: float | None = None, **changes) -> LiveOutput:
     engine = CameraEcho()
-    from smoother.live.skeleton_frame import SkeletonFrame
+    from smoother.live.buffers import SkeletonFrame
 
     for t in (0.0, 5.0):
         engine.add_frame(SkeletonFrame(t, t, np.zeros((5, 3)), np.full(5, 2, np.int8)))

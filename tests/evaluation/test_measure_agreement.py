@@ -22,7 +22,7 @@ from smoother.measures import Movement
 from smoother.measures.definitions import zone_key
 from smoother.recording import Truth
 from smoother.result import Draws
-from smoother.runtime.plain_values import plain
+from smoother.runtime.printable import plain
 
 FLEXION = "elbow_flexion_range_deg"
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from smoother.live.estimate import LiveEstimate
-from smoother.live.live_state import LiveState
-from smoother.live.output import LiveOutput
+from smoother.live.estimate import LiveEstimate, LiveOutput, LiveState
 from smoother.recording import JOINTS, JointState
 
 

@@ -11,7 +11,7 @@ import pytest
 from smoother.errors import UnoccludeError
 from smoother.io import write_recording
 from smoother.recording import Recording
-from smoother.runtime.atomic import writing
+from smoother.runtime.outputs import writing
 
 
 def test_an_output_appears_whole(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from smoother.io.media.images import ImageMessage, LensMessage, read_images
 from smoother.io.media.panel_session import read_pairs
 from smoother.io.media.strap_cameras import check_images
 from smoother.io.wire.schemas import message_class
-from smoother.runtime.atomic import writing
+from smoother.runtime.outputs import writing
 
 _TAIL = ros_bags.IMAGE.partition("uint8[] data\n")[2]
 COMPRESSED = "std_msgs/Header header\nstring format\nuint8[] data\n" + _TAIL

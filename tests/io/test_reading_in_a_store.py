@@ -25,10 +25,10 @@ from smoother.io.recording.read_arm import read_arm
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_file
 from smoother.recording import JOINTS, ImuStream, JointState
-from smoother.runtime import column, disk_store
-from smoother.runtime.column import Column, batches, sampled
+from smoother.runtime import disk_store
+from smoother.runtime import store as store_module
 from smoother.runtime.disk_store import DiskStore
-from smoother.runtime.store import Store
+from smoother.runtime.store import Column, Store, batches, sampled
 
 ZERO = 1_700_000_000 * 10**9
 
@@ -37,7 +37,7 @@ ZERO = 1_700_000_000 * 10**9
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every array on disk, every pass in many parts."""
     monkeypatch.setattr(disk_store, "_SMALL_BYTES", 1)
-    monkeypatch.setattr(column, "BATCH_ROWS", 13)
+    monkeypatch.setattr(store_module, "BATCH_ROWS", 13)
 
 
 def assert_equal(found: object, expected: object) -> None:
@@ -270,8 +270,8 @@ def test_columns_are_their_parts_put_together(sizes: list[int], on_disk: bool, b
 def test_samples_are_even(count: int, enough: int):
     values = np.arange(count)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(column, "BATCH_ROWS", 7)
-        patch.setattr(column, "_ENOUGH", enough)
+        patch.setattr(store_module, "BATCH_ROWS", 7)
+        patch.setattr(store_module, "_ENOUGH", enough)
         np.testing.assert_array_equal(sampled(values), values[:: max(count // enough, 1)])
         assert [i for part in batches(count) for i in values[part]] == values.tolist()
 

@@ -30,7 +30,7 @@ from smoother.io.media.images import read_images
 from smoother.io.wire import protobuf_encode as wire
 from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery
-from smoother.runtime.atomic import writing
+from smoother.runtime.outputs import writing
 
 quick = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 #: What may stand in a name: no surrogates, which are no text.

@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from smoother.live.calibrator import InlineCalibrator
-from smoother.live.imu_batch import ImuBatch
-from smoother.live.output import LiveOutput
-from smoother.live.skeleton_frame import SkeletonFrame
+from smoother.live.buffers import ImuBatch, SkeletonFrame
+from smoother.live.calibrations import InlineCalibrator
+from smoother.live.estimate import LiveOutput
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 

@@ -10,14 +10,24 @@ import pytest
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
-from smoother.live.calibration_job import CalibrationJob, LiveCalibration
-from smoother.live.calibrations import AGAIN_S, FIRST_S, JUMP_SIGMA_S, RETRY_S, Calibrations
-from smoother.live.calibrator import Calibrator
-from smoother.live.camera_clock import USUAL_LATENCY_S, CameraClock
-from smoother.live.frame_buffer import FrameBuffer
-from smoother.live.imu_batch import ImuBatch
-from smoother.live.imu_buffer import ImuBuffer
-from smoother.live.skeleton_frame import SkeletonFrame
+from smoother.live.buffers import (
+    USUAL_LATENCY_S,
+    CameraClock,
+    FrameBuffer,
+    ImuBatch,
+    ImuBuffer,
+    SkeletonFrame,
+)
+from smoother.live.calibrations import (
+    AGAIN_S,
+    FIRST_S,
+    JUMP_SIGMA_S,
+    RETRY_S,
+    CalibrationJob,
+    Calibrations,
+    Calibrator,
+    LiveCalibration,
+)
 from smoother.measurements.clock import constant_clock
 
 WORKED: Any = object()  # a model that nobody looks into

@@ -11,8 +11,13 @@ from live_play import simulated
 
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
-from smoother.live.calibration_job import CalibrationJob, LiveCalibration, calibrate_excerpts
-from smoother.live.calibrator import BackgroundCalibrator, Calibrator
+from smoother.live.calibrations import (
+    BackgroundCalibrator,
+    CalibrationJob,
+    Calibrator,
+    LiveCalibration,
+    calibrate_excerpts,
+)
 
 RECORDING = replace(simulated(3, 9.0, ()).recording, truth=None)
 JOB = CalibrationJob(RECORDING, ArmCalibration(side="right"), Config())

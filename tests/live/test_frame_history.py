@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.live.frame_history import FrameHistory
-from smoother.live.live_state import LiveState
+from smoother.live.estimate import LiveState
+from smoother.live.tracker import FrameHistory
 
 DELAY_S = 0.1
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.live.imu_batch import ImuBatch
-from smoother.live.imu_buffer import ImuBuffer
-from smoother.live.live_signal import LiveSignal, displacement, increments_between, propagated
+from smoother.live.buffers import ImuBatch, ImuBuffer
+from smoother.live.tracker import LiveSignal, displacement, increments_between, propagated
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.units import GRAVITY
 from smoother.window.lag_solution import NodeState

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from live_play import LATENCY_S, OFFSET_S, errors, events, play, rms, simulated
 
-from smoother.live.camera_clock import CameraClock
-from smoother.live.frame_buffer import FrameBuffer
-from smoother.live.imu_batch import ImuBatch
-from smoother.live.imu_buffer import ImuBuffer
-from smoother.live.live_state import LiveState
-from smoother.live.skeleton_frame import SkeletonFrame
+from smoother.live.buffers import CameraClock, FrameBuffer, ImuBatch, ImuBuffer, SkeletonFrame
+from smoother.live.estimate import LiveState
 
 SIMULATION = simulated(2, 15.0, ())
 ARRIVALS = events(SIMULATION)

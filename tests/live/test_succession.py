@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from live_play import Event, events, play, simulated
 
-from smoother.live.calibrator import InlineCalibrator
-from smoother.live.live_state import LiveState
+from smoother.live.calibrations import InlineCalibrator
+from smoother.live.estimate import LiveState
 from smoother.live.smoother import LiveSmoother
 from smoother.live.tracker import Tracker
 from smoother.live.tracker_handover import CATCH_UP_FRAMES, SUCCESSOR_FRAMES

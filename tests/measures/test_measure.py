@@ -18,7 +18,7 @@ from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
 from smoother.result.upper_motion import UpperMotion
 from smoother.result.verdict import UntrustedInterval
-from smoother.runtime.plain_values import plain
+from smoother.runtime.printable import plain
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def test_alpha_shape_leaves_out_what_lies_between():
 
 def test_alpha_shape_is_open3d_s():
     """Open3D closes its alpha shape's surface; a ball filled evenly has no holes in it."""
-    from smoother.runtime.open3d_loader import load_open3d
+    from smoother.runtime.packages import load_open3d
 
     o3d = load_open3d()
     points = ball(0.5, 3000, 2)

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from smoother.runtime import blas_threads
-from smoother.runtime.blas_threads import one_blas_thread
-from smoother.runtime.pool import THREADS
+from smoother.runtime import pool
+from smoother.runtime.pool import THREADS, one_blas_thread
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"
 CODE = """
@@ -43,7 +42,7 @@ def test_a_notebook_gives_the_bytes_of_the_command():
 
 
 def test_the_limit_ends_with_the_last_one_inside(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(blas_threads, "_ONE_FROM_THE_START", False)
+    monkeypatch.setattr(pool, "_ONE_FROM_THE_START", False)
     first, second = one_blas_thread(), one_blas_thread()
     with threadpool_limits(2, user_api="blas"):
         before = threads_now()

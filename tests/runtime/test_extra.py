@@ -8,7 +8,7 @@ from types import ModuleType
 import pytest
 
 from smoother.errors import UnoccludeError
-from smoother.runtime.extra import extra_module
+from smoother.runtime.packages import extra_module
 
 
 def test_what_is_there_is_imported_with_its_submodules(monkeypatch: pytest.MonkeyPatch) -> None:

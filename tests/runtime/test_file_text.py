@@ -15,7 +15,7 @@ from smoother.errors import UnoccludeError
 from smoother.evaluation.measure_files import _detectable_of_user
 from smoother.evaluation.mocap.marker_map import read_marker_map
 from smoother.io.plain.folder import _describe
-from smoother.runtime.file_text import MOST_DEEP, read_toml, toml_text
+from smoother.runtime.inputs import MOST_DEEP, read_toml, toml_text
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-32")
 LENS = "width = 640\nheight = 480\nfx = 500\nfy = 500\ncx = 320\ncy = 240\n"

@@ -11,7 +11,7 @@ import pytest
 
 from smoother.errors import RecordingError
 from smoother.io import import_utd_mhad
-from smoother.runtime import native
+from smoother.runtime import inputs
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="nothing is tried in a child there")
 
@@ -44,20 +44,20 @@ def hang(path: Path) -> None:
 
 
 def test_a_file_that_is_read_or_refused(file: Path):
-    assert not native.crashes_in_subprocess(file, Path.read_bytes)
-    assert not native.crashes_in_subprocess(file, refuse)
+    assert not inputs.crashes_in_subprocess(file, Path.read_bytes)
+    assert not inputs.crashes_in_subprocess(file, refuse)
 
 
 def test_crashes(file: Path):
-    assert native.crashes_in_subprocess(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
-    assert native.crashes_in_subprocess(file, lambda path: os.abort())
-    assert native.crashes_in_subprocess(file, lambda path: bytearray(1 << 31))
+    assert inputs.crashes_in_subprocess(file, lambda path: os.kill(os.getpid(), signal.SIGSEGV))
+    assert inputs.crashes_in_subprocess(file, lambda path: os.abort())
+    assert inputs.crashes_in_subprocess(file, lambda path: bytearray(1 << 31))
 
 
 def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
     mine = os.getpid()
     try:
-        ends = native.crashes_in_subprocess(file, refuse_without_memory)
+        ends = inputs.crashes_in_subprocess(file, refuse_without_memory)
     finally:
         if os.getpid() != mine:  # the copy: it must not run the tests that follow
             os._exit(0)
@@ -67,12 +67,12 @@ def test_the_child_never_goes_on_as_a_copy_of_the_program(file: Path):
 def test_a_hang_ends_also_where_the_program_has_handlers_of_its_own(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(native, "_LONGEST_S", 1)
+    monkeypatch.setattr(inputs, "_LONGEST_S", 1)
     before = {number: signal.signal(number, lambda *_: None) for number in (signal.SIGALRM, signal.SIGXCPU)}
     try:
-        assert native.crashes_in_subprocess(file, hang)
-        monkeypatch.setattr(native, "_WAITING", 1)
-        assert native.crashes_in_subprocess(file, lambda path: signal.sigwait([signal.SIGUSR1]))
+        assert inputs.crashes_in_subprocess(file, hang)
+        monkeypatch.setattr(inputs, "_WAITING", 1)
+        assert inputs.crashes_in_subprocess(file, lambda path: signal.sigwait([signal.SIGUSR1]))
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -18,8 +18,8 @@ import pytest
 
 from smoother.cli.output import check_outputs
 from smoother.errors import UnoccludeError
-from smoother.runtime import leftovers
-from smoother.runtime.atomic import check_output, umask, writing
+from smoother.runtime import outputs as outputs_module
+from smoother.runtime.outputs import check_output, umask, writing
 
 posix = pytest.mark.skipif(os.name != "posix", reason="devices, modes and links of POSIX")
 root = pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="makes a device")
@@ -70,7 +70,7 @@ def test_a_pipe_is_written_to(tmp_path: Path):
 
 @posix
 def test_a_pipe_that_nobody_reads_does_not_hang(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("smoother.runtime.stream_output.READER_S", 0.2)
+    monkeypatch.setattr("smoother.runtime.outputs.READER_S", 0.2)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UnoccludeError, match="nobody reads"), writing(tmp_path / "pipe") as temporary:
         temporary.write_text("x")
@@ -95,7 +95,7 @@ def test_a_reader_that_goes_away(tmp_path: Path):
 @posix
 def test_standard_output_gets_the_output(tmp_path: Path):
     code = (
-        "from smoother.runtime.atomic import writing\nprint('before')\n"
+        "from smoother.runtime.outputs import writing\nprint('before')\n"
         "with writing('/dev/stdout') as t: t.write_text('the output\\n')\nprint('after')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -141,11 +141,11 @@ def test_a_calibration_keeps_its_mode_and_follows_no_link(tmp_path: Path):
     target.chmod(0o600)
     write_calibration(target, CalibrationFile({}, {"a": {"b": 2}}))
     assert mode(target) == 0o600 and victim.read_text() == "mine"
-    names = {leftovers.temporary_name(target).name for _ in range(100)}
+    names = {outputs_module.temporary_name(target).name for _ in range(100)}
     assert len(names) == 100 and all(len(name) < 200 for name in names)
-    taken = leftovers.temporary_name(target)
+    taken = outputs_module.temporary_name(target)
     taken.symlink_to(victim)
-    with pytest.raises(FileExistsError), leftovers.locked(taken):
+    with pytest.raises(FileExistsError), outputs_module.locked(taken):
         pass
     assert victim.read_text() == "mine"
 
@@ -189,7 +189,7 @@ def test_inputs_are_files(tmp_path: Path):
 def test_what_a_killed_program_left_is_swept(tmp_path: Path):
     """`kill -9` in the middle of an output; one that still runs keeps its own."""
     code = (
-        "import sys, time\nfrom smoother.runtime.atomic import writing\n"
+        "import sys, time\nfrom smoother.runtime.outputs import writing\n"
         "with writing(sys.argv[1]) as t: t.write_text('half'); print('begun', flush=True); time.sleep(60)"
     )
     programs = [
@@ -203,14 +203,14 @@ def test_what_a_killed_program_left_is_swept(tmp_path: Path):
         programs[0].kill()
         programs[0].wait()
         (tmp_path / ".mine.tmp").touch()
-        leftovers.remove_stale_tempfiles(tmp_path, again=True)
+        outputs_module.remove_stale_tempfiles(tmp_path, again=True)
         hidden = sorted(name.split(".")[1] for name in os.listdir(tmp_path))
         assert hidden == ["b", "mine"], "that of the living, and what is not ours"
     finally:
         for program in programs:
             program.kill()
             program.wait()
-    leftovers._swept.discard(tmp_path)
+    outputs_module._swept.discard(tmp_path)
     with writing(tmp_path / "b") as temporary:
         temporary.write_text("whole")
     assert sorted(os.listdir(tmp_path)) == [".mine.tmp", "b"]
@@ -218,13 +218,13 @@ def test_what_a_killed_program_left_is_swept(tmp_path: Path):
 
 @posix
 def test_a_folder_that_was_being_written_is_swept(tmp_path: Path):
-    left = leftovers.temporary_name(tmp_path / "session")
+    left = outputs_module.temporary_name(tmp_path / "session")
     left.mkdir()
     (left / "x").touch()
-    working = leftovers.temporary_name(tmp_path / "session")
-    with leftovers.locked_folder(working):
+    working = outputs_module.temporary_name(tmp_path / "session")
+    with outputs_module.locked_folder(working):
         assert mode(working) == 0o700
-        leftovers.remove_stale_tempfiles(tmp_path, again=True)
+        outputs_module.remove_stale_tempfiles(tmp_path, again=True)
         assert working.exists() and not left.exists()
 
 
@@ -269,7 +269,7 @@ def test_of_two_on_one_new_name_one_is_told(
         def refused(*_: object) -> None:
             raise OSError(errno.EPERM, "Operation not permitted")
 
-        monkeypatch.setattr("smoother.runtime.atomic.os.link", refused)
+        monkeypatch.setattr("smoother.runtime.outputs.os.link", refused)
     out = tmp_path / "out"
     said = r"out was written by another command meanwhile; .*--force"
     with pytest.raises(UnoccludeError, match=said), writing(out) as slow:
@@ -316,7 +316,7 @@ def test_sigterm_removes_what_is_half_written(tmp_path: Path):
         # who runs the tests may ignore them, as nohup does, which a program then keeps to
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "signal.signal(signal.SIGTERM, signal.SIG_DFL)\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
-        "import smoother.cli.doctor as d\nfrom smoother.runtime.atomic import writing\n"
+        "import smoother.cli.doctor as d\nfrom smoother.runtime.outputs import writing\n"
         "def wait(*_):\n"
         "  with writing(sys.argv[1]) as t: t.write_text('half'); print('begun', flush=True); time.sleep(60)\n"
         "d.memory = wait\nfrom smoother.cli import main\nsys.argv = ['x', sys.argv[1]]\n"

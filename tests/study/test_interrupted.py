@@ -30,7 +30,7 @@ from studies import (
 )
 
 from smoother.errors import UnoccludeError
-from smoother.runtime.leftovers import temporary_name
+from smoother.runtime.outputs import temporary_name
 from smoother.study import cluster
 from smoother.study.cluster import run_local
 from smoother.study.columns import DONE, FAILED, Row

@@ -20,7 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from smoother.runtime.plain_values import plain
+from smoother.runtime.printable import plain
 
 from . import tables
 from .beside import METHODS, Beside, run_method, run_smooth

@@ -36,8 +36,7 @@ from scipy.spatial.transform import Rotation
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...runtime.file_text import read_toml
-from ...runtime.inputs import check_input
+from ...runtime.inputs import check_input, read_toml
 
 #: Joints that a map may name.
 MAPPED_JOINTS = ("shoulder", "elbow", "wrist", "hand")

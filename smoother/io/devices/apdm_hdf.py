@@ -9,7 +9,7 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ...runtime.native import crashes_in_subprocess
+from ...runtime.inputs import crashes_in_subprocess
 from .head import shown
 from .imu_checks import size_notes
 from .protocol import FileHead, ImuTable

@@ -7,8 +7,7 @@ import re
 from pathlib import Path
 
 from ...errors import RecordingError
-from ...runtime.file_text import marked_encoding
-from ...runtime.inputs import check_input
+from ...runtime.inputs import check_input, marked_encoding
 from .protocol import FileHead
 
 #: So much of a file is read to recognise it, bytes.

@@ -15,8 +15,7 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
-from ...runtime.atomic import writing
-from ...runtime.leftovers import locked
+from ...runtime.outputs import locked, writing
 from .trc import blank
 
 #: The header counts frames in 16 bits, and readers follow it.

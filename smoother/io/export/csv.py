@@ -12,7 +12,7 @@ from ...joint_angles import elbow_flexion_sigma, recovery_angles
 from ...result import Recovery
 from ...result.trunk_motion import TrunkMotion
 from ...result.upper_motion import UpperMotion
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from ...shoulder_angles import shoulder_angles, trunk_angles
 from ..mcap.stamps import nanoseconds
 from ..result.usable import usable

@@ -12,7 +12,7 @@ from ...errors import UnoccludeError
 from ...recording import JOINTS
 from ...result import Draws, Recovery
 from ...result.draws import turned_by
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from ..mcap.stamps import nanoseconds
 from .parquet import METADATA_KEY, trusted_array
 

@@ -12,7 +12,7 @@ from ...errors import UnoccludeError
 from ...joint_angles import defined, recovery_angles, wrapped_deg
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from .grid import Grid, at_grid, constant_step, nearest, unbroken
 
 _ROWS = 20_000

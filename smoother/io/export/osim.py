@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from ...array_types import FloatArray
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from .arm_measures import ArmMeasures
 
 #: `data/arm.osim`: a right arm of an adult's lengths, the IMU on the back of the wrist.

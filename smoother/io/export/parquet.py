@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...result import Recovery
-from ...runtime.atomic import writing
-from ...runtime.plain_values import plain
+from ...runtime.outputs import writing
+from ...runtime.printable import plain
 from ..mcap.stamps import nanoseconds
 from ..result.metadata import recovery_values
 from ..result.usable import usable

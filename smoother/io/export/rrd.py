@@ -14,8 +14,8 @@ from ...errors import UnoccludeError
 from ...recording import Truth
 from ...result import Recovery
 from ...result.untrusted import untrusted_sentences
-from ...runtime.atomic import writing
-from ...runtime.extra import extra_module
+from ...runtime.outputs import writing
+from ...runtime.packages import extra_module
 from ..result.world import common_down, world_axes
 from .rerun_arm import RerunArm
 from .rerun_layout import views

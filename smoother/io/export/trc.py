@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...array_types import FloatArray
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 
 #: Millimetres in the file, with so many decimals: a nanometre.
 UNIT, PER_METRE, DECIMALS = "mm", 1000.0, 6

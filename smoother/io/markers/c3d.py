@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import RecordingError
-from ...runtime.inputs import check_input
-from ...runtime.native import crashes_in_subprocess
+from ...runtime.inputs import check_input, crashes_in_subprocess
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 

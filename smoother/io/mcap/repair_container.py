@@ -15,7 +15,7 @@ import numpy as np
 
 from ...array_types import IntArray
 from ...errors import RecordingError
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from ...runtime.printable import printable
 from .container import Container
 from .losses import Loss

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...array_types import FloatArray, IntArray
-from ...runtime.column import batches
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from ..wire.layout import Block, MessageLayout
 
 SECOND_NS = 1_000_000_000

@@ -21,8 +21,14 @@ from calib.toml_edit import to_toml
 from ...array_types import FloatArray
 from ...errors import UnoccludeError
 from ...recording import ImuStream
-from ...runtime.atomic import check_output, umask, writing
-from ...runtime.leftovers import locked_folder, remove_stale_tempfiles, temporary_name
+from ...runtime.outputs import (
+    check_output,
+    locked_folder,
+    remove_stale_tempfiles,
+    temporary_name,
+    umask,
+    writing,
+)
 from ..mcap.merge import Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples

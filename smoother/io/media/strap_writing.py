@@ -14,7 +14,7 @@ from calib.intrinsics import PlacedCamera
 
 from ...array_types import FloatArray, IntArray
 from ...recording import Recording
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from ..mcap.merge import Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..recording.write import as_file, recording_streams

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording, Truth
-from ...runtime.inputs import check_input
-from ...runtime.native import crashes_in_subprocess
+from ...runtime.inputs import check_input, crashes_in_subprocess
 from ...units import STANDARD_GRAVITY
 
 _UTD_RATE_HZ = 50.0

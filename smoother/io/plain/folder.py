@@ -13,8 +13,7 @@ from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
-from ...runtime.file_text import read_toml
-from ...runtime.inputs import check_input, inside
+from ...runtime.inputs import check_input, inside, read_toml
 from ..devices.head import shown
 from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
 from ..devices.pairing import paired

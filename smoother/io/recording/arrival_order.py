@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
-from ...runtime.column import batches
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from .streams import ArmFrames, ImuSamples, RecordingFile
 
 #: Key and value of a file's own metadata that say so. Stamps that run back in other files are a fault.

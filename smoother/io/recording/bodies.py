@@ -8,8 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
-from ...runtime.column import batches
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from .streams import ArmFrames
 
 #: A body that comes back within this time and distance counts as the same one.

@@ -10,8 +10,7 @@ import numpy as np
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...linalg import runs
 from ...recording import JOINTS, JointState
-from ...runtime.column import batches
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from .streams import ArmFrames
 
 #: Between two frames this close in time nobody walks to where another stood.

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
 from ...recording import JOINTS, JointState
-from ...runtime.column import batches, sampled
-from ...runtime.store import Store
+from ...runtime.store import Store, batches, sampled
 from ...units import STANDARD_GRAVITY
 from .clock_resets import clock_resets
 from .streams import ArmFrames, ImuSamples, PoseSamples

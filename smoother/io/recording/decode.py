@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
-from ...runtime.column import Column, batches, sampled
-from ...runtime.store import Store
+from ...runtime.store import Column, Store, batches, sampled
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr

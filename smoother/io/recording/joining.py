@@ -6,8 +6,7 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS
-from ...runtime.column import batches
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from .streams import FieldSamples, ImuSamples, RecordingFile
 
 TRUTH_PREFIX = "/truth"

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, CameraFrame, JointState
-from ...runtime.column import Column, batches
-from ...runtime.store import Store
+from ...runtime.store import Column, Store, batches
 from .streams import ArmFrames
 
 SIDES = ("", "left", "right")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...recording import JOINTS, JointState
-from ...runtime.column import Column
-from ...runtime.store import Store
+from ...runtime.store import Column, Store
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import SECOND_NS
 from .joint_rows import SIDES, JointRows

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, ImuStream, JointState, JointTracks
-from ...runtime.column import batches
+from ...runtime.store import batches
 from ...selfcal.coarse_clock import shifted_agreement
 from .streams import ArmFrames, ImuSamples
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ...array_types import IntArray
 from ...recording import JOINTS, CameraFrame, JointState
-from ...runtime.column import Column
-from ...runtime.store import Store
+from ...runtime.store import Column, Store
 from ..mcap.messages import Topic, TopicMessages
 from ..mcap.stamps import ros_stamps
 from ..wire import cdr

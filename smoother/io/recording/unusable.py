@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...linalg import runs
-from ...runtime.column import batches
+from ...runtime.store import batches
 from ...units import STANDARD_GRAVITY
 
 #: Names of two causes.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray, IntArray
 from ...linalg import runs
 from ...recording import JOINTS, CameraFrame, ImuStream, JointState, JointTracks, Recording
-from ...runtime.atomic import writing
+from ...runtime.outputs import writing
 from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire

@@ -9,7 +9,7 @@ from itertools import chain
 
 from ...errors import UnoccludeError
 from ...result import Recovery, arm_tags
-from ...runtime.atomic import check_output, writing
+from ...runtime.outputs import check_output, writing
 from ..mcap.container import Container
 from ..mcap.merge import Output
 from ..mcap.time_batches import time_batches

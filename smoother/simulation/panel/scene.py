@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...array_types import BoolArray, FloatArray
 from ...linalg import unit
-from ...runtime.open3d_loader import load_open3d
+from ...runtime.packages import load_open3d
 from .config import PanelSimulation
 from .placing import FLOOR_M, panel_corners
 

@@ -59,7 +59,7 @@ def test_another_hdf5_or_a_broken_one(tmp_path: Path):
 def test_a_file_on_which_hdf5_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """One wrong length among the texts of the attributes."""
     pytest.importorskip("h5py")
-    monkeypatch.setattr("smoother.runtime.native._LONGEST_S", 1)
+    monkeypatch.setattr("smoother.runtime.inputs._LONGEST_S", 1)
     path = tmp_path / "a.h5"
     write_opal(path, count=12)
     data = bytearray(path.read_bytes())

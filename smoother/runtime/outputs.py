@@ -1,17 +1,220 @@
-"""Outputs that are either whole or not there."""
+"""Outputs that are either whole or not there, and none left half by a program that was killed.
+
+A file is locked while its program works on it; the system lets go of the lock however that ends. What nobody
+has locked was left behind.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
+import secrets
+import shutil
 import stat
+import sys
+import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from ..errors import UnoccludeError
-from .leftovers import locked, remove_stale_tempfiles, temporary_name
-from .stream_output import is_stream, sending
+
+#: How long a pipe's reader may take to come, s.
+READER_S = 3.0
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Whether a name stands for a pipe, for this program's own standard output, or for the null device."""
+    try:
+        about = os.stat(path)
+    except (OSError, ValueError):
+        return False
+    if stat.S_ISFIFO(about.st_mode) or _is_standard_output(path, about):
+        return True
+    return stat.S_ISCHR(about.st_mode) and os.path.samestat(about, os.stat(os.devnull))
+
+
+@contextmanager
+def sending(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary file to write to; its content goes to the stream `path` when all went well.
+
+    Raises
+    ------
+    UnoccludeError
+        Nobody reads the pipe, its reader went away, or there is no space for the temporary file.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix="unocclude-") as folder:  # for its owner alone
+            temporary = Path(folder) / "output"
+            temporary.touch(mode=0o600)
+            yield temporary
+            with open(temporary, "rb") as content, _opened(path) as stream:
+                shutil.copyfileobj(content, stream)
+    except BrokenPipeError as error:
+        raise UnoccludeError(f"{path} could not be written: its reader went away.") from error
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise UnoccludeError(
+                f"{path} is a pipe that nobody reads; start its reader first, or name a file."
+            ) from error
+        raise UnoccludeError(f"{path} could not be written: {error.strerror or error}.") from error
+
+
+def _is_standard_output(path: str | os.PathLike[str], about: os.stat_result) -> bool:
+    """Such as /dev/stdout, also where it leads to a file."""
+    named = os.fspath(path).startswith(("/dev/", "/proc/"))
+    with suppress(OSError):
+        return named and os.path.samestat(about, os.fstat(1))
+    return False
+
+
+@contextmanager
+def _opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    about = os.stat(path)
+    if _is_standard_output(path, about):
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()  # what was printed comes first
+        handle = os.dup(1)  # opened anew, a file would be written from its beginning
+    else:
+        handle = _handle(path)
+        if hasattr(os, "set_blocking"):
+            os.set_blocking(handle, True)
+    with os.fdopen(handle, "wb") as stream:
+        yield stream
+
+
+def _handle(path: str | os.PathLike[str]) -> int:
+    """Open a pipe or device; without O_NONBLOCK a pipe that nobody reads would hold this program for ever."""
+    deadline = time.monotonic() + READER_S
+    while True:
+        try:
+            return os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+        except OSError as error:
+            if error.errno != errno.ENXIO or time.monotonic() > deadline:
+                raise
+        time.sleep(0.05)
+
+
+_ENDING = ".unocclude.tmp"
+_NAME = re.compile(r"\..*\.[0-9a-f]{24}" + re.escape(_ENDING) + r"(\.\w+)?")
+#: Characters of the output's name in that of its temporary file: four bytes each at most, of 255.
+_NAME_CHARACTERS = 40
+#: Folders are looked through once a process: one may hold a million results.
+_swept: set[Path] = set()
+
+
+def temporary_name(target: Path) -> Path:
+    """A hidden name beside `target` that cannot be foreseen."""
+    return target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{secrets.token_hex(12)}{_ENDING}")
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file's name is one that `temporary_name` gives."""
+    return _NAME.fullmatch(name) is not None
+
+
+@contextmanager
+def locked_folder(path: Path) -> Iterator[None]:
+    """Make a folder that only its owner can enter, and keep it from being swept.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    path.mkdir(mode=0o700)
+    if os.name != "posix":
+        yield
+        return
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        _lock(handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Make an empty file that only its owner can read, and keep it from being swept.
+
+    Raises
+    ------
+    OSError
+        It cannot be made. A link or a file of that name is never followed or taken.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    handle = os.open(path, flags, 0o600)
+    try:
+        _lock(handle)
+        if not path.exists():  # swept between its making and its lock
+            os.close(handle)
+            handle = os.open(path, flags, 0o600)
+            _lock(handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+def remove_stale_tempfiles(folder: Path, again: bool = False) -> None:
+    """Remove temporary files, and folders, that programs of ours left in a folder when they were killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where outputs are to lie.
+    again : bool
+        Also where this process has swept before.
+    """
+    if folder in _swept and not again:
+        return
+    _swept.add(folder)
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in [entry for entry in entries if is_temporary(entry.name)]:
+            with suppress(OSError):
+                _remove(Path(entry.path))
+
+
+def _remove(path: Path) -> None:
+    """Remove what nobody has locked; never what belongs to someone else."""
+    about = os.lstat(path)
+    is_folder = stat.S_ISDIR(about.st_mode)
+    if not (is_folder or stat.S_ISREG(about.st_mode)):
+        return
+    if os.name != "posix":
+        if not is_folder:
+            path.unlink()  # Windows refuses while its program has it open
+        return
+    if about.st_uid != os.getuid():
+        return
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        if not _lock(handle):
+            return
+        if is_folder:
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink()
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    """Lock an open file for as long as it stays open; False where another program has it locked."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks: nothing is swept there
+        return False
+    return True
 
 
 @contextmanager
