@@ -1,24 +1,4 @@
-"""The calibration file: versioned TOML that people can read and edit.
-
-::
-
-    format = "unocclude calibration"
-    version = 1
-
-    [arm.right]                          # or arm.left; arm.any serves both
-    upper_arm_m = 0.301
-    upper_arm_sigma_m = 0.004
-    R_F_A = [1.0, 0.0, 0.0, 0.0]         # qw, qx, qy, qz: IMU axes to forearm axes
-    accelerometer_bias = [0.0, 0.0, 0.0] # m/s^2
-    gyroscope_bias = [0.0, 0.0, 0.0]     # rad/s
-
-    [arm.right.lever_arm.elbow]          # likewise wrist, hand
-    position_m = [0.03, -0.21, 0.0]      # in the IMU's axes
-    sigma_m = [0.005, 0.005, 0.005]
-
-Every key of an arm may be absent. Other top-level tables belong to other steps of the calibration and are
-kept as they are, and so are comments. Format and version may be left out.
-"""
+"""The calibration file: versioned TOML that people can read and edit, and its table `[sigma]`."""
 
 from __future__ import annotations
 
@@ -28,13 +8,64 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from smoother.calibration import ArmCalibration
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from smoother.calibration import ArmCalibration, SigmaFactor, SigmaFactors
 from smoother.errors import CalibrationError, UnoccludeError
 from smoother.runtime.inputs import check_input, read_toml, toml_text
 from smoother.runtime.outputs import writing
 
 from .arm_section import arm_of_section, checked_section, section_of_arm
-from .toml_edit import to_toml
+
+
+def to_toml(document: dict[str, Any], text: str = "") -> str:
+    """TOML text of plain values.
+
+    Parameters
+    ----------
+    document : dict
+        Of str, bool, int, float, dates, lists, and dicts (tables, nested at will).
+    text : str
+        TOML that the document was changed from: comments in it, and how its values are written, are kept.
+
+    Returns
+    -------
+    text : str
+
+    Raises
+    ------
+    CalibrationError
+        TOML has no such value.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    reason: Exception | None = None
+    for start in (text, ""):  # where tables in an odd order cannot be edited, values count, not comments
+        tree = tomlkit.parse(start)
+        try:
+            _update(tree, document)
+            changed = tomlkit.dumps(tree)
+        except (TOMLKitError, KeyError, TypeError, ValueError) as error:
+            reason = error
+            continue
+        if not start or tomllib.loads(changed) == document:
+            return changed
+    raise CalibrationError(f"A calibration file cannot hold such a value: {reason}.") from reason
+
+
+def _update(table: Any, values: dict[str, Any]) -> None:
+    """Give a table of tomlkit these values; what is equal is not touched."""
+    for key in [key for key in table if key not in values]:
+        del table[key]
+    for key, value in values.items():
+        if key not in table:
+            table[key] = value
+        elif isinstance(value, dict) and isinstance(table[key], dict):
+            _update(table[key], value)
+        elif table[key] != value:
+            table[key] = value
+
 
 FORMAT, VERSION = "unocclude calibration", 1
 SIDES = ("right", "left", "any")
@@ -236,3 +267,74 @@ def _load(path: Path) -> dict[str, Any]:
             "update unocclude."
         )
     return document
+
+
+#: The table's name.
+TABLE = "sigma"
+
+
+class _Gap(BaseModel):
+    """Gaps of one length; further keys are for people."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    length_s: float = Field(gt=0)
+    factor: float = Field(gt=0, le=100)
+    count: int = Field(ge=1)
+
+
+class _Table(BaseModel):
+    """The whole table."""
+
+    gaps: list[_Gap] = Field(min_length=1)
+
+
+def sigma_factors_of(calibration: CalibrationFile) -> SigmaFactors | None:
+    """The factors that a calibration file holds.
+
+    Parameters
+    ----------
+    calibration : CalibrationFile
+
+    Returns
+    -------
+    factors : SigmaFactors or None
+        None without the table.
+
+    Raises
+    ------
+    CalibrationError
+        A value of the table is wrong; the text names the key.
+    """
+    if TABLE not in calibration.tables:
+        return None
+    try:
+        table = _Table.model_validate(calibration.tables[TABLE])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join([TABLE, *(str(part) for part in first["loc"])])
+        words = first["msg"].removeprefix("Input ")
+        raise CalibrationError(f"{calibration.source}: {key}: {words[0].lower()}{words[1:]}.") from error
+    lengths = [gap.length_s for gap in table.gaps]
+    if len(set(lengths)) < len(lengths):
+        raise CalibrationError(f"{calibration.source}: {TABLE}.gaps holds a length_s twice.")
+    ordered = sorted(table.gaps, key=lambda gap: gap.length_s)
+    return SigmaFactors(tuple(SigmaFactor(gap.length_s, gap.factor, gap.count) for gap in ordered))
+
+
+def with_sigma_table(
+    calibration: CalibrationFile, gaps: list[dict[str, Any]], reference: str, recordings: list[str]
+) -> CalibrationFile:
+    """A copy with the table of some factors, which replaces the one that there is.
+
+    Parameters
+    ----------
+    calibration : CalibrationFile
+    gaps : list of dict
+        A row a length, with at least `length_s`, `factor` and `count`.
+    reference : str
+        What hidden gaps were compared with.
+    recordings : list of str
+        Where they were hidden.
+    """
+    return calibration.with_table(TABLE, {"reference": reference, "recordings": recordings, "gaps": gaps})

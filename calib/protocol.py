@@ -1,8 +1,4 @@
-"""The form in which every calibration answers: motion, forearm, panel, world, IMU, magnetometer, clock.
-
-Each has a function that computes (`calibrate_motion` and so on) and one that puts what it found into this
-form (`motion_answer` and so on); `write_calibration(path, answer.table)` keeps it.
-"""
+"""The form in which every calibration answers: motion, forearm, panel, world, IMU, magnetometer, clock."""
 
 from __future__ import annotations
 
@@ -10,7 +6,38 @@ from dataclasses import dataclass
 from typing import Any
 
 from .file import CalibrationFile
-from .verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer in words.
+
+    Attributes
+    ----------
+    grade : str
+        "good", "usable" or "not good enough".
+    sentence : str
+        The value's sigma and what it is good for.
+    findings : tuple of str
+        What else is to be known.
+    next : tuple of str
+        What to record next.
+    """
+
+    grade: str
+    sentence: str
+    findings: tuple[str, ...] = ()
+    next: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> dict[str, Any]:
+        """Plain values for `--json`."""
+        return {
+            "grade": self.grade,
+            "verdict": self.sentence,
+            "findings": self.findings,
+            "next": self.next,
+        }
 
 
 @dataclass(frozen=True)

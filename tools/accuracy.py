@@ -22,7 +22,7 @@ from scipy.stats import chi2
 from shared import datasets, rms
 from trunk_accuracy import compare_trunk
 
-from calib.motion.several_recordings import calibrate_motion
+from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.config_file import read_config
 from smoother.evaluation.gaps import evaluate_gaps

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chi2
 from shared import datasets
 
-from calib.motion.several_recordings import calibrate_motion
+from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.evaluation.align import truth_at
 from smoother.evaluation.metrics import squared_sigmas

@@ -12,10 +12,9 @@ import numpy as np
 from shared import ONE_PROCESS, rms, run_parts
 
 from calib.forearm.forearm_summary import compare
-from calib.forearm.held_pose_fit import calibrate_forearm
+from calib.forearm.held_pose import calibrate_forearm
 from calib.intrinsics import Intrinsics, PlacedCamera
-from calib.strap.strap_camera import Depth
-from calib.strap.strap_in_image import find_strap
+from calib.strap.strap_in_image import Depth, find_strap
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.strap import Arm, StrapImageNoise, render
 

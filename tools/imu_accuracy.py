@@ -12,11 +12,9 @@ import argparse
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.imu.allan import allan_noise
+from calib.imu.accelerometer import find_rests, sphere_points
 from calib.imu.magnetometer import calibrate_magnetometer
-from calib.imu.rests import find_rests
-from calib.imu.sensor_calibration import GRAVITY, calibrate_imu
-from calib.imu.sphere_coverage import sphere_points
+from calib.imu.sensor_calibration import GRAVITY, allan_noise, calibrate_imu
 from smoother.errors import CalibrationError
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
 

@@ -19,11 +19,10 @@ from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics
-from calib.panel.definition import Panel
-from calib.panel.frame import Frame, principal
+from calib.panel.definition import Frame, Panel, principal
 from calib.panel.images import view
-from calib.panel.panel_accuracy import accuracy
 from calib.panel.panel_calibration import PanelCalibration, calibrate_panel
+from calib.panel.panel_table import accuracy
 from calib.panel.plane import Plane, fit_plane
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel

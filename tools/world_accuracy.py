@@ -43,7 +43,7 @@ def calibrated(panel: SimulatedPanel) -> WorldCalibration:
 
 def errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, float]:
     """Degrees: camera from base IMU, its tilt, the mounting; and the tilt's error in sigmas."""
-    from calib.world.world_accuracy import accuracy
+    from calib.world.world_table import accuracy
 
     error = Rotation.from_matrix(found.R_K_B @ panel.R_K_B.T).as_rotvec()
     mounting = Rotation.from_matrix(found.R_P_I.T @ panel.R_P_I).magnitude()

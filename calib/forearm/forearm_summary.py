@@ -10,10 +10,9 @@ import numpy as np
 from smoother.calibration import ArmCalibration, Length
 
 from ..file import CalibrationFile
-from ..protocol import Answer
-from ..verdict import Verdict
+from ..protocol import Answer, Verdict
 from .forearm_frame import forearm_frame
-from .held_pose_fit import PLACED_SIGMA_RAD, ForearmCalibration
+from .held_pose import PLACED_SIGMA_RAD, ForearmCalibration
 
 #: Farther apart than so many sigmas counts as disagreement.
 AGREE = 2.5

@@ -1,16 +1,21 @@
-"""The held pose at a session's start: forearm raised beside the head, palm to the camera (JA II-H)."""
+"""`calibrate forearm`: lever arms, lengths and mounting from a held pose (Jatesiktat & Ang, II-H)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
 from smoother.array_types import BoolArray, FloatArray
-from smoother.errors import CalibrationError
+from smoother.calibration import ArmCalibration, Length, LeverArm
+from smoother.config import Config
+from smoother.errors import CalibrationError, UnoccludeError
 from smoother.linalg import robust_sigma, unit
 from smoother.recording import JOINTS, CameraFrame, ImuStream, Recording
+from smoother.result import Recovery
+from smoother.smoothing import smooth
 
 #: The pose is held at least this long, and looked at for no longer than that, s.
 SHORTEST_S, LONGEST_S = 0.8, 5.0
@@ -191,3 +196,256 @@ def _pose(recording: Recording, frames: BoolArray, offset_s: float, chosen: str)
         sigma[k] = float(np.sqrt(np.mean(spread**2) / min(worth, len(rows)))) * 1.25  # of a median
     turning = float(np.sqrt(np.mean(_turning(recording, t + offset_s) ** 2)))
     return HeldPose(float(t[0]), float(t[-1]), frames, position, sigma, turning, chosen)
+
+
+#: How well a palm that faces the camera does, and a sensor that is put on the back of the wrist, rad.
+PALM_SIGMA_RAD = np.radians(15.0)
+PLACED_SIGMA_RAD = np.radians(15.0)
+#: A strap that nobody saw or measured, m: to the wrist, to the forearm's core.
+USUAL_STRAP_TO_WRIST = Length(0.05, 0.020)
+USUAL_RADIUS = Length(0.035, 0.008)
+#: A length by ruler, m.
+RULER_SIGMA_M = 0.004
+#: Constant error of a camera's joint where the recording does not tell it, m an axis.
+USUAL_JOINT_BIAS_M = 0.008
+#: A sensor whose orientation in the pose is not known better than this gives no lever arms, rad.
+LARGEST_ATTITUDE_SIGMA_RAD = np.radians(12.0)
+_STILL = "the arm hardly moves in the recording, so that the sensor's heading against the camera is open"
+#: The recording is solved over so much time about the pose, s.
+SOLVED_S = 90.0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measures of the forearm in the pose, m, each with its sigma; None where the pose does not tell.
+
+    Attributes
+    ----------
+    radius : Length
+        r, from the forearm's core to the sensor.
+    strap_to_elbow, strap_to_wrist : Length
+        d_se and d_sw, along the forearm.
+    upper_arm, forearm : Length
+        d_ul, and elbow to wrist.
+    strap_from : str
+        "seen", "ruler" or "usual": where the strap's place comes from.
+    """
+
+    radius: Length
+    strap_to_elbow: Length
+    strap_to_wrist: Length
+    upper_arm: Length
+    forearm: Length
+    strap_from: str
+
+    @property
+    def lengths(self) -> dict[str, Length]:
+        """The measures by the names that the calibration file has for them."""
+        return {
+            "r": self.radius,
+            "d_se": self.strap_to_elbow,
+            "d_sw": self.strap_to_wrist,
+            "d_ul": self.upper_arm,
+            "forearm": self.forearm,
+        }
+
+
+@dataclass(frozen=True)
+class ForearmCalibration:
+    """What the held pose told.
+
+    Attributes
+    ----------
+    calibration : ArmCalibration
+        Lever arms, upper arm and R_F_A; without the sensor's orientation the upper arm alone.
+    pose : HeldPose
+        When the pose was held, and where the joints were.
+    measured : Measured
+        r, d_se, d_sw, d_ul and the forearm's length.
+    R_K_F : ndarray, shape (3, 3)
+        The forearm in the pose: maps a vector from the forearm's axes {F} to the camera's {K}.
+    direction_sigma_rad, roll_sigma_rad : float, rad
+        Of R_F_A; nan without it.
+    motion : ArmCalibration, optional
+        What the motion of the same recording gave; None where it gave nothing.
+    recovery : Recovery, optional
+        The recording solved without the pose; None where that failed.
+    why_not : str
+        Why there is no R_F_A, "" where there is.
+    """
+
+    calibration: ArmCalibration
+    pose: HeldPose
+    measured: Measured
+    R_K_F: FloatArray
+    direction_sigma_rad: float
+    roll_sigma_rad: float
+    motion: ArmCalibration | None
+    recovery: Recovery | None
+    why_not: str = ""
+
+
+def calibrate_forearm(
+    recording: Recording,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    radius_m: float | None = None,
+    strap_to_wrist_m: float | None = None,
+    config: Config | None = None,
+) -> ForearmCalibration:
+    """Calibrate one mounting of the IMU from a held pose, and solve the same recording's motion beside it.
+
+    Parameters
+    ----------
+    recording : Recording
+        With shoulder, elbow and wrist; with `strap` where an image showed it.
+    from_s, to_s : float, s, optional
+        The pose's times on the camera's clock, after the recording's origin; None to find it.
+    radius_m, strap_to_wrist_m : float, m, optional
+        Measured by ruler, where the strap is not seen.
+    config : Config, optional
+        Settings; the defaults where None.
+
+    Returns
+    -------
+    found : ForearmCalibration
+
+    Raises
+    ------
+    CalibrationError
+        There is no held pose.
+    """
+    pose = find_held_pose(recording, from_s, to_s)
+    recovery, why_not = _solve(recording, pose, config)
+    if recovery is not None and from_s is None:
+        pose = find_held_pose(recording, from_s, to_s, recovery.clock_offset_s)
+    bias = USUAL_JOINT_BIAS_M
+    if recovery is not None:
+        found = recovery.estimates.joint_bias_sigma_m
+        bias = found if found is not None and np.isfinite(found) else bias
+    joints = {joint: pose.position[k] for k, joint in enumerate(JOINTS)}
+    sigma = {joint: float(np.hypot(pose.sigma_m[k], bias)) for k, joint in enumerate(JOINTS)}
+    R_K_F = forearm_axes(joints["elbow"], joints["wrist"])
+    measured = _measure(joints, sigma, R_K_F, radius_m, strap_to_wrist_m)
+    arm = ArmCalibration(recording.side, upper_arm=measured.upper_arm)
+    if recovery is None:
+        return ForearmCalibration(arm, pose, measured, R_K_F, np.nan, np.nan, None, None, why_not)
+    R_K_A, attitude = _attitude(recovery, pose)
+    tilt = float(np.sqrt(np.linalg.eigvalsh(attitude)[-1]))
+    if not tilt < LARGEST_ATTITUDE_SIGMA_RAD:
+        return ForearmCalibration(arm, pose, measured, R_K_F, np.nan, np.nan, None, None, _STILL)
+    levers = _levers(joints, sigma, measured, R_K_F, R_K_A, attitude)
+    ends = np.hypot(sigma["elbow"], sigma["wrist"]) / measured.forearm.value_m
+    return ForearmCalibration(
+        calibration=replace(arm, lever_arms=levers, R_F_A=R_K_F.T @ R_K_A),
+        pose=pose,
+        measured=measured,
+        R_K_F=R_K_F,
+        direction_sigma_rad=float(np.hypot(tilt, ends)),
+        roll_sigma_rad=float(np.hypot(tilt, PALM_SIGMA_RAD)),
+        motion=recovery.calibration,
+        recovery=recovery,
+    )
+
+
+def forearm_axes(elbow: FloatArray, wrist: FloatArray) -> FloatArray:
+    """`R_K_F` (3, 3) of a forearm whose palm faces the camera, the origin of {K}."""
+    y = unit(wrist - elbow)
+    ray = 0.5 * (elbow + wrist)
+    x = unit(ray - (ray @ y) * y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
+def _solve(recording: Recording, pose: HeldPose, config: Config | None) -> tuple[Recovery | None, str]:
+    """The recording about the pose, solved from its motion alone."""
+    middle = 0.5 * (pose.start_s + pose.end_s)
+    near = np.abs(recording.arm.t_s - middle) < SOLVED_S
+    inside = np.abs(recording.imu.t_s - middle) < SOLVED_S
+    part = replace(recording, arm=recording.arm.select(near), imu=recording.imu.select(inside), truth=None)
+    try:
+        recovery = smooth(part, None, config)
+    except UnoccludeError as error:
+        return None, str(error)
+    arm = recovery.calibration
+    if arm is None or arm.forearm_direction is None:
+        return None, "the motion does not tell how the sensor sits on the forearm"
+    return recovery, ""
+
+
+def _attitude(recovery: Recovery, pose: HeldPose) -> tuple[FloatArray, FloatArray]:
+    """`R_K_A` (3, 3) in the middle of the pose, and its covariance (3, 3), rad^2 in {K}."""
+    t = recovery.t_s - recovery.clock_offset_s
+    rows = (t >= pose.start_s) & (t <= pose.end_s) & np.isfinite(recovery.quaternion).all(axis=1)
+    R = Rotation.from_quat(recovery.quaternion[rows], scalar_first=True).mean().as_matrix()
+    return R, recovery.pose_covariance[rows][:, 3:, 3:].mean(axis=0)
+
+
+def _measure(
+    joints: dict[str, FloatArray],
+    sigma: dict[str, float],
+    R_K_F: FloatArray,
+    radius_m: float | None,
+    strap_to_wrist_m: float | None,
+) -> Measured:
+    forearm = Length(
+        float(np.linalg.norm(joints["wrist"] - joints["elbow"])),
+        float(np.hypot(sigma["elbow"], sigma["wrist"])),
+    )
+    upper = Length(
+        float(np.linalg.norm(joints["elbow"] - joints["shoulder"])),
+        float(np.hypot(sigma["elbow"], sigma["shoulder"])),
+    )
+    radius = USUAL_RADIUS if radius_m is None else Length(radius_m, RULER_SIGMA_M)
+    to_wrist = USUAL_STRAP_TO_WRIST if strap_to_wrist_m is None else Length(strap_to_wrist_m, RULER_SIGMA_M)
+    where = "usual" if radius_m is None or strap_to_wrist_m is None else "ruler"
+    if np.isfinite(joints["strap"]).all():
+        y = R_K_F[:, 1]
+        from_wrist = joints["wrist"] - joints["strap"]
+        off = from_wrist - (from_wrist @ y) * y
+        where = "seen"
+        if strap_to_wrist_m is None:
+            to_wrist = Length(float(from_wrist @ y), float(np.hypot(sigma["wrist"], sigma["strap"])))
+        if radius_m is None:
+            part = float(np.clip(to_wrist.value_m / forearm.value_m, 0, 1))
+            line = np.hypot((1 - part) * sigma["wrist"], part * sigma["elbow"])
+            radius = Length(float(np.linalg.norm(off)), float(np.hypot(line, sigma["strap"])))
+    to_elbow = Length(forearm.value_m - to_wrist.value_m, float(np.hypot(to_wrist.sigma_m, sigma["elbow"])))
+    return Measured(radius, to_elbow, to_wrist, upper, forearm, where)
+
+
+def _levers(
+    joints: dict[str, FloatArray],
+    sigma: dict[str, float],
+    measured: Measured,
+    R_K_F: FloatArray,
+    R_K_A: FloatArray,
+    attitude: FloatArray,
+) -> dict[str, LeverArm]:
+    """Lever arms in {A} with sigmas: of the joints' places, the strap's place and the orientation."""
+    x, y, z = R_K_F.T
+    levers = {}
+    for joint in ("elbow", "wrist", "hand"):
+        if not np.isfinite(joints[joint]).all():
+            continue
+        if measured.strap_from == "seen":
+            lever = joints[joint] - joints["strap"]
+            spread = (sigma[joint] ** 2 + sigma["strap"] ** 2) * np.eye(3)
+        else:
+            r, to_wrist = measured.radius, measured.strap_to_wrist
+            lever = joints[joint] - joints["wrist"] + to_wrist.value_m * y - r.value_m * x
+            roll = np.hypot(PALM_SIGMA_RAD, PLACED_SIGMA_RAD)
+            spread = to_wrist.sigma_m**2 * np.outer(y, y) + r.sigma_m**2 * np.outer(x, x)
+            spread = spread + (r.value_m * roll) ** 2 * np.outer(z, z)
+            own = sigma[joint] ** 2 + sigma["wrist"] ** 2 if joint != "wrist" else 0.0
+            # the line that the strap's place is counted along turns with both ends
+            turn = (
+                to_wrist.value_m**2
+                * (sigma["elbow"] ** 2 + sigma["wrist"] ** 2)
+                / measured.forearm.value_m**2
+            )
+            spread = spread + own * np.eye(3) + turn * (np.eye(3) - np.outer(y, y))
+        cross = np.cross(np.eye(3), lever)
+        spread = R_K_A.T @ (spread + cross @ attitude @ cross.T) @ R_K_A
+        levers[joint] = LeverArm(R_K_A.T @ lever, np.sqrt(np.diag(spread)))
+    return levers

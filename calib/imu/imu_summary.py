@@ -10,13 +10,11 @@ from smoother.array_types import FloatArray
 from smoother.units import STANDARD_GRAVITY
 
 from ..file import CalibrationFile
-from ..protocol import Answer
-from ..verdict import Verdict
+from ..protocol import Answer, Verdict
 from .accelerometer import DOUBTED_SIGMA
-from .allan import SLOW_S, WHITE_S, SensorNoise
 from .magnetometer import LARGE_RESIDUAL, MagnetometerCalibration
 from .sensor import sensor_name
-from .sensor_calibration import ImuCalibration
+from .sensor_calibration import SLOW_S, WHITE_S, ImuCalibration, SensorNoise
 
 #: A better calibration than this is wasted on a wrist: half a milliradian of gravity, m/s^2.
 GOOD_SIGMA = 0.005

@@ -17,7 +17,7 @@ from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 from smoother.linalg import robust_sigma, unit
 
-from .sphere_coverage import Coverage, axis_words, cover
+from .accelerometer import Coverage, axis_words, cover
 
 #: Fewer samples than this are not taken for a calibration.
 FEWEST_SAMPLES = 200

@@ -1,4 +1,4 @@
-"""`calibrate imu` on one page: rests, accelerometer, gyroscope, noise."""
+"""`calibrate imu` on one page: noise, gyroscope, and all of a sensor from its rests."""
 
 from __future__ import annotations
 
@@ -6,15 +6,194 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import nnls
 
 from smoother.array_types import FloatArray
+from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
 from smoother.units import GRAVITY
 
-from .accelerometer import AccelerometerCalibration, calibrate_accelerometer
-from .allan import SensorNoise, allan_noise
-from .gyroscope import GyroscopeCalibration, calibrate_gyroscope
-from .rests import Rests, find_rests
+from .accelerometer import AccelerometerCalibration, Rests, calibrate_accelerometer, find_rests
+
+#: Shortest rest that gives the white noise, and shortest that can give what is slower, s.
+WHITE_S = 20.0
+SLOW_S = 300.0
+#: Averaging times a decade, and how often the longest fits into the rest.
+_A_DECADE = 8
+_LONGEST_SHARE = 9
+#: Averaging times over which white noise is read, s: longer than filters, shorter than drift.
+_WHITE_TAU_S = (0.1, 2.0)
+_FLICKER = 2.0 * np.log(2.0) / np.pi
+#: A part that makes up less of the variance than this wherever one looks was not seen.
+_SEEN = 0.25
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """One triaxial sensor at rest; per axis (3,), in SI: x is m/s^2 or rad/s.
+
+    Attributes
+    ----------
+    tau_s : ndarray, shape (k,), s
+        Averaging times.
+    deviation : ndarray, shape (k, 3)
+        Allan deviation, x.
+    density : ndarray, shape (3,)
+        White noise N, x/sqrt(Hz).
+    instability : ndarray, shape (3,)
+        Bias instability B, x; nan where the rest was too short to show it.
+    walk : ndarray, shape (3,)
+        Random walk K, x/sqrt(s); nan likewise.
+    duration_s : float, s
+        Of the rest.
+    """
+
+    tau_s: FloatArray
+    deviation: FloatArray
+    density: FloatArray
+    instability: FloatArray
+    walk: FloatArray
+    duration_s: float
+
+
+def allan_noise(samples: FloatArray, rate_hz: float) -> SensorNoise | None:
+    """Noise figures of a sensor's samples at rest (N, 3); None where they last less than 20 s."""
+    duration = len(samples) / rate_hz
+    if duration < WHITE_S:
+        return None
+    tau, deviation = allan_deviation(samples, rate_hz)
+    # independent averages at each time: the relative variance of the Allan variance is one over half of them
+    weight = np.sqrt(np.maximum(duration / tau - 1.0, 1.0))
+    white = (tau >= max(_WHITE_TAU_S[0], 1.0 / rate_hz)) & (tau <= _WHITE_TAU_S[1])
+    density, instability, walk = np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan)
+    for axis in range(3):
+        variance = deviation[:, axis] ** 2
+        if not (variance > 0).all():
+            density[axis] = 0.0
+            continue
+        density[axis] = np.exp(np.average(np.log(variance * tau)[white], weights=weight[white] ** 2) / 2.0)
+        if duration < SLOW_S:
+            continue
+        long = tau >= _WHITE_TAU_S[0]
+        parts = np.stack([1.0 / tau, np.full(len(tau), _FLICKER), tau / 3.0], axis=1)[long]
+        scale = weight[long] / variance[long]
+        power, _ = nnls(parts * scale[:, None], weight[long])
+        share = parts * power / (parts @ power)[:, None]
+        density[axis] = np.sqrt(power[0]) if power[0] > 0 else density[axis]
+        if share[:, 1].max() > _SEEN:
+            instability[axis] = np.sqrt(power[1])
+        if share[:, 2].max() > _SEEN:
+            walk[axis] = np.sqrt(power[2])
+    return SensorNoise(tau, deviation, density, instability, walk, duration)
+
+
+def allan_deviation(samples: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Overlapping Allan deviation of samples (N, 3): averaging times (k,) s, and deviations (k, 3)."""
+    count = len(samples)
+    longest = max(count // _LONGEST_SHARE, 1)
+    steps = int(np.ceil(np.log10(longest) * _A_DECADE)) + 1
+    m = np.unique(np.round(np.logspace(0.0, np.log10(longest), steps)).astype(int))
+    sums = np.vstack([np.zeros(samples.shape[1]), np.cumsum(samples - samples.mean(axis=0), axis=0)])
+    deviation = np.empty((len(m), samples.shape[1]))
+    for k, n in enumerate(m):
+        second = sums[2 * n :] - 2.0 * sums[n:-n] + sums[: -2 * n]
+        deviation[k] = np.sqrt(np.mean(second**2, axis=0) / (2.0 * n**2))
+    return m / rate_hz, deviation
+
+
+#: Still samples that a mean needs (Le et al. take the first 200).
+STILL_SAMPLES = 200
+#: Neighbours that differ by less than this on every axis count as stable (Jatesiktat and Ang, II-E.2).
+STABLE_RAD_S = np.radians(3.0)
+#: The running mean forgets over so many stable samples.
+RUNNING_SAMPLES = 500
+#: Largest bias that a turning sensor's running mean counts, rad/s.
+_LARGEST_BIAS = np.radians(15.0)
+
+
+@dataclass(frozen=True)
+class GyroscopeCalibration:
+    """corrected = raw - offset, rad/s.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (3,), rad/s
+    sigma : ndarray, shape (3,)
+        Its standard deviation, rad/s.
+    samples : int
+        How many it is the mean of.
+    rule : str
+        "rest" (mean of still samples) or "running" (mean of stable pairs: some tenths of a degree/s).
+    """
+
+    offset: FloatArray
+    sigma: FloatArray
+    samples: int
+    rule: str
+
+    def apply(self, raw: FloatArray) -> FloatArray:
+        """Corrected samples (N, 3) of raw ones (N, 3), rad/s."""
+        return raw - self.offset
+
+
+def calibrate_gyroscope(imu: ImuStream, rests: Rests) -> GyroscopeCalibration:
+    """The mean of the still samples (Le et al.); without 200 of them the running rule (`running_bias`).
+
+    Raises
+    ------
+    CalibrationError
+        The sensor was never still.
+    """
+    if rests.samples >= STILL_SAMPLES:
+        length = (rests.ranges[:, 1] - rests.ranges[:, 0]).astype(float)
+        offset = np.average(rests.gyro, axis=0, weights=length)
+        # rests differ by more than their noise where the bias wandered
+        effective = length.sum() ** 2 / np.sum(length**2)
+        between = np.average((rests.gyro - offset) ** 2, axis=0, weights=length) / effective
+        sigma = np.sqrt(np.maximum(rests.gyro_sigma**2 / length.sum(), between if len(rests) > 1 else 0.0))
+        return GyroscopeCalibration(offset, sigma, int(length.sum()), "rest")
+    path, stable = running_bias(imu.gyro)
+    if stable.sum() < STILL_SAMPLES or np.abs(path[-1]).max() > _LARGEST_BIAS:
+        raise CalibrationError(
+            f"the gyroscope was still for {rests.samples} samples only and its bias needs {STILL_SAMPLES};"
+            " leave the sensor lying for some seconds while it records."
+        )
+    used = imu.gyro[1:][stable]
+    sigma = np.std(used, axis=0) / np.sqrt(len(used) / max(imu.rate_hz, 1.0))  # one a second is independent
+    return GyroscopeCalibration(path[-1], sigma, int(stable.sum()), "running")
+
+
+def running_bias(gyro: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """The slow running mean of Jatesiktat and Ang (II-E.2) after each stable sample.
+
+    Two consecutive samples that differ by less than 3 degrees/s on every axis count as a sensor that is
+    considerably stable: the later one goes into the mean, which changes slowly.
+
+    Returns
+    -------
+    path : ndarray, shape (k, 3)
+        The mean after each stable sample, rad/s.
+    stable : ndarray, shape (N - 1,)
+        Which of the samples from the second on are stable.
+    """
+    stable = np.asarray((np.abs(np.diff(gyro, axis=0)) < STABLE_RAD_S).all(axis=1))
+    values = gyro[1:][stable]
+    if not len(values):
+        return np.zeros((0, 3)), stable
+    # a plain mean until there are enough samples to forget with
+    count = np.arange(1, len(values) + 1)
+    path = np.cumsum(values, axis=0) / count[:, None]
+    if len(values) > RUNNING_SAMPLES:
+        from scipy.signal import lfilter
+
+        keep = 1.0 - 1.0 / RUNNING_SAMPLES
+        start = path[RUNNING_SAMPLES - 1]
+        later, _ = lfilter(
+            [1.0 - keep], [1.0, -keep], values[RUNNING_SAMPLES:], axis=0, zi=keep * start[None, :]
+        )
+        path[RUNNING_SAMPLES:] = later
+    return path, stable
+
 
 #: Of a recording that rests for so much of its time and so long without a pause, noise is all that is asked.
 _MOSTLY = 0.8

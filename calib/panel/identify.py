@@ -10,9 +10,8 @@ import numpy as np
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 
-from .blobs import Blobs
 from .definition import Panel
-from .images import View
+from .images import Blobs, View
 
 #: Distances between markers agree with the panel's this well (rms), m or as a share of its size.
 FIT_M, FIT_SHARE = 0.005, 0.006

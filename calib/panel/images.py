@@ -1,8 +1,10 @@
-"""Depth and infrared image of one moment, as arrays."""
+"""Depth and infrared image of one moment: unpacked, with their bright spots, drawn with what was seen."""
 
 from __future__ import annotations
 
 import os
+import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +13,112 @@ from numpy.typing import NDArray
 
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
+from smoother.linalg import robust_sigma
 from smoother.runtime.inputs import check_input
 
-from ..image_size import unpacked
 from ..intrinsics import Intrinsics
+
+#: A larger image is none of a camera; 111 bytes of PNG may state a thousand times as much.
+MOST_PIXELS = 1 << 26
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+#: JPEG's markers of frames: they hold height and width.
+_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+
+
+def unpacked(packed: bytes, others: bool = False) -> NDArray:
+    """The pixels of an image, by OpenCV.
+
+    Parameters
+    ----------
+    packed : bytes
+        The file.
+    others : bool
+        Also unpack other formats than PNG and JPEG.
+
+    Returns
+    -------
+    ndarray, shape (height, width) or (height, width, channels)
+        As they are stored.
+
+    Raises
+    ------
+    ValueError
+        It is damaged, or larger than any camera's image.
+    """
+    # What OpenCV itself holds for too large; it looks at it once, when it unpacks its first image.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
+    import cv2
+
+    stated_size(packed, others)
+    _check_chunks(packed)
+    try:
+        image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
+    except cv2.error as error:  # formats whose size is not looked at before
+        raise ValueError(f"it is damaged, or larger than {MOST_PIXELS} pixels") from error
+    if image is None:
+        raise ValueError("it is damaged")
+    return np.asarray(image)
+
+
+def stated_size(packed: bytes, others: bool = False) -> tuple[int, int]:
+    """Width and height of a PNG or a JPEG.
+
+    Parameters
+    ----------
+    packed : bytes
+        The file.
+    others : bool
+        Pass over images of other formats; their size is zero.
+
+    Returns
+    -------
+    width, height : int
+
+    Raises
+    ------
+    ValueError
+        It is neither, breaks off before it states its size, or is larger than any camera's image.
+    """
+    try:
+        if packed[: len(_PNG)] == _PNG:
+            width, height = struct.unpack_from(">II", packed, 16)
+        elif packed[: len(_JPEG)] == _JPEG:
+            width, height = _jpeg_size(packed)
+        else:
+            if others:
+                return 0, 0
+            raise ValueError("neither PNG nor JPEG")
+    except (struct.error, IndexError) as error:
+        raise ValueError("the image breaks off") from error
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"it states {width} x {height} pixels, which no camera has")
+    return width, height
+
+
+def _jpeg_size(packed: bytes) -> tuple[int, int]:
+    place = len(_JPEG)
+    while True:
+        while packed[place] == 0xFF:
+            place += 1
+        marker = packed[place]
+        if marker in _FRAMES:
+            height, width = struct.unpack_from(">HH", packed, place + 4)
+            return width, height
+        if not marker:
+            raise ValueError("the image is damaged")
+        place += 1 + struct.unpack_from(">H", packed, place + 1)[0]
+
+
+def _check_chunks(packed: bytes) -> None:
+    """Refuse a PNG whose chunks reach beyond its end: OpenCV takes memory for as much as they state."""
+    place = len(_PNG)
+    while packed[: len(_PNG)] == _PNG and place + 8 <= len(packed):
+        length, kind = struct.unpack_from(">I4s", packed, place)
+        place += 12 + length
+        if place > len(packed):
+            raise ValueError("the image breaks off")
+        if kind == b"IEND":
+            return
 
 
 @dataclass(frozen=True)
@@ -92,3 +196,230 @@ def _read(path: str | os.PathLike[str]) -> NDArray:
         raise CalibrationError(
             f"{path} is not an image that can be read ({error}); PNG is expected."
         ) from error
+
+
+#: Brightness over the surroundings from which a spot counts, as fractions of the brightest; tried in turn.
+LEVELS = (0.5, 0.25, 0.12, 0.06)
+#: A spot is at least so many times as bright as its surroundings.
+CONTRAST = 1.35
+#: Not more spots than this are looked at, the strongest ones.
+MOST = 12
+#: A spot is no longer than so many times its width, and no larger than this share of the image.
+ELONGATION, LARGEST = 3.5, 0.004
+#: Window of the median that the surroundings are taken from, as a share of the image's width.
+SURROUNDINGS = 0.08
+#: The centroid is taken over what is brighter than this share of the spot's height.
+FOOT = 0.15
+#: A centroid is not known better than this, pixels: shape of the spot, blur, the lens' model.
+FLOOR_PX = 0.04
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Bright spots, the strongest first.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape (N, 2)
+        Centroids.
+    rays : ndarray, shape (N, 2)
+        Undistorted, x/z and y/z.
+    sigmas_px : ndarray, shape (N,), pixels
+        Of a centroid, an axis.
+    radii_px : ndarray, shape (N,), pixels
+        Of a disc of the same area.
+    heights : ndarray, shape (N,)
+        Peak over the surroundings.
+    """
+
+    pixels: FloatArray
+    rays: FloatArray
+    sigmas_px: FloatArray
+    radii_px: FloatArray
+    heights: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def find_blobs(infrared: FloatArray, lens: Intrinsics) -> Iterator[Blobs]:
+    """Bright, compact spots at falling thresholds; a level that adds none is passed over.
+
+    Parameters
+    ----------
+    infrared : ndarray, shape (height, width)
+        In any unit.
+    lens : Intrinsics
+        For the undistorted rays.
+
+    Yields
+    ------
+    The spots of a level, at most `MOST`.
+    """
+    surroundings = _surroundings(infrared)
+    over = infrared - surroundings
+    noise = float(robust_sigma(over))
+    brightest = float(np.percentile(over, 100 * (1 - 5 / over.size)))
+    count = -1
+    for level in LEVELS:
+        threshold = np.maximum(np.maximum(level * brightest, 8 * noise), (CONTRAST - 1) * surroundings)
+        found = _spots(infrared, over > threshold, lens)
+        if len(found) > count:
+            count = len(found)
+            yield found
+
+
+def _surroundings(infrared: FloatArray) -> FloatArray:
+    """Running median; taken on a logarithmic scale of 256 steps, which is all that OpenCV's fast one has."""
+    import cv2
+
+    low = max(float(np.percentile(infrared, 1)), 1e-4 * float(infrared.max()), 1e-12)
+    span = np.log(max(float(infrared.max()) / low, 1.0 + 1e-9))
+    steps = np.clip(np.log(np.maximum(infrared, low) / low) / span * 255, 0, 255)
+    window = 2 * round(SURROUNDINGS * infrared.shape[1] / 2) + 1
+    median = cv2.medianBlur(steps.astype(np.uint8), window)
+    return low * np.exp(median.astype(np.float64) / 255 * span)
+
+
+def _spots(infrared: FloatArray, mask: NDArray[np.bool_], lens: Intrinsics) -> Blobs:
+    import cv2
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    rows = []
+    for index in np.argsort(-stats[1:count, cv2.CC_STAT_AREA])[: 20 * MOST] + 1:
+        if stats[index, cv2.CC_STAT_AREA] > LARGEST * mask.size:
+            continue
+        row = _centroid(infrared, stats[index], labels, int(index))
+        if row is not None:
+            rows.append(row)
+    rows = sorted(rows, key=lambda row: -row[4])[:MOST]
+    table = np.array(rows).reshape(-1, 5)
+    pixels = table[:, :2]
+    return Blobs(pixels, lens.rays(pixels), table[:, 2], table[:, 3], table[:, 4])
+
+
+def _centroid(
+    infrared: FloatArray, stats: NDArray, labels: NDArray, index: int
+) -> tuple[float, float, float, float, float] | None:
+    """x, y, sigma, radius (pixels) and height; None where it is no compact spot inside the image."""
+    left, top, width, height, area = (int(value) for value in stats[:5])
+    margin = 3 + max(width, height) // 2
+    x0, y0 = left - margin, top - margin
+    x1, y1 = left + width + margin, top + height + margin
+    if left <= 0 or top <= 0 or left + width >= infrared.shape[1] or top + height >= infrared.shape[0]:
+        return None  # cut off by the rim: its centre is not known
+    x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, infrared.shape[1]), min(y1, infrared.shape[0])
+    window, own = infrared[y0:y1, x0:x1], labels[y0:y1, x0:x1]
+    v, u = np.mgrid[y0:y1, x0:x1].astype(np.float64)
+    inside = own == index
+    centre = np.array([u[inside].mean(), v[inside].mean()])
+    reach = max(width, height) / 2 + 2.5
+    near = (u - centre[0]) ** 2 + (v - centre[1]) ** 2 <= reach**2
+    near &= (own == index) | (own == 0)
+    ring = ~near & (own == 0)
+    foot = float(np.median(window[ring])) if ring.sum() >= 8 else float(window.min())
+    peak = float(window[inside].max())
+    over = np.where(near, window - foot - FOOT * (peak - foot), 0.0)
+    weight = np.maximum(over, 0.0)
+    total = weight.sum()
+    x, y = (weight * u).sum() / total, (weight * v).sum() / total
+    spread = np.array(
+        [
+            [(weight * (u - x) ** 2).sum(), (weight * (u - x) * (v - y)).sum()],
+            [(weight * (u - x) * (v - y)).sum(), (weight * (v - y) ** 2).sum()],
+        ]
+    )
+    low, high = np.linalg.eigvalsh(spread / total + np.eye(2) / 12)
+    if high > ELONGATION**2 * low:
+        return None
+    # noise of a pixel about 3 % of its value, on the spot's flanks, where the pixel is not saturated
+    flank = (weight > 0) & (window < 0.98 * peak)
+    lever = (u - x) ** 2 + (v - y) ** 2
+    noise = 0.03 * np.sqrt(float((window[flank] ** 2 * lever[flank]).sum()) / 2) / total
+    sigma = float(np.hypot(FLOOR_PX, noise))
+    radius = float(np.sqrt(max(area, (weight > 0).sum()) / np.pi))
+    return float(x), float(y), sigma, radius, peak - foot
+
+
+#: Pictures are enlarged to at least this width, pixels.
+LEAST_WIDTH = 1024
+#: OpenCV's order: blue, green, red.
+SPOT, MARKER, TEXT = (0, 170, 255), (120, 220, 60), (255, 255, 255)
+
+
+def drawn_spots(infrared: FloatArray, blobs: Blobs, markers: tuple[int, ...] = ()) -> bytes:
+    """PNG of the infrared image with every bright spot ringed, the panel's markers numbered from 1.
+
+    Parameters
+    ----------
+    infrared : ndarray, shape (height, width)
+        In any unit.
+    blobs : Blobs
+        All bright spots.
+    markers : tuple of int
+        Which of them are the panel's, in its order; empty where they could not be told.
+
+    Returns
+    -------
+    bytes
+    """
+    import cv2
+
+    factor = max(1, -(-LEAST_WIDTH // infrared.shape[1]))
+    image = cv2.resize(grey(infrared), None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
+    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    for index, (pixel, radius) in enumerate(zip(blobs.pixels, blobs.radii_px, strict=True)):
+        # the centre of pixel (0, 0) lies in the middle of its enlarged square
+        x, y = (factor * (pixel + 0.5) - 0.5).tolist()
+        known = index in markers
+        colour = MARKER if known else SPOT
+        ring = round(factor * (radius + 3))
+        cv2.circle(picture, (round(x), round(y)), ring, colour, 2, cv2.LINE_AA)
+        cv2.drawMarker(picture, (round(x), round(y)), colour, cv2.MARKER_CROSS, 4 * factor, 1)
+        label = f"marker {markers.index(index) + 1}" if known else f"spot {index + 1}" if not markers else ""
+        _write(picture, label, (round(x) + ring + 3, round(y) - ring), factor)
+    _, packed = cv2.imencode(".png", picture)
+    return bytes(packed.tobytes())
+
+
+def drawn_depth(
+    depth_m: FloatArray, pixels: FloatArray, along_x: NDArray, along_y: NDArray, inliers: NDArray
+) -> bytes:
+    """PNG of the depth about the panel with the pixels that took part coloured by group."""
+    import cv2
+
+    near, far = np.nanpercentile(depth_m[pixels[:, 1].astype(int), pixels[:, 0].astype(int)], [2, 98])
+    low, high = near - 0.3, far + 0.6
+    shade = np.where(np.isfinite(depth_m), np.clip((high - depth_m) / (high - low), 0, 1), 0)
+    picture = cv2.cvtColor((40 + 160 * shade).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+    picture[~np.isfinite(depth_m)] = 0
+    at = pixels.astype(int)
+    for chosen, colour in (
+        (inliers, (178, 114, 0)),
+        (inliers & along_x, (0, 94, 213)),
+        (inliers & along_y, (115, 158, 0)),
+        (~inliers, (60, 60, 230)),
+    ):
+        rows = at[chosen]
+        picture[rows[:, 1], rows[:, 0]] = (
+            0.5 * picture[rows[:, 1], rows[:, 0]] + 0.5 * np.array(colour)
+        ).astype(np.uint8)
+    factor = max(1, -(-LEAST_WIDTH // depth_m.shape[1]))
+    large = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
+    _, packed = cv2.imencode(".png", large)
+    return bytes(packed.tobytes())
+
+
+def grey(infrared: FloatArray) -> NDArray[np.uint8]:
+    """An infrared image in 256 shades, so that both the room and the spots are to be seen."""
+    top = max(float(np.percentile(infrared, 98)) * 4, 1e-9)
+    return (255 * np.clip(infrared / top, 0, 1) ** 0.6).astype(np.uint8)
+
+
+def _write(picture: NDArray, text: str, at: tuple[int, int], factor: int) -> None:
+    import cv2
+
+    if text:
+        size = 0.25 * max(factor, 2)
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 4, cv2.LINE_AA)
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, TEXT, 1, cv2.LINE_AA)

@@ -11,9 +11,7 @@ from smoother.array_types import FloatArray
 from smoother.linalg import nearest_rotation
 
 from ..intrinsics import Intrinsics
-from .blobs import Blobs, find_blobs
-from .definition import Panel
-from .frame import Frame, fit_frame, frame_of_markers, frame_of_points
+from .definition import Frame, Panel, fit_frame, frame_of_markers, frame_of_points
 from .identify import (
     EDGE_ON_DEG,
     SEE_DEPTH,
@@ -25,10 +23,10 @@ from .identify import (
     identify_markers,
     identify_spots,
 )
-from .images import View, check_size
+from .images import Blobs, View, check_size, find_blobs
 from .panel_graph import PanelSolution, PoseData, solve
-from .plane import Plane, fit_plane
-from .regions import Regions, on_plane, panel_regions
+from .plane import Plane, Regions, fit_plane, panel_regions
+from .plane import regions_on_plane as on_plane
 
 #: Noise of a mocap marker where nothing else is said, m an axis.
 MOCAP_SIGMA_M = 0.0002

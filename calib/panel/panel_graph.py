@@ -16,7 +16,7 @@ import numpy as np
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError
 
-from .frame import Frame, kabsch
+from .definition import Frame, kabsch
 from .plane import Plane
 
 #: A constant error of the depth before anything is known of it, m (Kinect v2: some mm).

@@ -13,7 +13,7 @@ from smoother.linalg import skew
 from smoother.recording import ImuStream
 
 from ..file import CalibrationFile
-from ..imu.correction import corrected_streams
+from ..imu.sensor import corrected_streams
 from ..intrinsics import Intrinsics
 from ..panel.definition import Panel
 from ..panel.images import View

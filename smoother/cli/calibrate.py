@@ -121,9 +121,8 @@ def motion(
     both arms both are calibrated, each by itself.
     """
     from calib.file import write_calibration
-    from calib.motion.estimates import motion_answer
+    from calib.motion.motion_calibration import calibrate_motion, motion_answer
     from calib.motion.motion_summary import roll_known
-    from calib.motion.several_recordings import calibrate_motion
 
     from .config_file import read_config, with_processes
 

@@ -15,7 +15,7 @@ from .output import print_notes, print_table, say, say_written
 
 if TYPE_CHECKING:
     from calib.clock.beeps import Beep
-    from calib.clock.clock_summary import ClockCalibration
+    from calib.clock.clock_calibration import ClockCalibration
     from calib.clock.links import Receptions
     from calib.clock.motion_clock import MotionClock
 
@@ -109,8 +109,8 @@ def clock(
 
     t_to = t_from + offset. Offsets belong to this session: `smooth` takes them from this file as a prior.
     """
-    from calib.clock.beep_times import beep_receptions, beeps_of_tracks, buzzer_node
-    from calib.clock.clock_summary import calibrate_clocks, clock_answer
+    from calib.clock.clock_calibration import calibrate_clocks, clock_answer
+    from calib.clock.links import beep_receptions, beeps_of_tracks, buzzer_node
     from calib.clock.motion_clock import clock_from_motion
 
     from ..io.media.audio import read_sound
@@ -181,7 +181,7 @@ def _two(option: str, text: str) -> tuple[str, str]:
 
 def print_clocks(calibration: ClockCalibration) -> None:
     """Print the beeps, and every two clocks that hang together."""
-    from calib.clock.clock_summary import link_words
+    from calib.clock.clock_calibration import link_words
 
     for beep in calibration.beeps:
         say(f"beep of {beep.frequency_hz:.0f} Hz: ends at {beep.end_s:.5f} s +- {1e3 * beep.sigma_s:.2f} ms")

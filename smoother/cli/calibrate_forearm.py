@@ -67,7 +67,7 @@ def forearm(
     calibration that exists is added to, without --force.
     """
     from calib.forearm.forearm_summary import compare, forearm_answer
-    from calib.forearm.held_pose_fit import calibrate_forearm
+    from calib.forearm.held_pose import calibrate_forearm
 
     from .config_file import read_config, with_processes
 

@@ -137,7 +137,7 @@ def pictured(path: Path) -> Iterator[None]:
     except NotIdentified as error:
         if error.view is None or error.blobs is None:
             raise
-        from calib.panel.drawing import drawn_spots
+        from calib.panel.images import drawn_spots
 
         from ..runtime.outputs import writing
 
@@ -151,8 +151,7 @@ def print_panel(calibration: PanelCalibration) -> None:
     """Print the transform with its sigma, and the residuals by pose."""
     import numpy as np
 
-    from calib.panel.panel_accuracy import accuracy
-    from calib.panel.panel_table import pose_cells, pose_rows, transform_values
+    from calib.panel.panel_table import accuracy, pose_cells, pose_rows, transform_values
 
     sigma = accuracy(calibration)
     values = transform_values(calibration.solution.camera_from_mocap)

@@ -131,7 +131,7 @@ def _checked(
 
 
 def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> TriedGaps:
-    from calib.motion.estimates import found_in
+    from calib.motion.motion_calibration import found_in
 
     from ..evaluation.tried_gaps import try_gaps
 

@@ -42,7 +42,7 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Recover a small recording, hold it against its truth, and write a report."""
-    from calib.motion.estimates import with_given
+    from calib.motion.motion_calibration import with_given
 
     from .. import smooth
     from ..evaluation.validate import validate

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from .output import print_table, say
 
 if TYPE_CHECKING:
-    from calib.motion.estimates import ArmEstimates
-    from calib.motion.evidence import ClockOffset
+    from calib.motion.motion_calibration import ArmEstimates
+    from calib.motion.motion_summary import ClockOffset
 
 
 def print_arm(estimates: ArmEstimates) -> None:

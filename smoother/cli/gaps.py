@@ -231,8 +231,7 @@ def keep(
     CalibrationError
         No gap has an answer, or the errors are no matter of sigma.
     """
-    from calib.file import CalibrationFile, write_calibration
-    from calib.sigma import with_sigma_table
+    from calib.file import CalibrationFile, with_sigma_table, write_calibration
 
     from ..evaluation.sigma_factor import LARGEST_FACTOR
 

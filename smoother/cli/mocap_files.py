@@ -52,7 +52,7 @@ class MocapFiles:
 
     def write(self, capture: MarkerCapture, force: bool) -> None:
         """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
-        from calib.toml_edit import to_toml
+        from calib.file import to_toml
 
         from ..io.export.c3d import C3dContent, write_c3d
         from ..io.export.trc import write_trc

@@ -104,8 +104,7 @@ def write_truth(path: Path, tables: dict[str, Any], force: bool) -> None:
 
 def truth_text(tables: dict[str, Any]) -> str:
     """The same as text."""
-    from calib.file import FORMAT, VERSION
-    from calib.toml_edit import to_toml
+    from calib.file import FORMAT, VERSION, to_toml
 
     return f"# {_TRUTH}\n" + to_toml({"format": FORMAT, "version": VERSION} | tables)
 

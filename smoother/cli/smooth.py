@@ -43,7 +43,7 @@ from .standing import end_strictly, say_untrusted_parts, say_verdict
 from .strap import with_strap, with_strap_note
 
 if TYPE_CHECKING:
-    from calib.motion.estimates import ArmEstimates
+    from calib.motion.motion_calibration import ArmEstimates
 
     from ..recording import Recording
     from ..result import Recovery
@@ -88,7 +88,7 @@ def smooth(
     The exit code is 0 where the result was written, whatever its verdict; with --strict it is 3 where the
     verdict on an arm is "not to be trusted". Single gaps that are not to be trusted do not count for it.
     """
-    from calib.motion.estimates import with_given
+    from calib.motion.motion_calibration import with_given
 
     from ..io import write_recovery
     from ..result import is_of_arm
@@ -171,7 +171,7 @@ def write_page(results: Sequence[tuple[Recording, Recovery]], path: Path, force:
 
 def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     """All figures of a recovery, what it found and what it rejected included."""
-    from calib.motion.estimates import found_in
+    from calib.motion.motion_calibration import found_in
 
     from ..evaluation.advice import advice
     from ..evaluation.rejected import rejected
@@ -191,7 +191,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
 
 def print_recovery(recording: Recording, recovery: Recovery) -> None:
     """Print a recovery's gaps, what was found and rejected, and what must be known of it."""
-    from calib.motion.estimates import found_in
+    from calib.motion.motion_calibration import found_in
 
     from ..evaluation.summary import gap_summaries
     from .output import centimetres, print_table

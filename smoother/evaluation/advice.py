@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from calib.motion.estimates import ArmEstimates
+from calib.motion.motion_calibration import ArmEstimates
 from calib.motion.motion_summary import (
     LITTLE_AXIAL_RAD,
     LITTLE_TURNING_RAD_S,
@@ -55,7 +55,7 @@ def advice(recovery: Recovery, estimates: ArmEstimates | None) -> list[str]:
     recovery : Recovery
         The result, with its residuals.
     estimates : ArmEstimates or None
-        Its estimates of arm, sensor and clock (`calib.motion.estimates.found_in`).
+        Its estimates of arm, sensor and clock (`calib.motion.motion_calibration.found_in`).
 
     Returns
     -------

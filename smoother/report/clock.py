@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from calib.clock.beeps import Beep
-from calib.clock.clock_summary import next_time, open_questions, verdict
+from calib.clock.clock_calibration import next_time, open_questions, verdict
 from calib.clock.links import ClockNetwork, Leftover, Receptions
 from calib.clock.motion_clock import MotionClock
 

@@ -11,9 +11,9 @@ from plotly.subplots import make_subplots
 
 from calib.forearm.forearm_frame import forearm_frame
 from calib.forearm.forearm_summary import AGREE, Compared, compare, next_time, open_questions, verdict
-from calib.forearm.held_pose_fit import ForearmCalibration
-from calib.motion.estimates import ArmEstimates
-from calib.motion.evidence import Evidence
+from calib.forearm.held_pose import ForearmCalibration
+from calib.motion.motion_calibration import ArmEstimates
+from calib.motion.motion_summary import Evidence
 
 from ..recording import JOINTS, Recording
 from .mount import mount

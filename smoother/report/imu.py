@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.imu.allan import SensorNoise
+from calib.imu.accelerometer import sphere_points
 from calib.imu.imu_summary import imu_next, imu_verdict, noise_rows
-from calib.imu.sensor_calibration import ImuCalibration
-from calib.imu.sphere_coverage import sphere_points
+from calib.imu.sensor_calibration import ImuCalibration, SensorNoise
 
 from ..linalg import unit
 from ..recording import ImuStream

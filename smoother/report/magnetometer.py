@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import plotly.graph_objects as go
 
+from calib.imu.accelerometer import sphere_points
 from calib.imu.imu_summary import magnetometer_next, magnetometer_verdict
 from calib.imu.magnetometer import MagnetometerCalibration
-from calib.imu.sphere_coverage import sphere_points
 
 from ..array_types import FloatArray
 from ..recording import ImuStream

@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from calib.motion.estimates import ArmEstimates
+from calib.motion.motion_calibration import ArmEstimates
 
 from ..array_types import FloatArray
 from ..calibration import LeverArm

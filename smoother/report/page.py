@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.motion.estimates import ArmEstimates, found_in
+from calib.motion.motion_calibration import ArmEstimates, found_in
 
 from ..evaluation.advice import advice
 from ..evaluation.coverage import camera_residuals

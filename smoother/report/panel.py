@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.panel.drawing import drawn_depth, drawn_spots
-from calib.panel.images import View
-from calib.panel.panel_accuracy import accuracy, verdict
+from calib.panel.images import View, drawn_depth, drawn_spots
 from calib.panel.panel_calibration import PanelCalibration, SeenPanel
-from calib.panel.panel_table import pose_cells, pose_rows, transform_values
+from calib.panel.panel_table import accuracy, pose_cells, pose_rows, transform_values, verdict
 
 from ..array_types import FloatArray
 from .sheet import figure, label, listing, picture, tabulated, write_sheet

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from calib.motion.estimates import ArmEstimates
+from calib.motion.motion_calibration import ArmEstimates
 
 from ..calibration import ArmCalibration
 from ..evaluation.measure_agreement import agreement_cells, pair_cells

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from calib.world.world_accuracy import accuracy, verdict
 from calib.world.world_calibration import WorldCalibration
-from calib.world.world_table import pose_rows
+from calib.world.world_table import accuracy, pose_rows, verdict
 
 from ..array_types import FloatArray
 from .sheet import figure, label, listing, tabulated, write_sheet

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.strap.strap_camera import Depth
-from calib.strap.strap_in_image import Sighting, find_strap
+from calib.strap.strap_in_image import Depth, Sighting, find_strap
 from calib.strap.strap_mount import Mounted
 
 from ..array_types import FloatArray, IntArray

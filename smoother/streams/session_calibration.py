@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.file import CalibrationFile, read_calibration
+from calib.file import CalibrationFile, read_calibration, sigma_factors_of
 from calib.imu.sensor import SensorCalibration, sensor_of
-from calib.sigma import sigma_factors_of
 
 from ..calibration import ArmCalibration
 from ..config import Config

@@ -246,7 +246,7 @@ def _recover(job: Job, folder: StudyFolder, input_hash: str, before: Row, began:
 def _recover_in(
     store: Store, job: Job, folder: StudyFolder, input_hash: str, before: Row, began: float
 ) -> Row:
-    from calib.motion.estimates import with_given
+    from calib.motion.motion_calibration import with_given
 
     from ..io import write_recovery
     from ..io.recording.read_arm import read_arms

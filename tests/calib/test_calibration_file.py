@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib import CalibrationFile, read_calibration, write_calibration
-from calib.toml_edit import to_toml
+from calib.file import to_toml
 from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.errors import CalibrationError
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from calib.clock.clock_summary import disagreements, open_questions, verdict
+from calib.clock.clock_calibration import disagreements, open_questions, verdict
 from calib.clock.links import ClockLink, Receptions
 from calib.clock.network import solve_clocks
 from smoother.errors import CalibrationError

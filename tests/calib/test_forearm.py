@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib import read_calibration
 from calib.forearm.forearm_summary import compare, forearm_answer, next_time, open_questions, verdict
-from calib.forearm.held_pose import find_held_pose
-from calib.forearm.held_pose_fit import ForearmCalibration, calibrate_forearm, forearm_axes
+from calib.forearm.held_pose import ForearmCalibration, calibrate_forearm, find_held_pose, forearm_axes
 from smoother.cli.run import run
 from smoother.config import Config
 from smoother.errors import CalibrationError

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.imu.allan import allan_deviation, allan_noise
-from calib.imu.sensor_calibration import calibrate_imu
+from calib.imu.sensor_calibration import allan_deviation, allan_noise, calibrate_imu
 from smoother.recording import ImuStream
 
 RATE = 50.0

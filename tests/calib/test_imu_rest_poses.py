@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calib.imu.accelerometer import calibrate_accelerometer, symmetric
-from calib.imu.gyroscope import calibrate_gyroscope, running_bias
-from calib.imu.rests import Rests, find_rests
-from calib.imu.sensor_calibration import GRAVITY, calibrate_imu
-from calib.imu.sphere_coverage import axis_words, cover, sphere_points
+from calib.imu.accelerometer import (
+    Rests,
+    axis_words,
+    calibrate_accelerometer,
+    cover,
+    find_rests,
+    sphere_points,
+    symmetric,
+)
+from calib.imu.sensor_calibration import GRAVITY, calibrate_gyroscope, calibrate_imu, running_bias
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
 from smoother.simulation.poses import REST_POSES, SensorModel, rest_poses

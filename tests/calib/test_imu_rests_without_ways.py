@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.imu.rests import find_rests
+from calib.imu.accelerometer import find_rests, sphere_points
 from calib.imu.sensor_calibration import GRAVITY, calibrate_imu
-from calib.imu.sphere_coverage import sphere_points
 from smoother.recording import ImuStream
 from smoother.simulation.poses import SensorModel
 

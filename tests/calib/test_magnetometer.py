@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.imu.accelerometer import sphere_points
 from calib.imu.magnetometer import calibrate_magnetometer, fit_ellipsoid
-from calib.imu.sphere_coverage import sphere_points
 from smoother.errors import CalibrationError
 from smoother.simulation.poses import SensorModel, magnetometer_turns
 

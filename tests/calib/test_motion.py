@@ -11,7 +11,7 @@ import pytest
 
 from calib import CalibrationFile, read_calibration, write_calibration
 from calib.forearm.forearm_frame import forearm_frame
-from calib.motion.several_recordings import calibrate_motion
+from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration, Length
 from smoother.cli.run import run
 from smoother.config import Config

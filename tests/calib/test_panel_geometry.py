@@ -12,9 +12,15 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.intrinsics import Intrinsics
-from calib.panel.blobs import find_blobs
-from calib.panel.definition import Panel
-from calib.panel.frame import Frame, fit_frame, frame_of_markers, frame_of_points, kabsch, principal
+from calib.panel.definition import (
+    Frame,
+    Panel,
+    fit_frame,
+    frame_of_markers,
+    frame_of_points,
+    kabsch,
+    principal,
+)
 from calib.panel.identify import (
     DepthMissing,
     EdgeOn,
@@ -23,6 +29,7 @@ from calib.panel.identify import (
     identify_markers,
     identify_spots,
 )
+from calib.panel.images import find_blobs
 from calib.panel.plane import fit_plane, on_plane
 from smoother.array_types import FloatArray
 from smoother.errors import CalibrationError

@@ -8,7 +8,7 @@ from panel_scene import LENS, PANEL, blobs_of, held, seen_plane
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.panel.frame import Frame
+from calib.panel.definition import Frame
 from calib.panel.panel_graph import OFFSET_SIGMA_M, ON_PLANE_SIGMA_M, PRIOR_RESIDUALS, PoseData, solve
 
 TRUTH = Frame(

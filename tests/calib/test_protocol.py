@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib import read_calibration, write_calibration
-from calib.clock.beep_times import beep_receptions, buzzer_node
-from calib.clock.clock_summary import calibrate_clocks, clock_answer
+from calib.clock.clock_calibration import calibrate_clocks, clock_answer
+from calib.clock.links import beep_receptions, buzzer_node
 from calib.imu.imu_summary import imu_answer, magnetometer_answer
 from calib.imu.magnetometer import calibrate_magnetometer
 from calib.imu.sensor_calibration import calibrate_imu

@@ -9,9 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.forearm.forearm_frame import forearm_frame
-from calib.motion.estimates import names_given
-from calib.motion.evidence import ClockOffset, Evidence
-from calib.motion.motion_summary import beyond, clocks_not_determined, not_determined, roll_known
+from calib.motion.motion_calibration import names_given
+from calib.motion.motion_summary import (
+    ClockOffset,
+    Evidence,
+    beyond,
+    clocks_not_determined,
+    not_determined,
+    roll_known,
+)
 from smoother.calibration import ArmCalibration, Length, LeverArm
 
 FRAMES = dict.fromkeys(("shoulder", "elbow", "wrist", "hand", "strap", "upper_arm"), 500)

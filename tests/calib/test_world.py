@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2, Problem
-from calib.world.first_guess import first_guesses
-from calib.world.still_pose import rest_at, turn_between
-from calib.world.world_accuracy import accuracy, verdict
+from calib.world.chain import BIAS_M_S2, CORRECTED_M_S2, Problem, rest_at, turn_between
 from calib.world.world_calibration import (
     BY_EYE_RAD,
     PanelView,
     WorldCalibration,
     calibrate_world,
+    first_guesses,
     tilt_covariance,
     world_poses,
 )
+from calib.world.world_table import accuracy, verdict
 from smoother.errors import CalibrationError
 from smoother.recording import ImuStream
 from smoother.simulation.panel import PanelSimulation

@@ -10,7 +10,7 @@ import pytest
 
 import smoother.runtime.disk_store
 from calib.file import read_calibration
-from calib.imu.correction import corrected
+from calib.imu.sensor import corrected
 from smoother.cli.run import run
 from smoother.io import read_recording
 from smoother.runtime.disk_store import DiskStore
@@ -52,10 +52,10 @@ def test_an_imu_is_corrected_part_by_part(
         f'[imu."{recording.imu.name.removeprefix("/imu/")}".gyroscope]\noffset = [0.01, 0.02, -0.03]\n'
     )
     calibration = read_calibration(tmp_path / "cal.toml")
-    monkeypatch.setattr("calib.imu.correction._SAMPLES", 10**9)
+    monkeypatch.setattr("calib.imu.sensor._SAMPLES", 10**9)
     whole = corrected(recording, calibration, Store())
     assert not np.array_equal(whole.imu.acc, recording.imu.acc)
-    monkeypatch.setattr("calib.imu.correction._SAMPLES", samples)
+    monkeypatch.setattr("calib.imu.sensor._SAMPLES", samples)
     with DiskStore(tmp_path) as store:
         parts = corrected(recording, calibration, store)
         for name in ("t_s", "acc", "gyro"):

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
-from calib.world.gravity_from_base import with_gravity
+from calib.world.world_table import with_gravity
 from smoother import smooth
 from smoother.cli.run import run
 from smoother.io import read_recording, write_recording

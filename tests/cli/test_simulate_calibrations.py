@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from calib import read_calibration
+from calib.imu.accelerometer import sphere_points
 from calib.imu.imu_summary import imu_answer
 from calib.imu.sensor_calibration import calibrate_imu
-from calib.imu.sphere_coverage import sphere_points
 from smoother.cli.run import run
 from smoother.io import read_imu, read_recording
 from smoother.simulation.clock_session import simulate_clock_session

@@ -11,8 +11,8 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from calib.motion.estimates import found_in
-from calib.motion.evidence import AXIAL_S, _turn_between, gather_from
+from calib.motion.motion_calibration import found_in
+from calib.motion.motion_summary import AXIAL_S, _turn_between, gather_from
 from smoother.evaluation.advice import advice
 from smoother.evaluation.rejected import rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures

@@ -10,8 +10,7 @@ import pytest
 import ros_bags
 from scipy.io import wavfile
 
-from calib.image_size import unpacked
-from calib.panel.images import read_view
+from calib.panel.images import read_view, unpacked
 from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.media import panel_reading

@@ -17,7 +17,7 @@ from made_recordings import make, swing
 from mcap.writer import CompressionType, Writer
 from private_memory import program_output
 
-from calib.world import gravity_from_base as apply
+from calib.world import world_table as apply
 from smoother.io import open_recording, read_recording, write_recording
 from smoother.io.mcap.container import Container
 from smoother.io.recording.joint_rows import SIDES, UNREPORTED, JointRows

@@ -9,7 +9,7 @@ import pytest
 from arms import make_recording, make_recovery
 from scipy.spatial.transform import Rotation
 
-from calib.motion.estimates import ArmEstimates, found_in
+from calib.motion.motion_calibration import ArmEstimates, found_in
 from smoother.calibration import ArmCalibration, LeverArm
 from smoother.measurements.rejection import Reason
 from smoother.recording import JOINTS

@@ -9,7 +9,7 @@ import pytest
 from scenes import ALONE, Scene, arm
 from scipy.stats import multivariate_normal
 
-from calib.motion.several_recordings import MotionCalibration, calibrate_motion
+from calib.motion.motion_calibration import MotionCalibration, calibrate_motion
 from smoother.array_types import FloatArray
 from smoother.measurements.clock import OFFSET_SIGMA_S, Clock
 from smoother.measurements.timestamps import synthetic_stamps

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from calib.motion.several_recordings import calibrate_motion
+from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
 from smoother.cli.methods import METHODS, make_methods
 from smoother.evaluation.gaps import evaluate_gaps

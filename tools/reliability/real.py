@@ -24,7 +24,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from calib.motion.several_recordings import calibrate_motion
+from calib.motion.motion_calibration import calibrate_motion
 from smoother.array_types import BoolArray, FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.errors import UnoccludeError

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.file import to_toml
 from calib.intrinsics import Intrinsics
-from calib.toml_edit import to_toml
 
 from ...array_types import FloatArray
 from ...errors import UnoccludeError

@@ -102,10 +102,9 @@ def _read(
     """Recordings, corrected, each with its calibration; `read` takes the side to prefer."""
     if calibration_file is None:
         return [(remedy.applied(recording, store), None) for recording in read(None)]
-    from calib.file import read_calibration
-    from calib.imu.correction import corrected
-    from calib.sigma import sigma_factors_of
-    from calib.world.gravity_from_base import with_gravity
+    from calib.file import read_calibration, sigma_factors_of
+    from calib.imu.sensor import corrected
+    from calib.world.world_table import with_gravity
 
     calibration = read_calibration(calibration_file)
     sides = [name for name in calibration.arms if name != "any"]
