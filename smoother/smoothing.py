@@ -11,26 +11,25 @@ from .config import Config
 from .errors import SolveError, UnoccludeError
 from .measurements.clock import OFFSET_SIGMA_S, Clock
 from .measurements.outliers import reject_by_camera
-from .measurements.timeline import Timeline
+from .measurements.segment import Timeline
 from .recording import FOREARM_JOINTS, Recording
 from .recovery.ambiguity import with_ambiguities
 from .recovery.camera_blocks import CameraEvidence, Solved, without_wrong_blocks
 from .recovery.cause import diagnose_failures, with_cause
-from .recovery.field_pass import magnetic_field
-from .recovery.first_pass import FirstPass
+from .recovery.first_pass import FirstPass, magnetic_field
 from .recovery.merge import merge
 from .recovery.second_pass import second_pass
 from .recovery.sections import Sections
-from .recovery.sigma_factor import with_self_check, with_sigma_factors
+from .recovery.self_check import with_self_check, with_sigma_factors
 from .recovery.task import Task
 from .recovery.trunk import with_trunk
 from .recovery.trust import with_gap_verdicts, with_verdict
 from .result import Recovery
 from .runtime.pool import Pool, one_blas_thread
 from .runtime.store import Store
-from .selfcal.coarse_clock import pair
 from .selfcal.excerpts import informative_excerpts
 from .selfcal.given_check import contradictions
+from .selfcal.pairing import pair
 from .selfcal.rounds import self_calibrate
 from .selfcal.upper_arm import calibrate_upper_arm
 from .window.priors import with_measured_noise, with_measured_shoulder

@@ -50,41 +50,37 @@ TESTS_OF: dict[str, tuple[str, ...]] = {
             "error_columns",
             "imu_factors",
             "optimise",
-            "shared_prior",
         )
     },
-    "smoother/graph/gravity_axes.py": (
-        _ALONE,
+    "smoother/graph/shared_prior.py": (
+        *_GRAPH,
         "tests/graph/test_gravity_axes.py",
         "tests/graph/test_axes_of_gravity.py",
         "tests/graph/test_lag_window.py",
     ),
     "smoother/graph/block_shifts.py": (_ALONE, "tests/graph/test_block_shifts.py"),
-    "smoother/graph/clock_information.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
+    "smoother/graph/error_columns.py": (*_GRAPH[1:], "tests/graph/test_clock_information.py"),
     **{
         f"smoother/graph/{name}.py": (
             *_GRAPH[1:],
             "tests/graph/test_linear_system.py",
             "tests/graph/test_sampling.py",
         )
-        for name in ("jacobian", "linear_system", "solve")
+        for name in ("linear_system", "solve")
     },
     "smoother/graph/variables.py": (_ALONE, "tests/graph/test_variables.py"),
     "smoother/graph/sampling.py": ("tests/graph/test_sampling.py",),
-    **{
-        f"smoother/graph/lag_{name}.py": (
-            _ALONE,
-            f"tests/graph/test_lag_{name}.py",
-            "tests/graph/test_lag_window.py",
-        )
-        for name in ("iteration", "marginalisation")
-    },
+    "smoother/graph/lag_elimination.py": (
+        _ALONE,
+        "tests/graph/test_lag_elimination.py",
+        "tests/graph/test_lag_window.py",
+    ),
     **{
         f"smoother/graph/lag_{name}.py": (
             "tests/graph/test_lag_window.py",
             "tests/live/test_live_smoother.py",
         )
-        for name in ("factors", "reading", "window")
+        for name in ("factors", "window")
     },
     "smoother/selfcal/clock_fit.py": (_ALONE, "tests/selfcal/test_clock_score.py"),
     "smoother/measurements/outliers.py": (

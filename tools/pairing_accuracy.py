@@ -25,8 +25,7 @@ from smoother.io.devices.files import ImuFiles, import_files
 from smoother.io.plain.datasets import import_utd_mhad
 from smoother.io.recording.select import select_recording
 from smoother.linalg import unit
-from smoother.measurements.attitude import inertial_attitude
-from smoother.measurements.inertial import InertialSignal
+from smoother.measurements.inertial import InertialSignal, inertial_attitude
 from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided

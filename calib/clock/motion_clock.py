@@ -23,7 +23,7 @@ from smoother.measurements.outliers import reject_by_camera
 from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import Recording
 from smoother.runtime.pool import Pool
-from smoother.selfcal.coarse_clock import coarse_offset
+from smoother.selfcal.pairing import coarse_offset
 from smoother.selfcal.rounds import self_calibrate
 
 from .links import SKEW_SIGMA, ClockLink

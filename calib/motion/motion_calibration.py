@@ -18,7 +18,7 @@ from smoother.measurements.segment import Segment, split_into_segments
 from smoother.recording import JOINTS, Recording
 from smoother.result import Recovery
 from smoother.runtime.pool import Pool
-from smoother.selfcal.coarse_clock import synchronise_coarsely
+from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.selfcal.rounds import self_calibrate
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.window.priors import with_measured_noise

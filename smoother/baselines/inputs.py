@@ -15,8 +15,7 @@ from ..calibration import ArmCalibration
 from ..config import CameraNoise
 from ..errors import SolveError
 from ..measurements.alignment import Alignment, VectorPairs, align, lever_of, pairs
-from ..measurements.attitude import inertial_attitude
-from ..measurements.inertial import InertialSignal
+from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, Segment
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..measurements.visibility import enough_joints, joints_needed

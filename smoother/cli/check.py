@@ -108,7 +108,7 @@ def _checked(
 ) -> tuple[dict[str, Any], TriedGaps | None]:
     """The figures of an arm, and what its recording allows where a result could be trusted."""
     from ..errors import CalibrationError, SolveError
-    from ..measurements.timeline import Timeline
+    from ..measurements.segment import Timeline
     from ..selfcal.excerpts import informative_recording
     from ..smoothing import smooth
 

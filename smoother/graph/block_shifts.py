@@ -18,12 +18,11 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..linalg import inverse
 from ..measurements.visibility import MISSING_S
-from ..window.block_shift import BlockShift
-from ..window.constant_errors import SIZE
 from ..window.problem import Window
+from ..window.shared import SIZE
+from ..window.solution import BlockShift
 from .error_columns import camera_rows
-from .jacobian import Jacobian
-from .linear_system import LinearSystem
+from .linear_system import Jacobian, LinearSystem
 
 #: Blocks are built of cells of about this length, s, and are so many cells long.
 CELL_S = 1.0

@@ -15,8 +15,8 @@ from gtsam.symbol_shorthand import B, G, L, S, U, V, X
 
 from ..array_types import FloatArray
 from ..recording import JOINTS
-from ..window.lag_solution import NodeState
 from ..window.problem import ImuIncrements, NoiseModel, Priors
+from ..window.solution import NodeState
 from .build import isotropic, robust
 from .imu_factors import noise_levels, preintegration_parameters
 

@@ -20,7 +20,7 @@ from ..array_types import FloatArray, IntArray
 from ..linalg import runs
 from ..window.problem import Window
 from .build import upper_arm_factors
-from .gravity_axes import gravity_axes, have_turned, turned_with_axes
+from .shared_prior import gravity_axes, have_turned, turned_with_axes
 
 MAX_ITERATIONS = 12
 #: At most so often the optimum is sought anew because gravity's axes have turned.

@@ -15,10 +15,10 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, G, S, V, X, Y
 
 from ..array_types import FloatArray, IntArray
-from ..window.constant_errors import STRAP_PLACE
 from ..window.draw_plan import DrawPlan, root_of
-from ..window.drawn_window import WindowDraws
 from ..window.problem import Window
+from ..window.shared import STRAP_PLACE
+from ..window.solution import WindowDraws
 from .error_columns import is_place, node_of_variables
 from .linear_system import LinearSystem
 from .shared_prior import shared_jacobian, shared_keys

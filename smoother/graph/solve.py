@@ -14,17 +14,22 @@ from ..array_types import BoolArray, FloatArray, IntArray
 from ..errors import SolveError
 from ..linalg import interpolate
 from ..recording import JOINTS
-from ..window.block_shift import BlockShift
-from ..window.constant_errors import STRAP_PLACE
 from ..window.draw_plan import DrawPlan
 from ..window.problem import States, Window
-from ..window.shared import Gaussian
-from ..window.solution import Message, Solution
+from ..window.shared import STRAP_PLACE, Gaussian
+from ..window.solution import BlockShift, Message, Solution
 from .block_shifts import CameraBlocks
 from .build import bias_of_intervals
 from .chain import build_arm, upper_solution
-from .clock_information import offset_column, offset_information, stamp_columns
-from .error_columns import constant_error_columns, evidence, is_place, node_of_variables
+from .error_columns import (
+    constant_error_columns,
+    evidence,
+    is_place,
+    node_of_variables,
+    offset_column,
+    offset_information,
+    stamp_columns,
+)
 from .linear_system import ExtraColumns, LinearSystem
 from .optimise import Optimum, optimise
 from .sampling import sample_window

@@ -19,12 +19,12 @@ from ..config import Config
 from ..errors import UnoccludeError
 from ..measurements.clock import OFFSET_SIGMA_S, Clock, constant_clock
 from ..measurements.outliers import reject_by_camera
-from ..measurements.timeline import Timeline
+from ..measurements.segment import Timeline
 from ..measurements.visibility import joints_needed
 from ..recording import CameraFrame, Recording
 from ..runtime.pool import Pool, blank_main, interrupts_wait, one_thread_each, prepare_worker
-from ..selfcal.coarse_clock import coarse_clock
 from ..selfcal.excerpts import informative_excerpts
+from ..selfcal.pairing import coarse_clock
 from ..selfcal.rounds import self_calibrate
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.priors import with_measured_noise

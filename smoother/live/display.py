@@ -14,9 +14,9 @@ from ..recording import FOREARM_JOINTS, JOINTS
 from ..recovery.samples import widen_turns
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
-from ..window.constant_errors import JOINT_ERRORS
-from ..window.lag_solution import LagSolution, NodeState
 from ..window.problem import NoiseModel
+from ..window.shared import JOINT_ERRORS
+from ..window.solution import LagSolution, NodeState
 from .estimate import LiveEstimate, LiveState
 from .tracker import Tracker
 

@@ -26,11 +26,11 @@ from ..recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTrac
 from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import CHANGE_TIME_S, STILL_ACCELERATION
-from ..window.lag_solution import LagSolution, NodeState
 from ..window.prepare import prepare
 from ..window.priors import first_priors, noise_of
 from ..window.problem import ImuIncrements, Priors
 from ..window.shared import Gaussian
+from ..window.solution import LagSolution, NodeState
 from .buffers import ImuBuffer, SkeletonFrame
 from .estimate import LiveState
 

@@ -20,8 +20,7 @@ from ..linalg import interpolate, nearest_rotation
 from ..recording import JOINTS
 from ..rotation import Rotation, Slerp
 from ..units import GRAVITY
-from .attitude import InertialAttitude
-from .inertial import InertialSignal
+from .inertial import InertialAttitude, InertialSignal
 from .segment import Segment
 
 #: How fast the inertial filter's heading may drift: alignments share data over this time, s.

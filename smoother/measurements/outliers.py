@@ -7,19 +7,99 @@ By what the camera alone says (frozen, interpolated, jump, bone length), by what
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..array_types import BoolArray, FloatArray
+from ..calibration import ArmCalibration
 from ..filters import moving_median
 from ..linalg import runs, unit
 from ..recording import JOINTS
-from .alignment import Alignment
-from .interpolation import interpolated
-from .joint_noise import JointNoise
-from .rejection import Rejection
+from .alignment import Alignment, align, pairs
+from .clock import Clock
 from .segment import Segment
+from .visibility import Rejection
+
+
+@dataclass(frozen=True)
+class JointNoise:
+    """Noise of a joint's samples, one standard deviation of each axis.
+
+    Attributes
+    ----------
+    sample_m : float, m
+        Of one sample.
+    effective_m : float, m
+        Of a white noise with the same long-run variance, which a graph of independent samples needs.
+    memory_m : float, m
+        The part that neighbours share.
+    """
+
+    sample_m: float
+    effective_m: float
+    memory_m: float
+
+
+#: A fourth difference counts as none below this part of the joint's usual one, and of the step from sample
+#: to sample: cameras that smooth (Kinect v1) are nearly free of noise where an arm rests, not where it moves.
+PART, PART_OF_STEP = 0.02, 0.01
+#: So many in a row are no accident.
+IN_A_ROW = 4
+#: Samples that the fourth difference is made of.
+STENCIL = 5
+#: Stencils that reach farther than this, in usual ones, are left out.
+LONGEST = 1.5
+#: A joint whose usual fourth difference is smaller has no noise to tell by, m.
+NOISELESS_M = 1e-5
+
+
+def interpolated(t_s: FloatArray, position: FloatArray, accepted: BoolArray) -> BoolArray:
+    """Samples of one joint that were filled in.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (f,), s
+        Frame times, increasing.
+    position : ndarray, shape (f, 3), m
+    accepted : ndarray of bool, shape (f,)
+        Samples that call themselves tracked.
+
+    Returns
+    -------
+    filled : ndarray of bool, shape (f,)
+        The last sample before and the first after a filling are the camera's own.
+    """
+    filled = np.zeros(len(t_s), dtype=bool)
+    rows = np.flatnonzero(accepted)
+    if len(rows) < 4 * STENCIL:
+        return filled
+    x, t = position[rows], t_s[rows]
+    step = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    usual_step = sliding_window_view(step, STENCIL - 1).mean(axis=1)
+    reach = t[STENCIL - 1 :] - t[: 1 - STENCIL]
+    broken = reach > LONGEST * np.median(reach)  # over a gap a difference by time is small for its own reason
+    for difference in (np.diff(x, STENCIL - 1, axis=0), _by_time(t, x)):
+        size = np.where(broken, np.inf, np.abs(difference).max(axis=1))
+        usual = float(np.median(size))
+        if usual < NOISELESS_M:
+            continue
+        for run in runs(np.asarray(size < np.minimum(PART * usual, PART_OF_STEP * usual_step))):
+            first, last = run.start, run.stop + STENCIL - 2  # samples on the polynomial, both ends its own
+            if run.stop - run.start >= IN_A_ROW:
+                filled[rows[first + 1 : last]] = True
+    return filled
+
+
+def _by_time(t: FloatArray, x: FloatArray) -> FloatArray:
+    """Fourth differences (n - 4, 3) m for uneven times: divided ones at the usual spacing."""
+    step = float(np.median(np.diff(t)))
+    difference = x
+    for order in range(1, STENCIL):
+        difference = np.diff(difference, axis=0) / ((t[order:] - t[:-order]) / (order * step))[:, None]
+    return difference
+
 
 #: No depth camera sees a person farther away, m.
 FARTHEST_M = 20.0
@@ -206,3 +286,35 @@ def _strap_off(segment: Segment) -> BoolArray:
     distance = np.linalg.norm(strap - elbow - at[:, None] * along, axis=1)
     nearer_elbow = at < 0.5 * np.linalg.norm(wrist - elbow, axis=1)
     return (distance > STRAP_M) | nearer_elbow
+
+
+def reject_by_direction(
+    segment: Segment, calibration: ArmCalibration, clock: Clock
+) -> tuple[Segment, Alignment | None]:
+    """Reject the frames whose forearm does not point where the inertial attitude says.
+
+    Parameters
+    ----------
+    segment : Segment
+    calibration : ArmCalibration
+        Of which the forearm's direction in the sensor is used; without one nothing is rejected.
+    clock : Clock
+        Of the camera.
+
+    Returns
+    -------
+    segment : Segment
+        The same object where nothing was rejected.
+    alignment : Alignment or None
+        Of the inertial frame to the camera's, where nothing was rejected and it can be used again.
+    """
+    along_A = calibration.forearm_direction
+    if along_A is None:
+        return segment, None
+    frame_t = segment.frame_t_imu(clock)
+    vectors = pairs(segment, frame_t, segment.accepted, calibration)
+    if not vectors:
+        return segment, None
+    alignment = align(vectors, segment.start_s, segment.end_s, segment.down)
+    inlier = reject_by_attitude(segment, frame_t, alignment, along_A)
+    return inlier, alignment if inlier is segment else None

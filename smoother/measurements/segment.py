@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray
-from ..recording import ImuStream, JointTracks, Recording
-from .attitude import InertialAttitude, inertial_attitude
+from ..recording import ImuStream, JointState, JointTracks, Recording
 from .clock import LARGEST_OFFSET_S, Clock
-from .inertial import InertialSignal
+from .inertial import InertialAttitude, InertialSignal, UpperRunSamples, inertial_attitude
 from .timestamps import dejitter, split_at_pauses, synthetic_stamps
-from .upper_run import UpperRunSamples
-from .visibility import accepted_samples, enough_joints, joints_needed
+from .visibility import MISSING_S, accepted_samples, enough_joints, joints_needed
 
 #: A single sample of the gyroscope that jumps by more than this and back is an error, rad/s.
 SPIKE_RAD_S = 15.0
@@ -244,3 +242,58 @@ def without_spikes(imu: ImuStream) -> ImuStream:
     gyro = imu.gyro.copy()
     gyro[rows] = 0.5 * (imu.gyro[rows - 1] + imu.gyro[rows + 1])
     return replace(imu, gyro=gyro)
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What every step needs to know of a recording's times.
+
+    Attributes
+    ----------
+    segments : tuple of slice
+        Rows of the IMU between its pauses, in order of time.
+    even_t_imu : ndarray, shape (N,), s
+        The IMU's stamps, dejittered segment by segment.
+    visible : ndarray of bool, shape (F,)
+        Frames in which the camera tracked enough of the forearm.
+    seen : ndarray of bool, shape (F,)
+        Frames in which it tracked anything of the forearm.
+    traits : SegmentTraits
+        What holds for all segments: gravity's rough direction, whether the camera's stamps are synthetic.
+    """
+
+    segments: tuple[slice, ...]
+    even_t_imu: FloatArray
+    visible: BoolArray
+    seen: BoolArray
+    traits: SegmentTraits
+
+    @classmethod
+    def of(cls, recording: Recording) -> Timeline:
+        """The timeline of a recording; its samples are not read, only its stamps and the joints' states."""
+        traits = traits_of(recording)
+        segments = tuple(split_at_pauses(recording.imu))
+        even_t = np.empty(len(recording.imu))
+        for rows in segments:
+            even_t[rows] = dejitter(np.asarray(recording.imu.t_s[rows]))
+        tracked = recording.arm.state == JointState.TRACKED
+        visible, seen = enough_joints(tracked, traits.needed), enough_joints(tracked, 1)
+        return cls(segments, even_t, visible, seen, traits)
+
+    @property
+    def synthetic_stamps(self) -> bool:
+        """The camera's frames were spread evenly by a program instead of measured."""
+        return self.traits.synthetic_stamps
+
+    def usual_gap_s(self, frame_t_s: FloatArray) -> float:
+        """Median length of the times in which the frames (F,) did not see the forearm, s; 1 without any."""
+        seen_t = np.asarray(frame_t_s)[self.visible]
+        away_s = np.diff(seen_t)
+        gaps_s = away_s[(away_s > MISSING_S) & (np.diff(np.flatnonzero(self.visible)) > 1)]
+        return float(np.median(gaps_s)) if len(gaps_s) else 1.0
+
+    def length_s(self) -> float:
+        """Time in all segments together, s."""
+        return sum(
+            float(self.even_t_imu[rows.stop - 1] - self.even_t_imu[rows.start]) for rows in self.segments
+        )

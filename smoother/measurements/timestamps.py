@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -97,3 +98,229 @@ def synthetic_stamps(t_s: FloatArray) -> bool:
     if len(dt) < 10 or np.ptp(dt) > 1e-4:
         return False
     return bool(np.min(np.abs(1.0 / dt.mean() / CAMERA_RATES_HZ - 1.0)) > RATE_TOLERANCE)
+
+
+#: Counters of devices start anew after so many seconds: 2^32 of us, ms, ns and 30 us; 2^24 of 1/32768 s;
+#: 2^16 of ms; a day.
+WRAPS_S = (
+    2**32 * 1e-6,
+    2**32 * 1e-3,
+    2**32 * 1e-9,
+    2**32 / 32768,
+    2**24 / 32768,
+    2**16 * 1e-3,
+    86_400.0,
+)
+#: After a wrap the next stamp follows within so many ticks, or so long, s.
+WRAP_TICKS, WRAP_S = 50.0, 1.0
+#: A step is a repeat or a burst's where it is shorter than this part of a tick; stamps with a smaller share
+#: of those are left as they are.
+SHORT_STEP, FEW = 0.25, 0.003
+#: A pause is looked at from this many ticks, and this long, s, on.
+PAUSE_TICKS, PAUSE_S = 4.0, 0.08
+#: Stamps that catch up do so within this time, s; the level before a pause is taken over the second.
+CATCH_UP_S, BEFORE_S = 6.0, 1.0
+#: Stamps' level is taken over so long, s; so many of them are compared with their neighbours.
+LEVEL_S, LEVELS = 2.0, 5
+#: A sensor is even where its rate over `LEVEL_S` scatters by no more than this part.
+EVEN = 0.04
+#: Of a level before or after a step at most about so many samples are ranked.
+QUICK = 100
+#: With fewer samples nothing is estimated.
+FEWEST = 50
+
+
+@dataclass(frozen=True)
+class EvenTimes:
+    """Times by count.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (N,), s
+        Increasing, a tick apart but for pauses and slow drift.
+    tick_s : float, s
+        The sensor's period.
+    pauses : int
+        Pauses after which the stamps did not catch up.
+    clock_resets : int
+        Times that the clock was set back to stay.
+    """
+
+    t_s: FloatArray
+    tick_s: float
+    pauses: int
+    clock_resets: int
+
+
+def unwrapped(t_s: FloatArray, wraps_s: tuple[float, ...] = WRAPS_S) -> tuple[FloatArray, int]:
+    """Stamps (N,) of a clock that starts anew, made to go on; and how often it did."""
+    dt = np.diff(t_s)
+    back = np.flatnonzero(dt < 0)
+    if not len(back):
+        return t_s, 0
+    forward = dt[dt > 0]
+    tick = float(np.median(forward)) if len(forward) else 0.0
+    near = max(WRAP_TICKS * tick, WRAP_S)
+    added, wraps = np.zeros(len(t_s)), 0
+    for row in back.tolist():
+        fitting = [wrap for wrap in wraps_s if 0 <= dt[row] + wrap <= min(near, 0.1 * wrap)]
+        if fitting:
+            added[row + 1 :] += min(fitting, key=lambda wrap: dt[row] + wrap)
+            wraps += 1
+    return t_s + added, wraps
+
+
+def counted(counter: IntArray, wraps: int) -> tuple[IntArray, int]:
+    """Counter values (N,) as numbers of samples from 0 on, and how often the counter started anew.
+
+    Parameters
+    ----------
+    counter : ndarray of int, shape (N,)
+        As written.
+    wraps : int
+        Where it starts anew; 0 = not known: at 2^8, 2^16 or 2^32, whichever lies next above its values.
+
+    Returns
+    -------
+    number : ndarray of int, shape (N,)
+        From 0 on. A counter that goes back otherwise counts on from there as if nothing were lost.
+    restarts : int
+        Wraps and other steps back.
+    """
+    if not len(counter):
+        return counter, 0
+    if wraps <= 0:
+        wraps = next((2**bits for bits in (8, 16, 32) if counter.max() < 2**bits), 2**62)
+    step = np.diff(counter)
+    usual = max(int(np.median(step[step > 0])), 1) if (step > 0).any() else 1
+    back = step < 0
+    around = step + wraps
+    # A wrap loses a few samples at most; a counter that starts at any other number was started anew.
+    step = np.where(back, np.where(around <= 0.1 * wraps, around, usual), step)
+    number = np.concatenate([[0], np.cumsum(step)])
+    return np.asarray(number // usual if (step % usual == 0).all() else number, np.int64), int(back.sum())
+
+
+def needs_counting(t_s: FloatArray) -> bool:
+    """Whether so many stamps (N,) repeat, go back or come too close that they are not the samples' own."""
+    dt = np.diff(t_s)
+    if len(dt) < FEWEST:
+        return bool((dt <= 0).any())
+    tick = _tick(t_s, np.arange(len(t_s)))
+    if not tick > 0:
+        return False
+    late = dt > max(PAUSE_TICKS * tick, PAUSE_S)
+    return bool((dt <= 0).mean() > FEW or ((dt < SHORT_STEP * tick).mean() > FEW and late.any()))
+
+
+def even_times(t_s: FloatArray, number: IntArray | None = None) -> EvenTimes | None:
+    """Times of an even sensor from bad stamps.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (N,), s
+        Stamps in the order of the samples.
+    number : ndarray of int, shape (N,), optional
+        Of each sample, where a counter tells how many were lost; without it pauses show in the stamps.
+
+    Returns
+    -------
+    EvenTimes or None
+        None where the sensor does not tick evenly, or too few samples say so.
+    """
+    if len(t_s) < FEWEST:
+        return None
+    is_counted = number is not None
+    number = np.arange(len(t_s)) if number is None else number
+    tick = _tick(t_s, number)
+    if not tick > 0:
+        return None
+    departure = t_s - tick * number
+    steps = [] if is_counted else _pauses(t_s, departure, tick)
+    for row, step in steps:
+        if step < 0:
+            departure[row:] -= step
+    pauses = [row for row, step in steps if step > 0]
+    edges = [0, *pauses, len(t_s)]
+    even = np.empty(len(t_s))
+    rates: list[float] = []
+    for first, stop in pairwise(edges):
+        rows = slice(first, stop)
+        level, slopes = _level(departure[rows], number[rows], tick)
+        even[rows] = tick * number[rows] + level
+        rates += slopes
+    if len(rates) >= 3 and robust_sigma(np.array(rates)) > EVEN:
+        return None
+    if (np.diff(even) < 0.2 * tick * np.maximum(np.diff(number), 1)).any():
+        return None  # a level that runs back is no drift of a clock
+    return EvenTimes(even, tick, len(pauses), len(steps) - len(pauses))
+
+
+def _tick(t_s: FloatArray, number: IntArray) -> float:
+    """The period over intervals long enough that bursts do not count and pauses are rare."""
+    apart = max(min(len(t_s) // 3, 500), 1)
+    ahead = number[apart:] - number[:-apart]
+    ticks = (t_s[apart:] - t_s[:-apart])[ahead > 0] / ahead[ahead > 0]
+    return float(np.median(ticks)) if len(ticks) else float("nan")
+
+
+def _pauses(t_s: FloatArray, departure: FloatArray, tick: float) -> list[tuple[int, float]]:
+    """Rows before which the stamps step for good, and how far, s: on by a pause, back by a clock set back."""
+    dt = np.diff(t_s)
+    least = max(PAUSE_TICKS * tick, PAUSE_S)
+    after, before = (max(round(time / tick), 5) for time in (CATCH_UP_S, BEFORE_S))
+
+    def step_over(first: int, last: int) -> float:
+        """Level from row `last` on less that up to row `first`; late stamps lie above what they return to."""
+        earlier = _ranked(departure[max(first - before, 0) : first], 0.5)
+        later = departure[last : last + after]
+        middle = _ranked(later, 0.5)
+        return (middle if middle < earlier else _ranked(later, 0.1)) - earlier
+
+    def lasts(step: float, jump: float) -> bool:
+        return abs(step) > max(0.5 * abs(jump), 0.6 * least) and (step > 0) == (jump > 0)
+
+    jumps = np.flatnonzero((dt > least) | (dt < -PAUSE_S)) + 1
+    # With few samples beside it a burst looks like a pause; only a long jump is one all the same.
+    inside = (jumps >= before // 2) & (jumps <= len(t_s) - before // 2)
+    jumps = jumps[inside | (dt[jumps - 1] > BEFORE_S)].tolist()
+    candidates = np.array([r for r in jumps if lasts(step_over(r, r), float(dt[r - 1]))], np.int64)
+    pauses: list[tuple[int, float]] = []
+    for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > before) + 1):
+        if not len(group):
+            continue
+        first, last = int(group[0]), int(group[-1])
+        step = step_over(first, last)
+        if len(group) > 1:  # stamps of one pause, mixed with late ones: where do two levels fit best?
+            low = float(np.median(departure[max(first - before, 0) : first]))
+            error = np.abs(departure[first:last] - low) - np.abs(departure[first:last] - low - step)
+            split = first + int(np.argmin(np.append(0.0, np.cumsum(error))))
+        else:
+            split = first
+        if abs(step) > 0.6 * least:
+            pauses.append((split, step))
+    return pauses
+
+
+def _ranked(values: FloatArray, share: float) -> float:
+    """A quantile of at most `QUICK` of the values: bursty stamps have thousands of steps to look at."""
+    values = values[:: max(len(values) // QUICK, 1)]
+    rank = int(share * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
+
+
+def _level(departure: FloatArray, number: IntArray, tick: float) -> tuple[FloatArray, list[float]]:
+    """Slow departure of stamps from an even tick, and its slopes from level to level."""
+    width = max(round(LEVEL_S / tick), 5)
+    count = max(len(departure) // width, 1)
+    parts = np.array_split(np.arange(len(departure)), count)
+    level = np.array([np.median(departure[part]) for part in parts])
+    if count == 1:
+        return np.full(len(departure), level[0]), []
+    at = np.array([np.median(number[part]) for part in parts])
+    slopes = np.diff(level) / np.maximum(np.diff(at) * tick, 1e-9)
+    trend = float(np.median(slopes)) * tick
+    half = LEVELS // 2
+    padded = np.pad(level - trend * at, half, mode="edge")
+    slow = np.median(np.lib.stride_tricks.sliding_window_view(padded, LEVELS), axis=1)
+    return trend * number + np.interp(number, at, slow), slopes.tolist()

@@ -22,7 +22,7 @@ from ..result import Recovery, UntrustedInterval
 from ..rotation import Rotation
 from .cause import distrusted, fixed_by
 from .explanations import Explanation, explanations
-from .limb_lengths import sensor_at_elbow
+from .trust import sensor_at_elbow
 
 #: A mirrored skeleton that explains the visible motion better by this log-likelihood is the cause. In sound
 #: trials of UTD-MHAD of 2 to 5 s it is less likely by 5 to 120, in simulated arms of 30 s by more than 12; it

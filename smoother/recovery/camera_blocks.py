@@ -19,13 +19,12 @@ from ..array_types import BoolArray, FloatArray
 from ..errors import UnoccludeError
 from ..linalg import interpolate, runs
 from ..measurements.clock import Clock
-from ..measurements.rejection import Rejection
 from ..measurements.segment import Segment
-from ..measurements.visibility import MISSING_S, Gap
+from ..measurements.visibility import MISSING_S, Gap, Rejection
 from ..recording import JOINTS, JointState, Recording
 from ..result import Pairing, Recovery, UntrustedInterval
 from ..selfcal.pairing import find_pairing
-from ..window.block_shift import BlockShift
+from ..window.solution import BlockShift
 from .second_pass import SecondAnswer
 from .self_check import HiddenStretch
 

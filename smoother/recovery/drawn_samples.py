@@ -12,8 +12,8 @@ from ..measurements.alignment import lever_of
 from ..rotation import Rotation
 from ..selfcal.self_calibration import SelfCalibration
 from ..window.draw_plan import DrawPlan, root_of
-from ..window.drawn_window import WindowDraws
 from ..window.shared import SharedLayout
+from ..window.solution import WindowDraws
 from ..window.trajectory import Trajectory
 from .samples import (
     IMU_DELAY_S,

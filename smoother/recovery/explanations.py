@@ -20,7 +20,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..linalg import unit
 from ..measurements.alignment import acceleration_pairs
-from ..measurements.attitude import InertialAttitude
+from ..measurements.inertial import InertialAttitude
 from ..measurements.segment import Segment
 from ..recording import JOINTS
 from ..result import Recovery

@@ -16,18 +16,25 @@ import numpy as np
 from ..array_types import FloatArray, IntArray
 from ..errors import SolveError
 from ..graph.solve import solve
-from ..measurements.outliers import reject_by_camera
+from ..measurements.outliers import reject_by_camera, reject_by_direction
 from ..runtime.pool import Pool
 from ..runtime.store import Store
 from ..selfcal.clock_fit import ClockScore, clock_score
-from ..selfcal.direction_check import reject_by_direction
-from ..window.cut import cut_times, window_middles
+from ..window.cut import cut_times, window_middles, window_nodes
 from ..window.pooling import leave_one_out_priors
 from ..window.prepare import prepare
 from ..window.problem import FieldMeasurements, Priors
 from ..window.solution import Message
 from ..window.trajectory import merge_windows
-from .magnetometer import observe
+from .magnetometer import (
+    NO_MAGNETOMETER,
+    FieldMean,
+    Magnetometer,
+    field_means,
+    judge,
+    observe,
+    usual_strength,
+)
 from .sections import SectionData, Sections
 from .task import SectionState, Task
 
@@ -236,3 +243,42 @@ class FirstPass:
         for state, windows in self.states():
             own = {k - windows.start: field_by_window[k] for k in windows if k in field_by_window}
             yield SecondJob(state, list(islice(priors, len(windows))), own)
+
+
+def magnetic_field(first: FirstPass, task: Task, workers: Pool) -> Magnetometer:
+    """The field's measurements by window, where they agree with the rest of the recording.
+
+    Parameters
+    ----------
+    first : FirstPass
+        Its states come back with outliers rejected.
+    task : Task
+        Refined by the first pass.
+    workers : Pool
+    """
+    if not task.magnetometer:
+        return NO_MAGNETOMETER
+    strength, reason = usual_strength(first.strengths)
+    if not strength > 0:
+        return reason
+    means: list[FieldMean] = []
+    job = partial(_section_means, strength=strength, task=task)
+    for state, windows, section_means in workers.map(job, first.states()):
+        first.put_back(state, windows)
+        means += section_means
+    return judge(means)
+
+
+def _section_means(
+    section: tuple[SectionState, range], strength: float, task: Task
+) -> tuple[SectionState, range, list[FieldMean]]:
+    """Where the magnetometer could take part in the second pass of a section."""
+    state, windows = section[0].without_outliers(task), section[1]
+    prepared, margin_s = state.prepared, task.config.windows.margin_s
+    means: list[FieldMean] = []
+    for number, observation in enumerate(state.observations):
+        rows = window_nodes(prepared.t, state.borders, number, margin_s)
+        means += field_means(
+            windows.start + number, observation, strength, prepared.t[rows], prepared.start.R[rows]
+        )
+    return state, windows, means

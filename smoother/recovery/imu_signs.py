@@ -13,8 +13,8 @@ import numpy as np
 
 from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
+from ..measurements.segment import Timeline
 from ..measurements.segment import spikes as jumps
-from ..measurements.timeline import Timeline
 from ..measurements.timestamps import PAUSE_SAMPLES
 from ..recording import ImuStream, Recording
 from ..rotation import Rotation, chained

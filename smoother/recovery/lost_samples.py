@@ -14,8 +14,8 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..filters import gaussian_smoothed
 from ..linalg import interpolate, runs, unit
-from ..measurements.rejection import Rejection
 from ..measurements.timestamps import synthetic_stamps
+from ..measurements.visibility import Rejection
 from ..recording import JOINTS, Recording
 from ..result import Recovery
 from ..result.verdict import UntrustedInterval

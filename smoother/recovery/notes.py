@@ -9,9 +9,8 @@ import numpy as np
 
 from ..array_types import BoolArray
 from ..measurements.clock import LARGEST_OFFSET_S, Clock
-from ..measurements.rejection import Rejection
-from ..measurements.timeline import Timeline
-from ..measurements.visibility import Gap
+from ..measurements.segment import Timeline
+from ..measurements.visibility import Gap, Rejection
 from ..recording import Recording
 from ..result import FrameResiduals
 from ..selfcal.self_calibration import SelfCalibration

@@ -10,17 +10,14 @@ from ..graph.optimise import LONG_S
 from ..graph.solve import WindowOptimum, optimise_window, solution_of
 from ..measurements.visibility import Gap
 from ..runtime.pool import Pool
-from ..window.block_shift import BlockShift
-from ..window.drawn_trajectory import merge_draws
 from ..window.problem import Window
-from ..window.solution import Message, Solution
-from ..window.trajectory import merge_windows
+from ..window.solution import BlockShift, Message, Solution
+from ..window.trajectory import merge_draws, merge_windows
 from .drawn_samples import SectionDraws, sample_draws
 from .first_pass import SecondJob
-from .samples import SectionAnswer, sample_section
+from .samples import SectionAnswer, UpperAnswer, sample_section, sample_upper
 from .self_check import HiddenStretch, hide_and_recover
 from .task import SectionState, Task
-from .upper_samples import UpperAnswer, sample_upper
 
 TOLERANCE = 1e-3
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..measurements.clock import Clock
-from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, make_segment
-from ..measurements.timeline import Timeline
-from ..measurements.upper_run import upper_run_samples
+from ..measurements.inertial import upper_run_samples
+from ..measurements.segment import FEWEST_SAMPLES, Segment, SegmentTraits, Timeline, make_segment
 from ..measurements.visibility import MISSING_S
 from ..recording import ImuStream, JointTracks, Recording
 from ..selfcal.upper_arm import UpperArm

@@ -16,7 +16,7 @@ from ..measurements.segment import Segment
 from ..recording import JOINTS, Recording
 from ..selfcal.clock_fit import ClockScore, pooled_score, refined_clock
 from ..selfcal.excerpts import most_telling
-from ..selfcal.round_windows import with_initial_values
+from ..selfcal.rounds import with_initial_values
 from ..selfcal.self_calibration import SelfCalibration
 from ..units import GRAVITY
 from ..window.cut import PreparedSegment, cut
@@ -26,8 +26,7 @@ from ..window.prepare import prepare
 from ..window.priors import calibration_from, first_priors, noise_of
 from ..window.problem import NoiseModel, Priors, Window
 from ..window.solution import Message
-from ..window.trajectory import Trajectory
-from ..window.upper_times import with_start
+from ..window.trajectory import Trajectory, with_start
 from .magnetometer import FieldObservation, takes_part
 from .samples import frame_residuals
 from .sections import Sections

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..linalg import unit
-from ..measurements.attitude import inertial_attitude
-from ..measurements.inertial import InertialSignal
+from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import ImuStream, JointTracks, Recording, TrunkSensors
@@ -23,7 +22,7 @@ from ..result.trunk_motion import TrunkMotion
 from ..rotation import Rotation
 from ..runtime.store import Store
 from ..selfcal.trunk_mount import OFFSETS_S, ShoulderLine, TrunkMount, mount_trunk
-from .blending import between_quaternions
+from .blended_columns import between_quaternions
 
 #: Worked on at a time, with so much around it, and blended over so much behind its beginning, s.
 SECTION_S, CONTEXT_S, BLEND_S = 60.0, 15.0, 1.0

@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 from ..evaluation.align import truth_at
 from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
 from ..evaluation.rejected import rejected
-from ..measurements.rejection import Reason
+from ..measurements.visibility import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery
 from .decimate import decimate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import BoolArray, FloatArray
-from ..measurements.rejection import Reason
+from ..measurements.visibility import Reason
 
 #: Samples or frames that are looked at together; what is computed of them passes through the memory.
 BATCH_ROWS = 8192

@@ -16,8 +16,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..linalg import runs
 from ..measurements.clock import LARGEST_OFFSET_S
-from ..measurements.segment import down_hint
-from ..measurements.timeline import Timeline
+from ..measurements.segment import Timeline, down_hint
 from ..measurements.timestamps import split_at_pauses
 from ..recording import ImuStream, JointTracks, Recording
 from .excerpts import EXCERPT_S, spread_excerpts

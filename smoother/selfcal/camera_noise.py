@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..linalg import nonnegative_pair
-from ..measurements.joint_noise import JointNoise
+from ..measurements.outliers import JointNoise
 from ..recording import JOINTS
 from ..window.problem import Window
 from ..window.solution import Solution

@@ -120,7 +120,7 @@ class ClockScore:
     """What camera samples say of the clock offset: the score of their likelihood, and its Fisher information.
 
     The loss falls by residual . velocity / sigma^2 a second of later offset (envelope theorem). Information
-    is velocity^2 / sigma^2 less what the states follow of a shift (`graph.clock_information`).
+    is velocity^2 / sigma^2 less what the states follow of a shift (`graph.error_columns`).
 
     Attributes
     ----------

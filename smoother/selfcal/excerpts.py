@@ -11,8 +11,7 @@ import numpy as np
 
 from ..array_types import FloatArray, IntArray
 from ..measurements.clock import LARGEST_OFFSET_S
-from ..measurements.segment import Segment, make_segment, split_into_segments
-from ..measurements.timeline import Timeline
+from ..measurements.segment import Segment, Timeline, make_segment, split_into_segments
 from ..measurements.visibility import enough_joints
 from ..recording import Recording
 

@@ -9,10 +9,9 @@ import numpy as np
 from ..array_types import FloatArray
 from ..calibration import ArmCalibration
 from ..measurements.clock import Clock
-from ..measurements.joint_noise import JointNoise
+from ..measurements.outliers import JointNoise
 from ..window.priors import InitialValues
-from .error_estimate import ConstantErrors
-from .joint_bias import JointBias
+from .error_estimate import ConstantErrors, JointBias
 
 #: A forearm direction that may be farther off than this is not known, rad.
 LARGEST_SPREAD_RAD = np.radians(40.0)

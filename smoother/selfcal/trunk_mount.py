@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..linalg import nearest_rotation, parabola_vertex, unit
-from ..measurements.attitude import InertialAttitude
+from ..measurements.inertial import InertialAttitude
 from ..rotation import Rotation
 
 #: Errors of the shoulders last about so long, s: frames that are nearer say together no more than one. The

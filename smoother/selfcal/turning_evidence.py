@@ -21,8 +21,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..filters import gaussian_smoothed
 from ..linalg import nearest_rotation, unit
-from ..measurements.attitude import inertial_attitude
-from ..measurements.inertial import InertialSignal
+from ..measurements.inertial import InertialSignal, inertial_attitude
 from ..measurements.segment import FEWEST_SAMPLES, FILTER_RATE_HZ, without_spikes
 from ..measurements.timestamps import dejitter
 from ..recording import ImuStream, JointTracks

@@ -17,14 +17,13 @@ from ..config import Config
 from ..errors import UnoccludeError
 from ..measurements.clock import Clock
 from ..measurements.outliers import reject_by_camera
-from ..measurements.segment import without_spikes
-from ..measurements.timeline import Timeline
+from ..measurements.segment import Timeline, without_spikes
 from ..measurements.timestamps import dejitter, split_at_pauses
 from ..recording import JOINTS, ImuStream, JointTracks, Recording
 from ..runtime.pool import Pool
 from ..runtime.store import Store
-from .coarse_clock import synchronise_coarsely
 from .excerpts import informative_excerpts
+from .pairing import synchronise_coarsely
 from .rounds import self_calibrate
 from .self_calibration import SelfCalibration
 

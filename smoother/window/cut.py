@@ -13,6 +13,7 @@ from ..linalg import interpolate
 from ..measurements.inertial import InertialSignal, equivalent_samples, integrate, split_steps
 from ..measurements.visibility import MISSING_S, Gap, enough_joints, occluded_at
 from ..recording import FOREARM_JOINTS, JOINTS
+from .nodes import propagate
 from .problem import (
     ImuIncrements,
     JointMeasurements,
@@ -23,7 +24,6 @@ from .problem import (
     UpperRun,
     Window,
 )
-from .propagate import propagate
 from .upper_runs import PreparedRun
 
 #: Shoulder knots keep at least so far apart, s.

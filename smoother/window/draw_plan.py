@@ -14,7 +14,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..runtime.store import sampled
-from .constant_errors import Considered
+from .shared import Considered
 
 #: Times are told apart to this, s.
 _TICK_S = 1e-6

@@ -7,8 +7,8 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray, IntArray
 from ..calibration import ArmCalibration
 from ..measurements.alignment import Alignment, align, lever_of, located, pairs
-from ..measurements.attitude import acceleration_std
 from ..measurements.clock import Clock
+from ..measurements.inertial import acceleration_std
 from ..measurements.segment import Segment
 from ..measurements.visibility import Gap, enough_joints, find_gaps
 from ..recording import FOREARM_JOINTS, JOINTS

@@ -8,8 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..array_types import FloatArray, IntArray
-from .constant_errors import Considered
-from .shared import Gaussian, SharedLayout
+from .shared import Considered, Gaussian, SharedLayout
 
 
 @dataclass(frozen=True)

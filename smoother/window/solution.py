@@ -2,14 +2,71 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
 
 from ..array_types import BoolArray, FloatArray
-from .block_shift import BlockShift
-from .constant_errors import ErrorEvidence
-from .drawn_window import WindowDraws
+from ..linalg import interpolate
 from .problem import States
-from .shared import Gaussian
+from .shared import ErrorEvidence, Gaussian
+
+
+@dataclass(frozen=True)
+class BlockShift:
+    """A block of camera samples against the rest of its window.
+
+    Attributes
+    ----------
+    start_s, end_s : float, s
+        On the IMU's clock.
+    shift_m : ndarray, shape (3,)
+        What the block would have to be moved by in {K}.
+    score : float
+        Squared shift in sigmas / 3, the camera's slow errors allowed for; about 1 where it is chance.
+    """
+
+    start_s: float
+    end_s: float
+    shift_m: FloatArray
+    score: float
+
+
+@dataclass(frozen=True)
+class WindowDraws:
+    """Deviations of drawn motions from a window's answer, or a section's.
+
+    Attributes
+    ----------
+    position : ndarray, shape (k, n, 3), m
+        Of the IMU at the nodes, in {K}.
+    rotation : ndarray, shape (k, n, 3), rad
+        In {K}.
+    velocity : ndarray, shape (k, n, 3), m/s
+        In {K}.
+    shoulder : ndarray, shape (k, s, 3), m, or None
+        At the knots of a window, at the nodes of a section; None where the camera saw no shoulder.
+    upper_rotation : ndarray, shape (k, n, 3), rad, or None
+        Of an upper-arm IMU in {K}, nan where it has no samples; None without one.
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+    velocity: FloatArray
+    shoulder: FloatArray | None
+    upper_rotation: FloatArray | None
+
+    def at_nodes(self, knots: FloatArray, t: FloatArray) -> WindowDraws:
+        """With the shoulder at all nodes (n,), by linear interpolation between its knots' times (s,)."""
+        if self.shoulder is None:
+            return self
+        shoulder = np.moveaxis(interpolate(knots, np.moveaxis(self.shoulder, 1, 0), t), 0, 1)
+        return replace(self, shoulder=shoulder)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """What there is, by name."""
+        named = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: values for name, values in named.items() if values is not None}
 
 
 @dataclass(frozen=True)
@@ -109,3 +166,68 @@ class Solution:
     upper: UpperSolution | None = None
     draws: WindowDraws | None = None
     shifts: tuple[BlockShift, ...] = ()
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """Pose and velocity of the IMU at one moment.
+
+    Attributes
+    ----------
+    t : float, s
+        On the IMU's clock.
+    R : ndarray, shape (3, 3)
+        `R_K_A`.
+    p : ndarray, shape (3,), m
+        In {K}.
+    v : ndarray, shape (3,), m/s
+        In {K}.
+    """
+
+    t: float
+    R: FloatArray
+    p: FloatArray
+    v: FloatArray
+
+
+@dataclass(frozen=True)
+class LagSolution:
+    """A solved window.
+
+    Attributes
+    ----------
+    newest, settled : NodeState
+        Of the newest node, and of the one that `settled` was asked for.
+    bias : ndarray, shape (6,), m/s^2 and rad/s
+        The newest.
+    gravity : ndarray, shape (3,), m/s^2
+        In {K}.
+    levers : dict of str to ndarray, shape (3,), m
+        In {A}.
+    shoulder : ndarray, shape (3,), m, or None
+        The newest knot's, in {K}; None before the camera saw one.
+    covariance : ndarray, shape (c, c)
+        Joint, of the rows below; rotations as vectors in {K}.
+    rows : dict of str to slice
+        `turn`, `position`, `velocity`, `bias`, `gravity` of the newest node; `settled_turn`,
+        `settled_position`, `settled_velocity`; `shoulder`; and the lever arms by joint.
+    change_m : float, m
+        How far the last iteration moved the newest node.
+    iterations : int
+    """
+
+    newest: NodeState
+    settled: NodeState
+    bias: FloatArray
+    gravity: FloatArray
+    levers: dict[str, FloatArray]
+    shoulder: FloatArray | None
+    covariance: FloatArray
+    rows: dict[str, slice]
+    change_m: float
+    iterations: int
+
+    def block(self, *names: str) -> FloatArray:
+        """Joint covariance of some of the rows, in the order asked for."""
+        index = [i for name in names for i in range(self.rows[name].start, self.rows[name].stop)]
+        return self.covariance[index][:, index]

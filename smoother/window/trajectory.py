@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ..array_types import FloatArray, IntArray
-from ..linalg import interpolate, rotate_covariance, skew
+from ..linalg import interpolate, rotate_covariance, runs, skew
 from ..measurements.inertial import InertialSignal, integrate
 from ..rotation import Rotation
 from .problem import States, Window
-from .solution import Solution
+from .solution import Solution, WindowDraws
+from .upper_runs import PreparedRun
 
 #: Neighbouring windows are blended over this time on both sides of their border, s.
 BLEND_HALF_S = 0.5
@@ -308,3 +310,104 @@ def at_times(motion: Trajectory, signal: InertialSignal, at: FloatArray) -> Stat
     slope = error_p[of] * (6 * u - 6 * u**2) / length + error_v[of] * (3 * u**2 - 2 * u)
     turned = R[row] @ Rotation.from_rotvec(error_R[of] * u).as_matrix()
     return States(turned, p[row] + value, v[row] + slope)
+
+
+def merge_draws(t: FloatArray, windows: Sequence[Window], solutions: Sequence[Solution]) -> WindowDraws:
+    """The windows' draws blended as `merge_windows` blends the answer.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,), s
+        The section's nodes; each window covers a run of them.
+    windows : sequence of Window
+        In order of time.
+    solutions : sequence of Solution
+        Of each, with draws.
+
+    Returns
+    -------
+    draws : WindowDraws
+        At the nodes; both windows drew nearly the same motion where they overlap, so that the blend keeps
+        its variance.
+    """
+    merged: dict[str, FloatArray] = {}
+    filled = np.zeros(len(t), dtype=bool)
+    for window, solution in zip(windows, solutions, strict=True):
+        assert solution.draws is not None
+        knots = window.t if window.shoulder is None else window.t[window.shoulder.node]
+        own, rows, share = window_share(t, window, filled)
+        for name, values in solution.draws.at_nodes(knots, window.t).columns().items():
+            column = merged.setdefault(name, np.zeros((values.shape[0], len(t), 3)))
+            mix(np.moveaxis(column, 1, 0), rows, np.moveaxis(values[:, own], 1, 0), share)
+        filled[rows] = True
+    return WindowDraws(**{each.name: merged.get(each.name) for each in fields(WindowDraws)})  # type: ignore[arg-type]
+
+
+def upper_at(upper: Trajectory, prepared: Sequence[PreparedRun], at: FloatArray) -> States:
+    """Pose and velocity of the upper-arm IMU at any times; orientation and all else nan without samples.
+
+    Parameters
+    ----------
+    upper : Trajectory
+        Its own (`Trajectory.upper`).
+    prepared : sequence of PreparedRun
+        Of the same segment.
+    at : ndarray, shape (k,), s
+        Increasing.
+
+    Returns
+    -------
+    states : States
+        At the k times.
+    """
+    states = States(
+        np.full((len(at), 3, 3), np.nan), np.full((len(at), 3), np.nan), np.full((len(at), 3), np.nan)
+    )
+    known = np.isfinite(upper.states.p[:, 0])
+    for run in prepared:
+        mine = np.zeros_like(known)
+        mine[run.first : run.first + len(run.start.p)] = True
+        for nodes in runs(known & mine):
+            inside = slice(
+                *np.searchsorted(at, upper.t[[nodes.start, nodes.stop - 1]] + [0.0, 1e-9]).tolist()
+            )
+            if nodes.stop - nodes.start < 2 or inside.stop <= inside.start:
+                continue
+            own = States(*(getattr(upper.states, name)[nodes] for name in ("R", "p", "v")))
+            motion = replace(
+                upper, t=upper.t[nodes], states=own, bias=upper.bias[nodes], gravity=upper.gravity[nodes]
+            )
+            times = np.clip(at[inside], motion.t[0], motion.t[-1])
+            answer = at_times(motion, run.signal, times)
+            states.R[inside], states.p[inside], states.v[inside] = answer.R, answer.p, answer.v
+    return states
+
+
+def with_start(
+    prepared: tuple[PreparedRun, ...], t: FloatArray, upper: Trajectory | None, before: Sequence[PreparedRun]
+) -> tuple[PreparedRun, ...]:
+    """The runs with an earlier solution's motion as start values, where it has any.
+
+    Parameters
+    ----------
+    prepared : tuple of PreparedRun
+    t : ndarray, shape (n,), s
+        Their segment's nodes.
+    upper : Trajectory or None
+        The earlier solution.
+    before : sequence of PreparedRun
+        What that was solved with.
+    """
+    if upper is None:
+        return prepared
+    restarted = []
+    for run in prepared:
+        states = upper_at(upper, before, t[run.first : run.first + len(run.start.p)])
+        good = np.isfinite(states.p[:, 0])
+        start = States(
+            np.where(good[:, None, None], states.R, run.start.R),
+            np.where(good[:, None], states.p, run.start.p),
+            np.where(good[:, None], states.v, run.start.v),
+        )
+        restarted.append(replace(run, start=start))
+    return tuple(restarted)

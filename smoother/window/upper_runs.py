@@ -11,9 +11,8 @@ from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration
 from ..linalg import interpolate, unit
 from ..measurements.alignment import Alignment, VectorPairs, acceleration_pairs, align, direction_pairs
-from ..measurements.inertial import InertialSignal
+from ..measurements.inertial import InertialSignal, UpperRunSamples
 from ..measurements.segment import Segment
-from ..measurements.upper_run import UpperRunSamples
 from ..measurements.visibility import Gap, occluded_at
 from ..recording import JOINTS
 from ..units import GRAVITY

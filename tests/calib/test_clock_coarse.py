@@ -12,7 +12,7 @@ from smoother.cli.config_file import with_processes
 from smoother.config import Config
 from smoother.errors import CalibrationError
 from smoother.recording import Recording
-from smoother.selfcal.coarse_clock import coarse_offset
+from smoother.selfcal.pairing import coarse_offset
 from smoother.simulation import ArmSimulation, simulate_arm
 
 

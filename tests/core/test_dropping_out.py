@@ -11,7 +11,7 @@ from scenes import arm
 from smoother import smooth
 from smoother.evaluation.advice import advice
 from smoother.linalg import interpolate
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS, JointState, Recording, Truth
 from smoother.selfcal.excerpts import CONTEXT_S, WANTED, spread_excerpts
 

@@ -21,7 +21,7 @@ from smoother.recording import ImuStream, JointTracks, Recording
 from smoother.report import write_report
 from smoother.measurements.visibility import Gap
 from smoother.result import Estimates, FrameResiduals, Recovery
-from smoother.measurements.rejection import REASONS
+from smoother.measurements.visibility import REASONS
 
 
 peak = PrivatePeak()

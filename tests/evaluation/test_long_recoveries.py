@@ -17,8 +17,7 @@ from smoother.evaluation.advice import advice
 from smoother.evaluation.rejected import rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.io.result.usable import usable
-from smoother.measurements.rejection import REASONS, Reason
-from smoother.measurements.visibility import Gap
+from smoother.measurements.visibility import REASONS, Gap, Reason
 from smoother.recording import JOINTS
 from smoother.result import Estimates, Recovery
 

@@ -26,14 +26,20 @@ from smoother.array_types import FloatArray
 from smoother.errors import SolveError
 from smoother.graph.build import bias_of_intervals
 from smoother.graph.chain import build_arm
-from smoother.graph.clock_information import offset_column, offset_information, stamp_columns
-from smoother.graph.error_columns import constant_error_columns, evidence, node_of_variables
+from smoother.graph.error_columns import (
+    constant_error_columns,
+    evidence,
+    node_of_variables,
+    offset_column,
+    offset_information,
+    stamp_columns,
+)
 from smoother.graph.linear_system import LinearSystem
 from smoother.graph.shared_prior import shared_jacobian, shared_keys
 from smoother.graph.solve import TIGHTEN, solve
 from smoother.recording import JOINTS
-from smoother.window.constant_errors import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
 from smoother.window.problem import States, Window
+from smoother.window.shared import JOINT_ERRORS, SIZE, STRAP_ERRORS, STRAP_PLACE
 from smoother.window.solution import Solution
 
 ELBOW, WRIST, SHOULDER = (JOINTS.index(joint) for joint in ("elbow", "wrist", "shoulder"))

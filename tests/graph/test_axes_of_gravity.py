@@ -12,8 +12,8 @@ from scenes import arm, last_pass
 
 from smoother.graph import optimise as module
 from smoother.graph.build import bias_of_intervals, build
-from smoother.graph.gravity_axes import gravity_axes, have_turned
 from smoother.graph.optimise import optimise
+from smoother.graph.shared_prior import gravity_axes, have_turned
 from smoother.graph.solve import _message
 from smoother.window.problem import Window
 from smoother.window.shared import Gaussian

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import G, L
 
-from smoother.graph.gravity_axes import gravity_axes, have_turned, turned_with_axes
-from smoother.graph.shared_prior import gaussian_factor
+from smoother.graph.shared_prior import gaussian_factor, gravity_axes, have_turned, turned_with_axes
 
 #: Known far better to the left and right than to the front and back, and tied to a lever arm.
 SPREAD_K = np.diag([0.001, 0.0, 0.03]) ** 2

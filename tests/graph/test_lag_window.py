@@ -13,9 +13,9 @@ from smoother.array_types import FloatArray
 from smoother.graph.lag_window import LagWindow
 from smoother.recording import JOINTS
 from smoother.units import GRAVITY
-from smoother.window.lag_solution import LagSolution, NodeState
 from smoother.window.problem import ImuIncrements, NoiseModel, Priors
 from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.solution import LagSolution, NodeState
 
 NOISE = NoiseModel(0.02, 0.003, 0.0, 0.0, 1e3, 0.01, 0.3)  # Cauchy's loss so wide that it is none
 #: Of a camera that is tilted, and of one that stands level: GTSAM's axes across gravity then turn on the way.

@@ -12,8 +12,8 @@ from smoother.graph.build import bias_of_intervals, build
 from smoother.graph.error_columns import constant_error_columns, node_of_variables
 from smoother.graph.linear_system import LinearSystem
 from smoother.recording import JOINTS
-from smoother.window.constant_errors import IMU_ERRORS, JOINT_ERRORS, SIZE
 from smoother.window.problem import Window
+from smoother.window.shared import IMU_ERRORS, JOINT_ERRORS, SIZE
 
 
 @pytest.fixture(scope="module")

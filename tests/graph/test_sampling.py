@@ -23,8 +23,8 @@ from smoother.graph.linear_system import LinearSystem
 from smoother.graph.sampling import sample_window
 from smoother.graph.solve import solve
 from smoother.window.draw_plan import DrawPlan
-from smoother.window.drawn_window import WindowDraws
 from smoother.window.problem import Window
+from smoother.window.solution import WindowDraws
 
 COUNT = 2200
 

@@ -7,8 +7,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.measurements.rejection import Reason
-from smoother.measurements.visibility import Gap
+from smoother.measurements.visibility import Gap, Reason
 from smoother.recording import JOINTS, JointTracks
 from smoother.result import Estimates, FrameResiduals, Recovery
 

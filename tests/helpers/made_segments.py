@@ -8,8 +8,7 @@ import numpy as np
 from curve import G
 
 from smoother.array_types import FloatArray
-from smoother.measurements.attitude import InertialAttitude
-from smoother.measurements.inertial import InertialSignal
+from smoother.measurements.inertial import InertialAttitude, InertialSignal
 from smoother.measurements.segment import Segment
 from smoother.recording import JOINTS, ImuStream
 from smoother.rotation import Rotation

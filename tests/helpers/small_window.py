@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
-from smoother.window.constant_errors import SIZE, Considered
 from smoother.window.problem import (
     FieldMeasurements,
     ImuIncrements,
@@ -25,7 +24,7 @@ from smoother.window.problem import (
     UpperRun,
     Window,
 )
-from smoother.window.shared import Gaussian, SharedLayout, axes_across
+from smoother.window.shared import SIZE, Considered, Gaussian, SharedLayout, axes_across
 
 NODES, STEP_S, SUBSTEPS = 10, 0.06, 3
 GRAVITY_M_S2 = 9.81

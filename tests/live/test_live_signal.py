@@ -9,7 +9,7 @@ from smoother.live.buffers import ImuBatch, ImuBuffer
 from smoother.live.tracker import LiveSignal, displacement, increments_between, propagated
 from smoother.selfcal.self_calibration import SelfCalibration
 from smoother.units import GRAVITY
-from smoother.window.lag_solution import NodeState
+from smoother.window.solution import NodeState
 
 DOWN = GRAVITY * np.array([0.0, 0.0, -1.0])
 T = np.arange(0.0, 2.0, 0.01)

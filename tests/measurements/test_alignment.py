@@ -16,8 +16,7 @@ from smoother.measurements.alignment import (
     align,
     direction_pairs,
 )
-from smoother.measurements.attitude import InertialAttitude, inertial_attitude
-from smoother.measurements.inertial import InertialSignal
+from smoother.measurements.inertial import InertialAttitude, InertialSignal, inertial_attitude
 from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 from smoother.window.prepare import states_from_camera

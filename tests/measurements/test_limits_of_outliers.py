@@ -13,16 +13,16 @@ from made_segments import STRAP as STRAP_COLUMN
 from smoother.array_types import FloatArray
 from smoother.measurements.alignment import Alignment
 from smoother.measurements.inertial import InertialSignal
-from smoother.measurements.joint_noise import JointNoise
 from smoother.measurements.outliers import (
+    JointNoise,
     _frozen,
     _jumps,
     reject_by_attitude,
     reject_by_camera,
     reject_by_residual,
 )
-from smoother.measurements.rejection import Rejection
 from smoother.measurements.segment import Segment
+from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS
 from smoother.rotation import Rotation
 

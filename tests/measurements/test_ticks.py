@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.measurements.ticks import counted, even_times, needs_counting, unwrapped
+from smoother.measurements.timestamps import counted, even_times, needs_counting, unwrapped
 
 
 def delivered(seed: int, pauses: tuple[float, ...] = (), count: int = 12_000) -> tuple[np.ndarray, ...]:

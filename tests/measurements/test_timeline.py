@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.measurements.timestamps import dejitter
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.recovery.blending import between_quaternions, blend
+from smoother.recovery.blended_columns import between_quaternions, blend
 from smoother.rotation import Rotation
 
 SHARE = np.array([0.0, 0.2, 0.5, 0.8, 1.0, 1.0])

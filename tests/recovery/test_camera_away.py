@@ -12,7 +12,7 @@ from smoother import Recovery, smooth
 from smoother.array_types import BoolArray
 from smoother.graph.build import MOST_BIASES, bias_of_intervals
 from smoother.measurements.clock import constant_clock
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.recording import JointTracks, Recording
 from smoother.recovery.sections import CONTEXT_S, Sections
 from smoother.simulation import SimulatedArm

@@ -20,9 +20,9 @@ from smoother.measurements.clock import constant_clock
 from smoother.measurements.remedy import Remedy
 from smoother.recording import CameraFrame, Recording
 from smoother.recovery.cause import diagnose_failures, likeliest_cause
-from smoother.recovery.limb_lengths import sensor_at_elbow, swapped_joints
-from smoother.selfcal.closed_form import closed_form
-from smoother.selfcal.coarse_clock import synchronise_coarsely
+from smoother.recovery.trust import sensor_at_elbow, swapped_joints
+from smoother.selfcal.mounting import closed_form
+from smoother.selfcal.pairing import synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm, simulate_both_arms
 from tools import setup_cases
 from tools.setup_errors import Job

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from smoother import Recording, smooth
 from smoother.config import Anatomy
 from smoother.io import import_broad
-from smoother.measurements.interpolation import interpolated
+from smoother.measurements.outliers import interpolated
 from smoother.recording import JOINTS, JointState
 from smoother.recovery.change_signs import down_jumps, strap_slipped
 from smoother.recovery.trust import with_verdict

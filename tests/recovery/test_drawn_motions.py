@@ -10,7 +10,7 @@ from scenes import ALONE, arm
 
 from smoother import Recovery, smooth
 from smoother.errors import UnoccludeError
-from smoother.recovery.draw_columns import DrawColumns
+from smoother.recovery.blended_columns import DrawColumns
 from smoother.recovery.drawn_samples import SectionDraws, _hermite, _widened
 from smoother.recovery.samples import widen_turns
 from smoother.runtime.store import Store

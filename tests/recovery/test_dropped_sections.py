@@ -13,7 +13,7 @@ from scenes import ALONE, FIELD_K, last_pass, with_field
 import smoother.recovery.first_pass
 from smoother import Recovery, smooth
 from smoother.array_types import FloatArray
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS, Recording
 from smoother.recovery.first_pass import FirstAnswer
 from smoother.recovery.sections import SectionData

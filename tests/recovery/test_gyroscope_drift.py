@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother import smooth
 from smoother.recording import ImuStream
-from smoother.recovery.change_signs import JUMP_DEG, down_jumps, strap_slipped
-from smoother.recovery.gyroscope_drift import OVER_S, gyroscope_drift
+from smoother.recovery.change_signs import JUMP_DEG, OVER_S, down_jumps, gyroscope_drift, strap_slipped
 from smoother.result import Recovery
 from smoother.result.frame_residuals import BATCH_ROWS
 from smoother.simulation import ArmSimulation, simulate_arm

@@ -11,7 +11,7 @@ from scenes import ALONE
 
 from smoother import Recovery, smooth
 from smoother.measurements.clock import constant_clock
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.measurements.visibility import Gap
 from smoother.recording import FOREARM_JOINTS, JOINTS
 from smoother.recovery.merge import merged_gaps

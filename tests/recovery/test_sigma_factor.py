@@ -9,7 +9,7 @@ import pytest
 from made_results import recovery as made
 
 from smoother.calibration import SigmaFactor, SigmaFactors
-from smoother.recovery.sigma_factor import RAMP_S, with_sigma_factors
+from smoother.recovery.self_check import RAMP_S, with_sigma_factors
 from smoother.result import Draws
 
 FACTORS = SigmaFactors((SigmaFactor(0.1, 1.5, 24), SigmaFactor(4.0, 2.5, 31)))

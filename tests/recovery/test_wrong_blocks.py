@@ -13,7 +13,7 @@ from scenes import ALONE
 from smoother import Recording, Recovery, smooth
 from smoother.evaluation.validate import sample_errors
 from smoother.linalg import runs
-from smoother.measurements.rejection import Rejection
+from smoother.measurements.visibility import Rejection
 from smoother.recording import JOINTS, JointState
 from smoother.recovery.camera_blocks import Excluded, left_out
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm

@@ -15,8 +15,7 @@ from smoother.calibration import ArmCalibration, Length, LeverArm
 from smoother.evaluation.advice import NOTHING, advice, towards_the_camera
 from smoother.evaluation.coverage import LEVELS, camera_residuals, stated_and_actual
 from smoother.evaluation.rejected import rejected
-from smoother.measurements.rejection import Reason
-from smoother.measurements.visibility import Gap
+from smoother.measurements.visibility import Gap, Reason
 from smoother.recording import JOINTS
 from smoother.result import Estimates, Recovery
 

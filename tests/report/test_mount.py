@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import ArmEstimates, found_in
 from smoother.calibration import ArmCalibration, LeverArm
-from smoother.measurements.rejection import Reason
+from smoother.measurements.visibility import Reason
 from smoother.recording import JOINTS
 from smoother.report import write_report
 from smoother.report.mount import directions, ellipse, mount

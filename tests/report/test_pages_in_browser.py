@@ -13,7 +13,7 @@ from arms import make_recording, make_recovery
 from browser import Browser, chromium
 
 from smoother.io import open_recording, write_recording
-from smoother.measurements.rejection import Reason
+from smoother.measurements.visibility import Reason
 from smoother.recording import CameraFrame
 from smoother.report import write_report
 from smoother.result import Estimates

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from smoother.array_types import FloatArray
-from smoother.measurements.joint_noise import JointNoise
+from smoother.measurements.outliers import JointNoise
 from smoother.recording import JOINTS
 from smoother.selfcal.camera_noise import SMALLEST_SIGMA_M, joint_noise, sigma_by_joint
 from smoother.window.problem import JointMeasurements, Window

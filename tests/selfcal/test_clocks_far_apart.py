@@ -13,7 +13,7 @@ from smoother.config import Windows
 from smoother.errors import SolveError
 from smoother.measurements.clock import Clock
 from smoother.recording import Recording
-from smoother.selfcal.coarse_clock import coarse_clock, synchronise_coarsely
+from smoother.selfcal.pairing import coarse_clock, synchronise_coarsely
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 
 ALONE = Config(windows=Windows(processes=1))

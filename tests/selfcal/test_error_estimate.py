@@ -15,16 +15,15 @@ from smoother.array_types import FloatArray
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.measurements.outliers import reject_by_camera
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Timeline
 from smoother.recording import JOINTS
 from smoother.runtime.pool import Pool
-from smoother.selfcal.error_estimate import FEWEST_SAMPLES, JOINT_M, ConstantErrors, _told
+from smoother.selfcal.error_estimate import FEWEST_SAMPLES, JOINT_M, ConstantErrors, JointBias, _told
 from smoother.selfcal.excerpts import informative_excerpts
-from smoother.selfcal.joint_bias import JointBias
 from smoother.selfcal.rounds import self_calibrate
 from smoother.simulation import SimulatedArm
-from smoother.window.constant_errors import IMU_ERRORS, JOINT_ERRORS
 from smoother.window.problem import Window
+from smoother.window.shared import IMU_ERRORS, JOINT_ERRORS
 
 SEEDS = range(3)
 FOREARM = ("elbow", "wrist", "hand")

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from made_segments import forearm
 
 from smoother.measurements.clock import LARGEST_OFFSET_S
-from smoother.measurements.segment import Segment, split_into_segments
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Segment, Timeline, split_into_segments
 from smoother.recording import FOREARM_JOINTS, JOINTS, ImuStream, JointState, JointTracks, Recording
 from smoother.selfcal.excerpts import (
     CONTEXT_S,

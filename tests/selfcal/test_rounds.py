@@ -11,10 +11,9 @@ from scenes import arm
 from smoother.calibration import ArmCalibration
 from smoother.config import Config
 from smoother.errors import CalibrationError
-from smoother.measurements.segment import Segment
-from smoother.measurements.timeline import Timeline
+from smoother.measurements.segment import Segment, Timeline
 from smoother.runtime.pool import Pool
-from smoother.selfcal import round_windows, rounds
+from smoother.selfcal import rounds
 from smoother.selfcal.excerpts import informative_excerpts
 
 
@@ -58,12 +57,12 @@ def test_a_half_that_cannot_be_used_is_no_reason_to_refuse(monkeypatch: pytest.M
     made = arm(5, protocol="random", duration_s=130.0, occlusion_lengths_s=(2.0,), occlusion_every_s=10.0)
     excerpts = informative_excerpts(made.recording, Timeline.of(made.recording))
     unusable = {excerpts[number].start_s for number in rounds._every_second(excerpts)}
-    original = round_windows.prepare
+    original = rounds.prepare
 
     def prepare(segment: Segment, *others: object) -> object:
         return None if segment.start_s in unusable else original(segment, *others)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(round_windows, "prepare", prepare)
+    monkeypatch.setattr(rounds, "prepare", prepare)
     with Pool(1, 0) as workers:
         given = ArmCalibration(side=made.recording.side)
         assert rounds.self_calibrate(excerpts, given, Config(), workers).estimate.lever_arms

@@ -12,7 +12,7 @@ from smoother.config import Config
 from smoother.measurements.clock import LARGEST_OFFSET_S, Clock, constant_clock
 from smoother.recording import Recording
 from smoother.selfcal.clock_fit import ClockScore, refined_clock
-from smoother.selfcal.coarse_clock import coarse_offset, synchronise_coarsely
+from smoother.selfcal.pairing import coarse_offset, synchronise_coarsely
 from smoother.simulation import ArmSimulation, simulate_arm
 
 ALONE = Config.model_validate({"windows": {"processes": 1}})

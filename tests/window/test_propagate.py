@@ -17,9 +17,8 @@ from smoother.array_types import FloatArray
 from smoother.graph.build import stacked_measurements
 from smoother.graph.solve import solve
 from smoother.measurements.inertial import InertialSignal
-from smoother.window.nodes import FINE_S, GROUPED_S, group_frames
+from smoother.window.nodes import FINE_S, GROUPED_S, group_frames, propagate
 from smoother.window.problem import JointMeasurements, States, Window
-from smoother.window.propagate import propagate
 
 LEVER = np.array([0.03, -0.2, 0.01])
 

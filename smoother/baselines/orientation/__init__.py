@@ -12,8 +12,7 @@ from collections.abc import Callable
 from importlib import import_module
 
 from ...array_types import FloatArray
-from ...measurements.attitude import InertialAttitude
-from ...measurements.inertial import InertialSignal
+from ...measurements.inertial import InertialAttitude, InertialSignal
 from ...recording import ImuStream
 from ...rotation import Rotation
 from .samples import EvenSamples, even_samples

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import RecordingError
-from ...measurements.ticks import counted, even_times, needs_counting, unwrapped
+from ...measurements.timestamps import counted, even_times, needs_counting, unwrapped
 from ..recording.clean import increasing
 from ..recording.clock_resets import clock_resets, resets_message
 from .head import amount

@@ -7,7 +7,7 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...recording import JOINTS, ImuStream, JointState, JointTracks
 from ...runtime.store import batches
-from ...selfcal.coarse_clock import shifted_agreement
+from ...selfcal.pairing import shifted_agreement
 from .streams import ArmFrames, ImuSamples
 
 _MOTION_S = 0.3

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
-from ...measurements.rejection import Reason
+from ...measurements.visibility import Reason
 from ...recording import JOINTS, JointTracks
 from ...result import Draws, Estimates, FrameResiduals, Recovery
 from ...result.trunk_motion import TrunkMotion

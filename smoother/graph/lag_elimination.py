@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from ..array_types import FloatArray
-from .variables import DIMENSION
+from .variables import DIMENSION, values_of
 
 #: Of a variable, by its letter.
 #: Elimination goes along time; the variables of few nodes follow, and last come those of all.
@@ -120,3 +120,46 @@ def _inverse(information: FloatArray) -> FloatArray:
     factor = np.linalg.cholesky(information * scale[:, None] * scale)
     half = np.linalg.solve(factor, np.diag(scale))
     return np.asarray(half.T @ half)
+
+
+def marginalise(
+    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, leaving: Sequence[int]
+) -> list[gtsam.NonlinearFactor]:
+    """Eliminate variables.
+
+    Parameters
+    ----------
+    factors : sequence of gtsam.NonlinearFactor
+        All that touch them, and any others.
+    values : gtsam.Values
+        Where to linearise; the variables are erased from it.
+    leaving : sequence of int
+        Keys of the variables, in the order of elimination.
+
+    Returns
+    -------
+    factors : list of gtsam.NonlinearFactor
+        The others as they were, then Gaussians (`LinearContainerFactor`) on what stays.
+    """
+    touching, rest = split(factors, set(leaving))
+    graph, order = gtsam.NonlinearFactorGraph(), gtsam.Ordering()
+    for factor in touching:
+        graph.add(factor)
+    for key in leaving:
+        order.push_back(key)
+    _, gaussians = graph.linearize(values).eliminatePartialSequential(order)
+    for i in range(gaussians.size()):
+        gaussian = gaussians.at(i)
+        if gaussian is not None:
+            rest.append(gtsam.LinearContainerFactor(gaussian, values_of(values, gaussian.keys())))
+    for key in leaving:
+        values.erase(key)
+    return rest
+
+
+def split(
+    factors: Sequence[gtsam.NonlinearFactor], keys: set[int]
+) -> tuple[list[gtsam.NonlinearFactor], list[gtsam.NonlinearFactor]]:
+    """The factors that touch some variables, and those that do not."""
+    touching = [factor for factor in factors if keys & set(factor.keys())]
+    return touching, [factor for factor in factors if not keys & set(factor.keys())]

@@ -1,0 +1,228 @@
+"""What grows with a recording, filled section by section: neighbours are blended over their border."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import FloatArray
+from ..calibration import ArmCalibration
+from ..measurements.clock import Clock
+from ..measurements.visibility import REASONS, Gap
+from ..recording import JOINTS, Recording
+from ..result import Draws, FrameResiduals
+from ..result.upper_motion import UpperMotion
+from ..rotation import Rotation
+from ..runtime.store import Store
+from ..selfcal.self_calibration import SelfCalibration
+from ..window.draw_plan import DrawPlan
+from ..window.solution import Message
+from ..window.trajectory import mix, share_after, turn_to
+from .drawn_samples import JOINT, SectionDraws
+from .samples import SectionAnswer, UpperAnswer, humerus_axes
+
+
+def blend(column: NDArray, rows: slice, value: FloatArray, share: FloatArray) -> None:
+    """Write the values to rows, over what stands there by the share (k,) of the way.
+
+    Where only one of the two is known, it counts; values of the share 1 stand as they are.
+    """
+    mixed = np.flatnonzero(share < 1.0)
+    old = column[rows.start + mixed]
+    column[rows] = value
+    if len(mixed):
+        either = np.where(np.isfinite(value[mixed]), value[mixed], old)
+        mixture = old.copy()
+        mix(mixture, np.arange(len(mixed)), value[mixed], share[mixed])
+        column[rows.start + mixed] = np.where(np.isfinite(mixture), mixture, either)
+
+
+def between_quaternions(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:
+    """Quaternions on the way from one to the other by the share; where one is not known, the other."""
+    known = np.asarray(np.isfinite(after).all(axis=1))
+    out = np.where(known[:, None], after, before)
+    both = np.flatnonzero(known & np.isfinite(before).all(axis=1))
+    if len(both):
+        R = Rotation.from_quat(before[both], scalar_first=True).as_matrix()
+        target = Rotation.from_quat(after[both], scalar_first=True).as_matrix()
+        step = Rotation.from_rotvec(share[both, None] * turn_to(R, target, np.ones(len(both), bool)))
+        out[both] = (Rotation.from_matrix(R) * step).as_quat(scalar_first=True)
+    return out
+
+
+class UpperColumns:
+    """The answers on an upper-arm IMU at a recording's samples, neighbours blended over their border.
+
+    Parameters
+    ----------
+    count : int
+        Samples of the recording.
+    store : Store
+        Where the columns live.
+    """
+
+    def __init__(self, count: int, store: Store) -> None:
+        self._count, self._store = count, store
+        self._columns: dict[str, FloatArray] = {}
+        self._answers: list[UpperAnswer] = []
+
+    def add(self, answer: UpperAnswer | None, rows: slice, share: FloatArray) -> None:
+        """The next section's answer at its samples; its share against the one before at each of them."""
+        if answer is None:
+            return
+        if not self._columns:
+            for name, size in (("position", (3,)), ("quaternion", (4,)), ("pose_covariance", (6, 6))):
+                self._columns[name] = self._store.array((self._count, *size))
+        both = slice(rows.start, rows.start + int(np.count_nonzero(share < 1.0)))
+        before = self._columns["quaternion"][both].copy()
+        for name, column in self._columns.items():
+            blend(column, rows, getattr(answer, name), share)
+        turned = between_quaternions(before, answer.quaternion[: len(before)], share)
+        known = np.asarray(np.isfinite(answer.quaternion[: len(before)]).all(axis=1))
+        self._columns["quaternion"][both] = np.where(known[:, None], turned, before)
+        empty = np.zeros((0, 0))  # of the samples nothing more is needed
+        self._answers.append(replace(answer, position=empty, quaternion=empty, pose_covariance=empty))
+
+    def calibration(self, model: SelfCalibration, side: str) -> ArmCalibration:
+        """The arm's calibration with the bone's axes in that IMU."""
+        if not self._columns:
+            return model.estimate
+        R_U_B, _ = humerus_axes(self._answers, model.estimate, side, model.tissue_m)
+        return replace(model.estimate, R_U_B=R_U_B)
+
+    def motion(
+        self, recording: Recording, model: SelfCalibration, coarse_clock: Clock | None
+    ) -> UpperMotion | None:
+        """The whole of it; None without such an IMU. The coarse clock moved the camera's stamps before."""
+        if not self._columns or recording.upper_imu is None:
+            return None
+        _, sigma = humerus_axes(self._answers, model.estimate, recording.side, model.tissue_m)
+        moved_s = 0.0 if coarse_clock is None else coarse_clock.mean_s
+        return UpperMotion(
+            **self._columns,
+            mount_sigma_rad=sigma,
+            clock_offset_s=model.upper_clock_offset_s + moved_s,
+            name=recording.upper_imu.name,
+        )
+
+
+class DrawColumns:
+    """The drawn motions of a recording, neighbouring sections blended over their border.
+
+    Parameters
+    ----------
+    imu_t : ndarray, shape (n,), s
+        The recording's samples.
+    plan : DrawPlan or None
+        None where no motions are drawn.
+    store : Store
+        Where the columns live.
+    """
+
+    def __init__(self, imu_t: FloatArray, plan: DrawPlan | None, store: Store) -> None:
+        self._imu_t, self._plan, self._store = imu_t, plan, store
+        self._columns: dict[str, FloatArray] = {}
+
+    def add(self, answer: SectionDraws | None, rows: slice, share: FloatArray) -> None:
+        """The next section's motions; its samples' rows, and its share against the one before at each."""
+        if answer is None or self._plan is None or not len(answer.samples):
+            return
+        count = -(-len(self._imu_t) // self._plan.every)
+        first = (rows.start + int(answer.samples[0])) // self._plan.every
+        drawn = slice(first, first + len(answer.samples))
+        for name, values in answer.columns.items():
+            if name not in self._columns:
+                self._columns[name] = self._store.array((count, *values.shape[1:]), np.nan, np.float32)
+            blend(self._columns[name], drawn, values, share[answer.samples])
+
+    def draws(self) -> Draws | None:
+        """All of them; None where none were drawn."""
+        if self._plan is None:
+            return None
+        # a draw at a time is how they are read; a time after the other is how they lie
+        columns = {name: np.moveaxis(values, 0, 1) for name, values in self._columns.items()}
+        return Draws(
+            t_s=self._imu_t[:: self._plan.every],
+            seed=self._plan.seed,
+            position=columns["position"],
+            rotation=columns["rotation"],
+            joints={
+                name.removeprefix(JOINT): values for name, values in columns.items() if name.startswith(JOINT)
+            },
+            upper_rotation=columns.get("upper_rotation"),
+        )
+
+
+class ArmColumns:
+    """What grows with the recording: filled section by section, neighbours blended over their border."""
+
+    def __init__(self, recording: Recording, names: tuple[str, ...], store: Store) -> None:
+        self._recording = recording
+        samples, frames = len(recording.imu), len(recording.arm)
+        self.motion = {
+            "position": store.array((samples, 3)),
+            "quaternion": store.array((samples, 4)),
+            "velocity": store.array((samples, 3)),
+            "pose_covariance": store.array((samples, 6, 6)),
+            "velocity_covariance": store.array((samples, 3, 3)),
+        }
+        self.joints = {joint: store.array((samples, 3)) for joint in names}
+        self.joint_covariance = {joint: store.array((samples, 3, 3)) for joint in names}
+        self.occluded = np.ones(samples, bool)
+        self._residual = store.array((frames, len(JOINTS), 3))
+        self._used = np.zeros((frames, len(JOINTS)), bool)
+        self._reason = np.zeros((frames, len(JOINTS)), np.uint8)
+        self.gaps: list[Gap] = []
+        self._gravity: list[FloatArray] = []
+        self.bias: list[FloatArray] = []
+        self._end = 0  # first sample without an answer yet
+
+    def add(self, answer: SectionAnswer, messages: list[Message]) -> FloatArray:
+        """The next section, blended with the one before over their border; its windows' messages.
+
+        Returns the share of this section, against the one before, at each of its samples.
+        """
+        rows = answer.samples
+        t = self._recording.imu.t_s[rows]
+        share = share_after(t, answer.border_s)
+        share[~(np.arange(rows.start, rows.stop) < self._end)] = 1.0
+        both = slice(rows.start, rows.start + int(np.count_nonzero(share < 1.0)))
+        before = self.motion["quaternion"][both].copy()
+        for name, column in self.motion.items():
+            blend(column, rows, getattr(answer, name), share)
+        self.motion["quaternion"][both] = between_quaternions(before, answer.quaternion[: len(before)], share)
+        for joint, column in self.joints.items():
+            blend(column, rows, answer.joints[joint], share)
+            blend(self.joint_covariance[joint], rows, answer.joint_covariance[joint], share)
+        mine = (t >= answer.border_s) | (share == 1.0)
+        self.occluded[rows] = np.where(mine, answer.occluded, self.occluded[rows])
+        self._residual[answer.frames] = answer.residual
+        self._used[answer.frames], self._reason[answer.frames] = answer.used, answer.reason
+        self.gaps = merged_gaps(self.gaps, answer.gaps)
+        self._gravity.append(answer.gravity)
+        self.bias += [message.shared.mean[:6] for message in messages]
+        self._end = rows.stop
+        return share
+
+    def gravity_direction(self) -> FloatArray:
+        """Mean direction of down, (3,) in {K}."""
+        down = np.mean(self._gravity, axis=0)
+        return np.asarray(down / np.linalg.norm(down))
+
+    def residuals(self, frame_t_imu: FloatArray) -> FrameResiduals:
+        """Camera against answer, frame by frame."""
+        return FrameResiduals(frame_t_imu, self._residual, self._used, self._reason, REASONS)
+
+
+def merged_gaps(gaps: list[Gap], more: tuple[Gap, ...]) -> list[Gap]:
+    """Gaps in order of time; one that both sections saw a part of counts once."""
+    gaps = list(gaps)
+    for gap in more:
+        if gaps and gap.start_s < gaps[-1].end_s:
+            last = gaps.pop()
+            start, end = min(last, gap, key=lambda g: g.start_s), max(last, gap, key=lambda g: g.end_s)
+            gap = Gap(start.start_s, end.end_s, start.open_start, end.open_end)
+        gaps.append(gap)
+    return gaps
