@@ -23,8 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from smoother.errors import RecordingError
-from smoother.io.devices.segment_origins import read_segment_origins
-from smoother.io.export.c3d import C3dContent, write_c3d
+from smoother.io.devices.marker_skeletons import read_segment_origins
+from smoother.io.export.markers import C3dContent, write_c3d
 from smoother.io.markers.c3d import read_c3d
 from tools import fault_bytes
 from tools.page_table import write_table

@@ -22,7 +22,7 @@ from shared import datasets
 
 from smoother.io import import_utd_mhad
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence
-from smoother.matching.assignment import assign
+from smoother.matching.match import assign
 from smoother.recording import CameraFrame, Recording
 from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_people
 

@@ -114,7 +114,7 @@ def clock(
     from calib.clock.motion_clock import clock_from_motion
 
     from ..io.media.audio import read_sound
-    from ..io.plain.clock_times import read_broadcast
+    from ..io.media.clock_files import read_broadcast
     from .config_file import read_config, with_processes
 
     if sound is None and broadcast is None and motion is None:

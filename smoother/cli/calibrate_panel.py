@@ -100,7 +100,7 @@ def _session(
     from calib.panel.definition import read_intrinsics
     from calib.panel.images import read_view
 
-    from ..io.markers.positions import read_positions
+    from ..io.markers.files import read_positions
 
     lens = read_intrinsics(intrinsics_file) if intrinsics_file is not None else None
     positions = [read_positions(path) for path in marked]

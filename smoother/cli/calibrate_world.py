@@ -98,7 +98,7 @@ def _from_files(
     from calib.panel.images import read_view
     from calib.world.panel_view import common_time
 
-    from ..io.plain.imu_table import read_imu_table
+    from ..io.plain.table import read_imu_table
 
     counts = [len(each) for each in (depths, infrareds, panels, bases)]
     if not depths:
@@ -123,7 +123,7 @@ def _from_files(
 def _from_recording(
     path: Path, panel_topic: str, base_topic: str, lens: Intrinsics | None
 ) -> tuple[list[View], list[float], list[ImuStream], list[ImuStream], Intrinsics, tuple[str, ...]]:
-    from ..io.media.panel_session import read_session
+    from ..io.media.panel_reading import read_session
 
     session = read_session(path, panel_topic, base_topic)
     lens = lens or session.lens

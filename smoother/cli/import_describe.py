@@ -21,11 +21,10 @@ def describe(
 ) -> None:
     """Look at a table and print a recording.toml for `import csv`: a guess, its reasons, what is unsure."""
     from ..errors import RecordingError
-    from ..io.devices.describe_table import guess_of
-    from ..io.devices.guess import toml_of
-    from ..io.devices.head import first_rows, read_head
+    from ..io.devices.describe_table import guess_of, toml_of
     from ..io.devices.registry import recognise
-    from ..io.devices.sheet import read_sheet
+    from ..io.tables.file_head import first_rows, read_head
+    from ..io.tables.text_table import read_sheet
 
     check_outputs(force, [json_file], [path])
     head = read_head(path)

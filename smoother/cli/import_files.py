@@ -66,10 +66,9 @@ def files(
 ) -> None:
     """Import files as devices and camera programs write them; `import formats` lists them."""
     from ..io import describe, write_recording
-    from ..io.devices.file_reader import FileReader
     from ..io.devices.files import import_files
-    from ..io.devices.folder import sort_files
-    from ..io.devices.truth import add_truth
+    from ..io.devices.folder import add_truth, sort_files
+    from ..io.devices.registry import FileReader
 
     reader = FileReader(imu_format, skeleton_format)
     skeletons, imus = list(skeleton or []), [imu_files(text) for text in imu or []]

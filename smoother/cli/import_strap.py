@@ -25,7 +25,7 @@ from .options import (
 from .output import check_mcap, check_outputs, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..io.media.strap_cameras import StrapFound
+    from ..io.media.strap import StrapFound
 
 #: A length by ruler, m.
 RULER_SIGMA_M = 0.004
@@ -69,7 +69,7 @@ def strap(
     from calib.strap.strap_mount import held_radius, mounted_on
 
     from ..calibration import Length
-    from ..io.media.strap_cameras import check_images
+    from ..io.media.strap import check_images
     from ..report.strap_summary import verdict
     from ..smoothing import smooth
     from ..strap_search.search import import_strap

@@ -117,10 +117,10 @@ def live(
     _check_use(record, then_smooth, replay, {"--speed": speed != 1.0, "--latency": latency_s is not None})
     recovered = recovered_name(record) if record is not None and then_smooth else None
     check_outputs(force, [record, recovered, json_file], [calibration_file, config_file, replay])
-    from ..streams.foxglove_server import foxglove_module
-    from ..streams.lsl_library import lsl_module
+    from ..streams.foxglove import foxglove_module
+    from ..streams.lsl import lsl_module
     from ..streams.replay import Replay
-    from ..streams.session_calibration import SessionCalibration, prefer_side, read_calibration_file
+    from ..streams.session import SessionCalibration, prefer_side, read_calibration_file
     from ..streams.session_recording import SessionRecording, check_recording
     from .config_file import read_config
 

@@ -14,8 +14,7 @@ from .stop_request import StopRequest
 if TYPE_CHECKING:
     from ..config import Config
     from ..streams.arrivals import Source, SourceInfo
-    from ..streams.session import LiveSession, Receiver
-    from ..streams.session_calibration import SessionCalibration
+    from ..streams.session import LiveSession, Receiver, SessionCalibration
     from ..streams.session_recording import SessionRecording
 
 
@@ -43,7 +42,7 @@ def receivers_of(
     """Who is sent the answers, and where they are found."""
     receivers: list[Receiver] = []
     if foxglove is not None:
-        from ..streams.foxglove_server import FoxgloveServer
+        from ..streams.foxglove import FoxgloveServer
 
         server = FoxgloveServer(info, foxglove)
         stack.callback(server.close)
@@ -51,7 +50,7 @@ def receivers_of(
             " docs/unocclude.foxglove-layout.json")  # fmt: skip
         receivers.append(server)
     if lsl_out is not None:
-        from ..streams.lsl_outlet import LslOutlet
+        from ..streams.lsl import LslOutlet
 
         receivers.append(LslOutlet(lsl_out, info))
         stack.callback(receivers[-1].close)

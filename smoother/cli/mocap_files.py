@@ -54,8 +54,7 @@ class MocapFiles:
         """Write the capture as a lab would: its own frame and clock, millimetres, blanks where not seen."""
         from calib.file import to_toml
 
-        from ..io.export.c3d import C3dContent, write_c3d
-        from ..io.export.trc import write_trc
+        from ..io.export.markers import C3dContent, write_c3d, write_trc
         from ..runtime.outputs import writing
 
         write_c3d(self.c3d, C3dContent(capture.names, capture.position, capture.rate_hz), force)

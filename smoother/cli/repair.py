@@ -43,7 +43,7 @@ def repair(broken_file: Broken, output: Whole, json_file: Json = None, force: Fo
 
 def print_losses(report: RepairReport) -> None:
     """Print what was written by topic, and what was lost where."""
-    from ..io.mcap.losses import plain_name
+    from ..io.mcap.messages import plain_name
 
     rows = [
         (plain_name(name), report.messages.get(name, 0), report.missing.get(name, 0))

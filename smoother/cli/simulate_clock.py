@@ -34,7 +34,7 @@ def clock(
 
     Writes beep.wav, times.csv, session.mcap and truth.toml. The IMU's clock runs 390 ppm fast.
     """
-    from ..io.media.clock_writing import MOTION, SOUND, TIMES, write_clock_folder
+    from ..io.media.clock_files import MOTION, SOUND, TIMES, write_clock_folder
     from ..io.media.panel_writing import check_folder
     from ..simulation.clock_session import simulate_clock_session
 

@@ -25,7 +25,7 @@ def strap(
 
     Beside FILE lies FILE_truth.toml: where the strap sits. FILE holds the true motion of the IMU.
     """
-    from ..io.media.strap_writing import write_strap_recording
+    from ..io.media.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm
     from ..simulation.strap_session import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
     from .progress import progress_bar

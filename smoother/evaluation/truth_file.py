@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import FloatArray
 from ..errors import RecordingError
-from ..io.devices.head import shown
+from ..io.tables.file_head import shown
 from ..recording import Truth
 from ..result import Recovery
 from ..runtime.inputs import check_input
@@ -123,7 +123,7 @@ def read_truth_mcap(path: Path, recovery: Recovery) -> Truth:
         The file holds no pose, or several and none is called `/truth`.
     """
     from ..io import open_recording
-    from ..io.recording.truth_choice import is_of_other_arm
+    from ..io.recording.selection import is_of_other_arm
 
     all_poses = open_recording(path).poses
     poses = [one for one in all_poses if not is_of_other_arm(one.topic, recovery.side, recovery.body)]

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from .plain.datasets import import_utd_mhad as import_utd_mhad
     from .plain.folder import import_csv as import_csv
     from .plain.folder import open_csv as open_csv
-    from .recording.imu import read_imu as read_imu
     from .recording.read import open_recording as open_recording
     from .recording.read import read_recording as read_recording
     from .recording.read import read_recordings as read_recordings
+    from .recording.read_arm import read_imu as read_imu
     from .recording.select import select_recording as select_recording
     from .recording.select import select_recordings as select_recordings
     from .recording.streams import RecordingFile as RecordingFile

@@ -1,6 +1,6 @@
 """Which IMU is on which body and limb, by motion alone."""
 
-from .limbs import Limb, limbs_of
+from .excerpt_motion import Limb, limbs_of
 from .match import METHODS, SURE_FROM, ImuMatch, PairEvidence, decide, match_imus, pair_evidence
 
 __all__ = [

@@ -18,7 +18,7 @@ from .strap_summary import next_time, verdict
 from .style import JOINT_COLOURS, OCCLUDED, dots, dress
 
 if TYPE_CHECKING:
-    from ..io.media.strap_cameras import StrapFound
+    from ..io.media.strap import StrapFound
 
 #: Profiles farther apart than so many steps are drawn apart.
 APART_STEPS = 2.5

@@ -9,7 +9,7 @@ import numpy as np
 from ..linalg import robust_sigma
 
 if TYPE_CHECKING:
-    from ..io.media.strap_cameras import StrapFound
+    from ..io.media.strap import StrapFound
 
 #: A strap that wanders along the forearm by more than this part of it was at times something else.
 WANDER = 0.06

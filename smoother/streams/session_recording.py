@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import UnoccludeError
 from ..io.mcap.merge import Output
 from ..io.mcap.stamps import nanoseconds
-from ..io.recording.arrival_order import ARRIVAL, ORDER
 from ..io.recording.read import METADATA
+from ..io.recording.stamps import ARRIVAL, ORDER
 from ..io.recording.streams import ArmFrames, ImuSamples
 from ..io.recording.write import CAMERA, arm_messages, imu_messages, imu_topic
 from ..recording import JOINTS

@@ -24,7 +24,7 @@ from smoother.cli.run import run
 from smoother.cli.stop_request import StopRequest
 from smoother.io import read_recording, write_recording
 from smoother.live.estimate import Dropped, LiveOutput, LiveState
-from smoother.streams.lsl_library import lsl_module
+from smoother.streams.lsl import lsl_module
 from smoother.streams.session_figures import SessionView, StreamView
 
 DEMO = Path(__file__).parents[2] / "data" / "demo.mcap"

@@ -70,6 +70,7 @@ def test_smooth_imports_no_other_command(recording: Path, tmp_path: Path) -> Non
         "smoother.streams",
         "smoother.simulation",
         "smoother.io.devices",
+        "smoother.io.tables",
     )
     assert not {name for name in modules if name.startswith(beside)}
 

@@ -15,7 +15,7 @@ from smoother.evaluation.mocap.frame import stated_frame
 from smoother.evaluation.mocap.rigid import plate_axes
 from smoother.evaluation.reference import read_reference
 from smoother.evaluation.validate import validate
-from smoother.io.export.trc import write_trc
+from smoother.io.export.markers import write_trc
 from smoother.recording import CameraFrame
 
 PLATE = np.array(

@@ -14,8 +14,7 @@ from smoother.errors import RecordingError
 from smoother.evaluation.reference import read_reference
 from smoother.evaluation.truth_file import read_truth
 from smoother.evaluation.validate import validate
-from smoother.io.export.c3d import C3dContent, write_c3d
-from smoother.io.export.trc import write_trc
+from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.markers.files import read_markers
 from smoother.recording import CameraFrame
 

@@ -11,7 +11,7 @@ import numpy as np
 import skeleton_files as made
 from imu_files import GRAVITY, motion, rows
 
-from smoother.io.devices.joint_names import AZURE, BLAZEPOSE, KINECT_V2
+from smoother.io.tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2
 
 COUNT, FRAMES = 80, 12
 ACC, GYRO = motion(COUNT)
@@ -203,7 +203,7 @@ def array(path: Path) -> None:
 
 def c3d(path: Path) -> None:
     """Model markers."""
-    from smoother.io.export.c3d import C3dContent, write_c3d
+    from smoother.io.export.markers import C3dContent, write_c3d
 
     names = ("RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist")
     points = np.stack([made.part(name, FRAMES) for name in names], axis=1)

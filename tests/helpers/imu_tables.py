@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from imu_files import motion
 
-from smoother.io.devices.head import read_head
-from smoother.io.devices.protocol import ImuTable
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import ImuTable
 
 ACC, GYRO = motion()
 COUNT = len(ACC)

@@ -10,7 +10,7 @@ import skeleton_files as made
 from imu_files import motion
 from other_recordings import turning
 
-from smoother.io.devices.joint_names import AZURE
+from smoother.io.tables.joint_columns import AZURE
 
 ZERO = 1_700_000_000 * 10**9
 

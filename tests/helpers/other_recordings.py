@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.io.devices.head import read_head
-from smoother.io.devices.protocol import ImuTable, SkeletonTable
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
+from smoother.io.tables.protocol import ImuTable, SkeletonTable
 
 
 def read(path: Path, key: str) -> tuple[list[SkeletonTable], list[ImuTable]]:

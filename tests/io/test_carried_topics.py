@@ -11,7 +11,7 @@ from mcap.writer import Writer
 
 from smoother.cli.run import run
 from smoother.io.mcap.messages import Topic
-from smoother.io.recording.passthrough_topics import may_copy
+from smoother.io.recording.json_messages import may_copy
 
 PRIVATE = [
     ("/camera/rgb", "sensor_msgs/msg/Image", "cdr"),

@@ -15,9 +15,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from smoother.errors import RecordingError
 from smoother.io.mcap.container import Container
-from smoother.io.mcap.losses import plain_name
+from smoother.io.mcap.messages import plain_name
 from smoother.io.mcap.records import CHUNK, HEAD, MAGIC, find
-from smoother.io.mcap.unpack import LIMIT_NAME
+from smoother.io.mcap.top_level import LIMIT_NAME
 from tools.fault_bytes import places, put
 
 COUNT = 300

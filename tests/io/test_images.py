@@ -15,10 +15,9 @@ from smoother.errors import CalibrationError, RecordingError
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.media import panel_reading
 from smoother.io.media.audio import read_sound
-from smoother.io.media.image_messages import raw_image
-from smoother.io.media.images import ImageMessage, LensMessage, read_images
-from smoother.io.media.panel_session import read_pairs
-from smoother.io.media.strap_cameras import check_images
+from smoother.io.media.images import ImageMessage, LensMessage, raw_image, read_images
+from smoother.io.media.panel_reading import read_pairs
+from smoother.io.media.strap import check_images
 from smoother.io.wire.schemas import message_class
 from smoother.runtime.outputs import writing
 

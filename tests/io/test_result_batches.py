@@ -20,8 +20,7 @@ from mcap.reader import make_reader
 import smoother.io.result.write
 from smoother.errors import UnoccludeError
 from smoother.io import read_recovery, write_recording, write_recovery
-from smoother.io.mcap.merge import END
-from smoother.io.mcap.time_batches import TimeAxis, time_batches
+from smoother.io.mcap.merge import END, TimeAxis, time_batches
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.runtime.disk_store import DiskStore

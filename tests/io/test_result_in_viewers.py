@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from results import made, without_answer
 
 from smoother.io import read_recovery, write_recording, write_recovery
-from smoother.io.result.world import world_axes
+from smoother.io.result.drawing import world_axes
 from smoother.io.wire.schemas import message_class
 from smoother.recording import CameraFrame
 

@@ -16,7 +16,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording, read_recording
-from smoother.io.recording.truth_choice import choose_truth
+from smoother.io.recording.selection import choose_truth
 from smoother.io.wire import cdr
 from smoother.io.wire.layout import Grouper
 from smoother.recording import CameraFrame, JointState

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from smoother.io import select_recordings
-from smoother.io.recording.bodies import join_bodies
-from smoother.io.recording.body_swaps import unswap_bodies
-from smoother.io.recording.people import people
+from smoother.io.recording.bodies import join_bodies, people, unswap_bodies
 from smoother.io.recording.streams import ArmFrames, RecordingFile
 from smoother.io.recording.write import as_session
 from smoother.recording import JointState

@@ -21,7 +21,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.choose import role
+from smoother.io.recording.assign import role
 from smoother.io.recording.streams import ImuSamples
 from smoother.measurements.remedy import Remedy
 from smoother.recording import FOREARM_JOINTS, ImuStream, Recording, TrunkSensors

@@ -15,10 +15,9 @@ from calib.file import read_calibration
 from calib.panel.images import stated_size
 from smoother.errors import CalibrationError, RecordingError, UnoccludeError
 from smoother.io import read_recording
-from smoother.io.recording.clean import clean_arm, clean_imu
+from smoother.io.recording.clean import clean_arm, clean_imu, unusable_samples
+from smoother.io.recording.stamps import largest_group
 from smoother.io.recording.streams import ArmFrames, ImuSamples
-from smoother.io.recording.timestamp_outliers import largest_group
-from smoother.io.recording.unusable import unusable_samples
 from smoother.io.recording.write import write_recording
 from smoother.recording import JointState, Recording
 

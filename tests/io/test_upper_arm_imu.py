@@ -22,7 +22,7 @@ from smoother.io import (
     write_recording,
     write_recovery,
 )
-from smoother.io.recording.choose import choose
+from smoother.io.recording.assign import choose
 from smoother.io.recording.streams import RecordingFile
 from smoother.recording import ImuStream, Recording
 from smoother.result import Recovery

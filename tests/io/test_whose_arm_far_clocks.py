@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
-from smoother.io.recording.choose import choose
+from smoother.io.recording.assign import choose
 from smoother.io.recording.streams import ArmFrames, ImuSamples, RecordingFile
 from smoother.recording import JOINTS
 

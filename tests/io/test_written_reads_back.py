@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from calib.file import CalibrationFile, read_calibration, write_calibration
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.io.export.trc import write_trc
+from smoother.io.export.markers import write_trc
 from smoother.io.markers.trc import read_trc
 from smoother.io.mcap.repair_container import repair_container
 from smoother.io.recording.read import open_recording

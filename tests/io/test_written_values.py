@@ -17,16 +17,15 @@ from made_results import assert_same, recovery
 from smoother.cli.config_file import read_config, to_toml
 from smoother.config import Config
 from smoother.io import export_csv, read_recovery, write_recovery
-from smoother.io.devices.guess import Guess, toml_of
-from smoother.io.export.c3d import C3dContent, write_c3d
+from smoother.io.devices.describe_table import Guess, toml_of
 from smoother.io.export.csv import csv_columns
+from smoother.io.export.markers import C3dContent, write_c3d
 from smoother.io.export.mot import MotTable, write_mot
 from smoother.io.export.parquet import METADATA_KEY, export_parquet
 from smoother.io.markers.c3d import read_c3d
 from smoother.io.mcap.merge import Output, OutputStream
 from smoother.io.mcap.stamps import nanoseconds
-from smoother.io.media.image_messages import raw_image
-from smoother.io.media.images import read_images
+from smoother.io.media.images import raw_image, read_images
 from smoother.io.wire import protobuf_encode as wire
 from smoother.io.wire.schemas import parsed
 from smoother.result import Recovery

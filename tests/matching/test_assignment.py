@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smoother.array_types import FloatArray
-from smoother.matching.assignment import assign, probabilities
+from smoother.matching.match import assign, probabilities
 
 
 def best_by_force(weight: FloatArray, none: FloatArray) -> float:

@@ -29,18 +29,17 @@ from smoother.io import (
     read_recovery,
 )
 from smoother.io.devices.files import ImuFiles
-from smoother.io.devices.head import read_head
-from smoother.io.devices.sheet import read_sheet
 from smoother.io.markers.c3d import read_c3d
-from smoother.io.markers.files import read_markers
-from smoother.io.markers.positions import read_positions
+from smoother.io.markers.files import read_markers, read_positions
 from smoother.io.markers.trc import read_trc
 from smoother.io.mcap.container import Container
 from smoother.io.media.audio import read_sound
+from smoother.io.media.clock_files import read_broadcast
 from smoother.io.media.images import read_images
-from smoother.io.plain.clock_times import read_broadcast
 from smoother.io.plain.datasets import import_utd_mhad
 from smoother.io.plain.table import read_table
+from smoother.io.tables.file_head import read_head
+from smoother.io.tables.text_table import read_sheet
 from smoother.runtime.inputs import check_input
 from smoother.study.fingerprint import file_hash
 from smoother.study.inputs import find_entries

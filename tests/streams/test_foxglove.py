@@ -19,7 +19,7 @@ from smoother.io.wire.schemas import message_class
 from smoother.live.estimate import LiveOutput
 from smoother.measurements.visibility import Gap
 from smoother.streams.arrivals import FrameRows
-from smoother.streams.live_messages import TOPICS, LiveMessages
+from smoother.streams.foxglove import TOPICS, LiveMessages
 from smoother.streams.replay import Replay
 from smoother.streams.session import LiveSession
 
@@ -111,7 +111,7 @@ async def received(address: str, send) -> tuple[dict, dict]:
 
 def test_a_client_reads_the_arm(source):
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra `live`, is not installed")
-    from smoother.streams.foxglove_server import FoxgloveServer
+    from smoother.streams.foxglove import FoxgloveServer
 
     output, frames = last_output(source)
     server = FoxgloveServer(source.info, 0)
@@ -132,7 +132,7 @@ def test_a_client_reads_the_arm(source):
 
 def test_nothing_is_made_where_nobody_looks(source, monkeypatch):
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra `live`, is not installed")
-    from smoother.streams.foxglove_server import FoxgloveServer
+    from smoother.streams.foxglove import FoxgloveServer
 
     output, frames = last_output(source)
     server = FoxgloveServer(source.info, 0)

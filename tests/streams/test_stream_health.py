@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.streams.delay_counts import DelayCounts
-from smoother.streams.stream_health import StreamHealth
+from smoother.streams.session_figures import DelayCounts, StreamHealth
 
 
 def fed(t, arrival, batch: int = 1) -> tuple[StreamHealth, list[str]]:

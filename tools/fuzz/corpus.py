@@ -22,8 +22,7 @@ from made_results import recovery
 from smoother.cli.config_file import to_toml
 from smoother.config import Config
 from smoother.io import write_recovery
-from smoother.io.export.c3d import C3dContent, write_c3d
-from smoother.io.export.trc import write_trc
+from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.recording.write import write_recording
 from tools.fuzz.device_seeds import device_seeds
 from tools.fuzz.media_seeds import media_seeds

@@ -13,8 +13,8 @@ import device_files
 import skeleton_files
 from library_files import write_bag, write_opal
 
-from smoother.io.devices.joint_names import BLAZEPOSE
 from smoother.io.devices.registry import formats
+from smoother.io.tables.joint_columns import BLAZEPOSE
 
 #: Text is cut to so many lines: that is enough to be recognised, and read in a tenth of the time.
 _LINES = 24

@@ -7,9 +7,9 @@ from tools.fuzz.files import file_of
 
 def any_device(data: bytes) -> None:
     """A file of any device, recognised by its content."""
-    from smoother.io.devices.file_reader import FileReader
     from smoother.io.devices.files import import_files
     from smoother.io.devices.folder import sort_files
+    from smoother.io.devices.registry import FileReader
 
     path, reader = file_of(data, "export.csv"), FileReader()
     skeletons, imus, _ = sort_files([path], reader)
@@ -18,10 +18,9 @@ def any_device(data: bytes) -> None:
 
 def one_device(key: str, data: bytes) -> None:
     """A file that the user says is of this device."""
-    from smoother.io.devices.file_reader import FileReader
     from smoother.io.devices.files import ImuFiles, import_files
-    from smoother.io.devices.protocol import ImuTable, SkeletonTable
-    from smoother.io.devices.registry import format_named
+    from smoother.io.devices.registry import FileReader, format_named
+    from smoother.io.tables.protocol import ImuTable, SkeletonTable
 
     path, reader = file_of(data, "export.dat"), FileReader(key, key)
     tables = reader.read(path, format_named(key))

@@ -9,7 +9,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from calib.intrinsics import Intrinsics
-from smoother.io.media.image_messages import (
+from smoother.io.media.images import (
     CAMERA_CALIBRATION,
     COMPRESSED_IMAGE,
     RAW_IMAGE,

@@ -8,9 +8,8 @@ import numpy as np
 def _fed(data: bytes, encoding: str, schemas: tuple[str, ...]) -> None:
     """Messages of each schema, cut from the input by its first byte."""
     from smoother.io.mcap.messages import Topic, TopicMessages
-    from smoother.io.recording.decode import plain_decoder
+    from smoother.io.recording.decode import plain_decoder, skeleton_decoder
     from smoother.io.recording.json_messages import json_decoder
-    from smoother.io.recording.skeletons import skeleton_decoder
 
     size = max(data[0], 1) * 8 if data else 1
     start = np.arange(1, max(len(data), 2), size)

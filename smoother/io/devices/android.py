@@ -8,14 +8,22 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .assumed_units import acceleration_unit, time_unit, turning_unit, unit_by_size
-from .imu_checks import holds_gravity, with_settled_unit
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
-from .physical_units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
-from .protocol import FileHead, ImuTable
-from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
-from .sheet import Sheet
-from .table_layout import TableLayout, is_data, layout_of, split_line
+from ..tables.columns import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
+from ..tables.imu_checks import holds_gravity, with_settled_unit
+from ..tables.imu_columns import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
+from ..tables.protocol import FileHead, ImuTable
+from ..tables.table_layout import TableLayout, is_data, layout_of, split_line
+from ..tables.text_table import Sheet
+from ..tables.units import (
+    ACCELERATION,
+    ANGULAR_VELOCITY,
+    TIME,
+    acceleration_unit,
+    plain_unit,
+    time_unit,
+    turning_unit,
+    unit_by_size,
+)
 
 #: Columns of time; units behind them (time_ms) are taken off already.
 _TIMES = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ...errors import RecordingError
-from .imu_sheet import (
+from ..tables.imu_columns import (
     ImuSheetFormat,
     angular_velocity,
     magnetic_field,
@@ -13,9 +13,9 @@ from .imu_sheet import (
     specific_force,
     unit_summary,
 )
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _COLUMN = re.compile(r"(.+)/(acceleration|angular velocity|magnetic field|orientation)/(x|y|z|scalar)")
 

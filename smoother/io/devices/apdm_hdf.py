@@ -10,9 +10,9 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import crashes_in_subprocess
-from .head import shown
-from .imu_checks import size_notes
-from .protocol import FileHead, ImuTable
+from ..tables.file_head import shown
+from ..tables.imu_checks import size_notes
+from ..tables.protocol import FileHead, ImuTable
 
 
 class ApdmHdf:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...units import STANDARD_GRAVITY
-from .head import amount
-from .protocol import FileHead, ImuTable
+from ..tables.file_head import amount
+from ..tables.protocol import FileHead, ImuTable
 
 #: A data block: 512 bytes, little-endian (Open Movement, "AX3/AX6 technical documentation", CWA data blocks).
 _BLOCK = np.dtype(

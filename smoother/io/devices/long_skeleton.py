@@ -10,14 +10,28 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...recording import CameraFrame
-from ..recording.clock_resets import begins_frames
-from .joint_columns import column_named, plain_words, time_unit_of
-from .joint_names import AZURE, BLAZEPOSE, KINECT_V2, joint_name
-from .mediapipe import landmarks_in_metres
-from .protocol import FileHead, SkeletonTable
-from .raw_skeleton import Conventions, RawSkeleton
-from .sheet import Sheet, read_sheet
-from .wide_skeleton import azure_states, body_numbers, header_of, kinect_states, state_numbers, states_of
+from ..recording.stamps import begins_frames
+from ..tables.joint_columns import (
+    AZURE,
+    BLAZEPOSE,
+    KINECT_V2,
+    column_named,
+    joint_name,
+    plain_words,
+    time_unit_of,
+)
+from ..tables.protocol import FileHead, SkeletonTable
+from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.skeleton_formats import (
+    azure_states,
+    body_numbers,
+    header_of,
+    kinect_states,
+    landmarks_in_metres,
+    state_numbers,
+    states_of,
+)
+from ..tables.text_table import Sheet, read_sheet
 
 _JOINT = (
     *("joint", "jointid", "joint id", "joint name", "jointname", "joint type", "jointtype", "landmark"),

@@ -7,12 +7,12 @@ import re
 import numpy as np
 
 from ...errors import RecordingError
-from .imu_checks import holds_gravity
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
-from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
-from .protocol import FileHead, ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout, layout_of, split_line
+from ..tables.imu_checks import holds_gravity
+from ..tables.imu_columns import Columns, ImuSheetFormat, angular_velocity, specific_force, unit_summary
+from ..tables.protocol import FileHead, ImuTable
+from ..tables.table_layout import TableLayout, layout_of, split_line
+from ..tables.text_table import Sheet
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 
 _EPOCHS = ("epoch", "epoc")
 _EPOCH_CELL = re.compile(r"1\d{12}(\.\d*)?")

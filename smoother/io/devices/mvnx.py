@@ -9,9 +9,9 @@ from xml.etree.ElementTree import Element, ParseError, iterparse
 import numpy as np
 
 from ...errors import RecordingError
-from .head import shown
-from .imu_checks import holds_gravity, size_notes
-from .protocol import FileHead, ImuTable
+from ..tables.file_head import shown
+from ..tables.imu_checks import holds_gravity, size_notes
+from ..tables.protocol import FileHead, ImuTable
 
 _VALUES = ("sensorAcceleration", "sensorAngularVelocity", "sensorMagneticField")
 _EXPORT = "export it again with sensor data 'acceleration' and 'angular velocity' (calibrated sensor data) on"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import RecordingError
-from .imu_checks import with_settled_unit
-from .imu_sheet import (
+from ..tables.imu_checks import with_settled_unit
+from ..tables.imu_columns import (
     Columns,
     ImuSheetFormat,
     angular_velocity,
@@ -15,9 +15,9 @@ from .imu_sheet import (
     specific_force,
     unit_summary,
 )
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _TIMES = ("t", "utc", "utc_datetime", "local_datetime")
 _COUNTS = ("n_samples", "sample_counter")

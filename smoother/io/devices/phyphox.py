@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from ...errors import RecordingError
-from .imu_checks import holds_gravity
-from .imu_sheet import ImuSheetFormat, angular_velocity, seconds, specific_force, unit_summary
-from .physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
-from .protocol import ImuTable
-from .sensor_words import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.columns import ACCELERATION_WORDS, LINEAR_WORDS, TIME_WORDS, TURNING_WORDS
+from ..tables.imu_checks import holds_gravity
+from ..tables.imu_columns import ImuSheetFormat, angular_velocity, seconds, specific_force, unit_summary
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
+from ..tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit
 
 _TIME = (*TIME_WORDS, "t")
 

@@ -1,32 +1,34 @@
-"""The table of importers, and which of them a file belongs to."""
+"""The table of importers, which of them a file belongs to, and files read by them, each once."""
 
 from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 
 from ...errors import RecordingError
-from .head import first_rows, no_table
-from .missing_axes import missing_axes, missing_axes_words
-from .protocol import DeviceFormat, FileHead
-from .table_layout import layout_of
+from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
+from ..tables.file_head import first_rows, no_table, read_head
+from ..tables.joint_columns import find_joint_columns
+from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable
+from ..tables.table_layout import layout_of
 
 #: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
 FORMATS: tuple[str, ...] = (
     "xdf:XdfFile",
-    "rosbag1:RosBag1",
-    "mcap_file:McapFile",
-    "joint_array:JointArray",
-    "c3d:C3dSkeleton",
-    "trc:TrcSkeleton",
-    "kinect_json:KinectJson",
-    "pose_json:PoseJson",
-    "azure_kinect:AzureKinectTable",
-    "kinect_v2:KinectV2Table",
-    "mediapipe:MediapipeTable",
-    "named_joints:NamedJoints",
+    "ros_files:RosBag1",
+    "ros_files:McapFile",
+    "numbered_joints:JointArray",
+    "marker_skeletons:C3dSkeleton",
+    "marker_skeletons:TrcSkeleton",
+    "skeleton_json:KinectJson",
+    "skeleton_json:PoseJson",
+    ".tables.skeleton_formats:AzureKinectTable",
+    ".tables.skeleton_formats:KinectV2Table",
+    ".tables.skeleton_formats:MediapipeTable",
+    ".tables.skeleton_formats:NamedJoints",
     "long_skeleton:LongSkeleton",
-    "bare_kinect:BareKinect",
+    "numbered_joints:BareKinect",
     "xsens_mt:XsensMt",
     "xsens_dot:XsensDot",
     "mvnx:Mvnx",
@@ -118,3 +120,103 @@ def _lacking(head: FileHead) -> str:
 def keys() -> str:
     """Keys of all importers, for messages."""
     return ", ".join(importer.key for importer in formats())
+
+
+Tables = list[ImuTable] | list[SkeletonTable] | list[ImuTable | SkeletonTable]
+
+
+class FileReader:
+    """Reads device files, each once.
+
+    Parameters
+    ----------
+    imu_format, skeleton_format : str, optional
+        Keys of importers that overrule what is recognised.
+    """
+
+    def __init__(self, imu_format: str | None = None, skeleton_format: str | None = None) -> None:
+        self._named = {"imu": imu_format, "skeleton": skeleton_format}
+        self._tables: dict[tuple[Path, str], Tables] = {}
+        self._formats: dict[Path, DeviceFormat | None] = {}
+
+    def format_of(self, path: Path, kind: str) -> DeviceFormat:
+        """The importer of a file that is to be an "imu" or a "skeleton" (or "" for either).
+
+        Raises
+        ------
+        RecordingError
+            No importer recognises it, or it is of the other kind.
+        """
+        if (key := self._named.get(kind)) is not None:
+            return format_named(key)
+        importer = self.recognised(path, (kind, "recording") if kind else ())
+        if importer is None:
+            raise unknown_file(read_head(path))
+        if kind and importer.kind not in (kind, "recording"):
+            other = "--skeleton" if importer.kind == "skeleton" else "--imu"
+            raise RecordingError(f"{path} is recognised as {importer.title}; name it with {other}.")
+        return importer
+
+    def recognised(self, path: Path, kinds: tuple[str, ...] = ()) -> DeviceFormat | None:
+        """The importer of a file, looked for once; those of the kinds first."""
+        known = self._formats.get(path)
+        if known is None or (kinds and known.kind not in kinds):
+            known = self._formats[path] = recognise(read_head(path), kinds)
+        return known
+
+    def read(self, path: Path, importer: DeviceFormat) -> Tables:
+        """All tables of a file.
+
+        Raises
+        ------
+        RecordingError
+            In one sentence: the file, what it was recognised as, and what is wrong with it.
+        """
+        key = (path, importer.key)
+        if key not in self._tables:
+            try:
+                self._tables[key] = importer.read(path)
+            except RecordingError as error:
+                if missing := _missing(path, importer.kind):
+                    raise _lacks(path, importer, missing) from error
+                raise
+            except Exception as error:  # a damaged file fails anywhere, in libraries too
+                raise RecordingError(
+                    f"{path} was recognised as {importer.title}, but is damaged ({type(error).__name__});"
+                    " export or copy it again."
+                ) from error
+            if not self._tables[key]:
+                raise RecordingError(f"{path} ({importer.title}) holds no rows; export it again.")
+            _check_axes(path, importer, self._tables[key])
+        return self._tables[key]
+
+
+def _check_axes(path: Path, importer: DeviceFormat, tables: Tables) -> None:
+    """Refuse a table that lacks a column of a sensor or joint that nothing else in it gives; say the rest."""
+    missing = _missing(path, importer.kind)
+    if not missing:
+        return
+    if importer.kind == "skeleton":
+        raise _lacks(path, importer, missing)
+    for table in tables:
+        if isinstance(table, ImuTable) and (table.acc is None or table.gyro is None):
+            raise _lacks(path, importer, missing)
+    tables[0].notes.append(f"There is {missing_axes_words(missing)}: this vector was not read.")
+
+
+def _missing(path: Path, kind: str) -> list[MissingAxis]:
+    """Columns of a table's sensors, or of its arms' joints, that are not there while their siblings are."""
+    head = read_head(path)
+    layout = layout_of(head.lines) if head.text else None
+    if layout is None:
+        return []
+    if kind == "skeleton":
+        incomplete = find_joint_columns(layout.names).incomplete
+        return [each for each in missing_axes(layout.names) if set(each.present) & incomplete]
+    return [each for each in missing_axes(layout.names) if each.is_of_sensor]
+
+
+def _lacks(path: Path, importer: DeviceFormat, missing: list[MissingAxis]) -> RecordingError:
+    return RecordingError(
+        f"{path} ({importer.title}) has {missing_axes_words(missing)}; export it again with all three axes."
+    )

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_sheet import Columns, ImuSheetFormat, angular_velocity, seconds, specific_force, unit_summary
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.imu_columns import (
+    Columns,
+    ImuSheetFormat,
+    angular_velocity,
+    seconds,
+    specific_force,
+    unit_summary,
+)
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _ACC = ("accelerometeracceleration",)
 _USER, _GRAVITY = ("motionuseracceleration",), ("motiongravity",)

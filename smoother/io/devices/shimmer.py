@@ -6,7 +6,7 @@ import re
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_sheet import (
+from ..tables.imu_columns import (
     Columns,
     ImuSheetFormat,
     angular_velocity,
@@ -15,9 +15,9 @@ from .imu_sheet import (
     specific_force,
     unit_summary,
 )
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _COLUMN = re.compile(r"(?:(.*?)_)?(accel(?:_ln|_wr)?|gyro|mag|timestamp\w*?)(?:_([xyz]))?_(cal|raw|uncal)")
 #: Preferred first; the synchronised ones are on one clock for all sensors of a session.

@@ -14,14 +14,13 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording import CameraFrame
 from ..markers.trajectories import METRES
-from .channel_names import find_sensors, imu_of, joint_label, stem_of
-from .head import shown
-from .joint_columns import find_joint_columns
-from .joint_names import words_of
-from .pairing import paired
-from .protocol import FileHead, ImuTable, SkeletonTable
-from .raw_skeleton import Conventions, RawSkeleton
-from .wide_skeleton import kinect_states, states_of
+from ..tables.columns import find_sensors, imu_of, joint_label, stem_of
+from ..tables.file_head import shown
+from ..tables.imu_checks import paired
+from ..tables.joint_columns import find_joint_columns, words_of
+from ..tables.protocol import FileHead, ImuTable, SkeletonTable
+from ..tables.raw_skeleton import Conventions, RawSkeleton
+from ..tables.skeleton_formats import kinect_states, states_of
 
 
 @dataclass(frozen=True)

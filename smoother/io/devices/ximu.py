@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...errors import RecordingError
-from .imu_sheet import (
+from ..tables.imu_columns import (
     ImuSheetFormat,
     angular_velocity,
     magnetic_field,
@@ -12,10 +12,10 @@ from .imu_sheet import (
     specific_force,
     unit_summary,
 )
-from .physical_units import plain_unit
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
+from ..tables.units import plain_unit
 
 
 class Ximu(ImuSheetFormat):

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from ...errors import RecordingError
-from .imu_sheet import (
+from ..tables.imu_columns import (
     ImuSheetFormat,
+    acceleration_of,
     angular_velocity,
+    angular_velocity_of,
     magnetic_field,
     packet_counter,
+    rate_of,
     seconds,
     specific_force,
     unit_summary,
 )
-from .increments import acceleration_of, angular_velocity_of, rate_of
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _FUSED = ("quat_w", "euler_x", "freeacc_x")
 

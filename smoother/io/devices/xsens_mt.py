@@ -6,19 +6,21 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from .imu_sheet import (
+from ..tables.imu_columns import (
     ImuSheetFormat,
+    acceleration_of,
     angular_velocity,
+    angular_velocity_of,
     magnetic_field,
     packet_counter,
+    rate_of,
     seconds,
     specific_force,
     unit_summary,
 )
-from .increments import acceleration_of, angular_velocity_of, rate_of
-from .protocol import ImuTable
-from .sheet import Sheet
-from .table_layout import TableLayout
+from ..tables.protocol import ImuTable
+from ..tables.table_layout import TableLayout
+from ..tables.text_table import Sheet
 
 _RATES = ("update rate", "sample rate", "samplerate", "updaterate")
 _OWN = ("quat_q0", "quat_w", "mat[1][1]", "roll", "velinc_x", "oriinc_q0", "oriinc_w", "acc_x", "utc_nano")

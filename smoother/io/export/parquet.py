@@ -1,4 +1,4 @@
-"""A recovery as a Parquet file: the CSV's columns with their units."""
+"""A recovery, and motions drawn from it, as Parquet files: the CSV's columns with their units."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import os
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...result import Recovery
+from ...errors import UnoccludeError
+from ...recording import JOINTS
+from ...result import Draws, Recovery
+from ...result.draws import turned_by
 from ...runtime.outputs import writing
 from ...runtime.printable import plain
 from ..mcap.stamps import nanoseconds
@@ -18,6 +22,7 @@ from .csv import column_groups
 
 if TYPE_CHECKING:
     import pyarrow
+
 
 #: Key of the file's metadata under which the rest of the result lies, as JSON.
 METADATA_KEY = b"unocclude"
@@ -87,3 +92,98 @@ def trusted_array(recovery: Recovery) -> pyarrow.BooleanArray:
     import pyarrow as pa
 
     return pa.array(recovery.trusted) if recovery.has_verdict else pa.nulls(len(recovery), pa.bool_())
+
+
+#: Numbers are rounded to so many parts of a metre, which is 8 micrometres, and of one.
+_PARTS = 2.0**17
+
+
+def drawn_rows(recovery: Recovery) -> int:
+    """Rows of the file: a row a motion and drawn time.
+
+    Raises
+    ------
+    UnoccludeError
+        No motions were drawn.
+    """
+    if recovery.draws is None:
+        raise UnoccludeError(
+            f"the result of {recovery.name} holds no drawn motions; run `unocclude smooth` with --draws 64"
+        )
+    return len(recovery.draws) * len(recovery.draws.t_s)
+
+
+def export_draws(
+    recovery: Recovery, path: str | os.PathLike[str], version: str = "unknown", force: bool = False
+) -> None:
+    """Write every drawn motion, one after the other, a row a drawn time; null where there is no answer.
+
+    Columns: `motion` (from 0), `t_s`, `stamp_ns`, `imu_x` .. `imu_qz`, each joint's place, and `trusted`, the
+    answer's at that time; metres in the camera's frame, to a hundredth of a millimetre. The file's metadata
+    has the key `unocclude`: a JSON object with the program's version, the name, the side, how many motions
+    there are and the seed.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        One arm, with draws.
+    path : path-like
+        The file to write.
+    version : str
+        Of the program.
+    force : bool
+        Overwrite a file that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        No motions were drawn, the file exists and `force` is not given, or it cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    drawn_rows(recovery)
+    draws = recovery.draws
+    assert draws is not None
+    answer = recovery.rows(np.clip(np.searchsorted(recovery.t_s, draws.t_s), 0, len(recovery) - 1))
+    stamp = nanoseconds(draws.t_s, recovery.origin_ns)
+    trusted = trusted_array(answer)
+    about: dict[str, str | int] = {"version": version, "name": recovery.name, "side": recovery.side}
+    about |= {"motions": len(draws), "seed": draws.seed}
+    with writing(path, force) as temporary:
+        writer = None
+        for k in range(len(draws)):
+            columns: dict[str, NDArray] = {"motion": np.full(len(stamp), k, np.int32)}
+            columns |= {"t_s": stamp * 1e-9, "stamp_ns": stamp, **_motion(answer, draws, k)}
+            arrays = {name: pa.array(each, from_pandas=True) for name, each in columns.items()}
+            table = pa.table(arrays | {"trusted": trusted})
+            if writer is None:
+                schema = table.schema.with_metadata({METADATA_KEY: json.dumps(about).encode()})
+                # numbers of one size, byte by byte, shrink best
+                split = [name for name, each in columns.items() if each.dtype == np.float32]
+                writer = parquet.ParquetWriter(
+                    temporary,
+                    schema,
+                    compression="zstd",
+                    use_dictionary=[name for name in arrays if name not in split],
+                    use_byte_stream_split=split,
+                )
+            writer.write_table(table.cast(schema))
+        if writer is not None:
+            writer.close()
+
+
+def _motion(answer: Recovery, draws: Draws, k: int) -> dict[str, NDArray]:
+    """A motion's columns (m,); the answer is that of the drawn times."""
+    groups = {
+        ("imu_x", "imu_y", "imu_z"): answer.position + draws.position[k],
+        ("imu_qw", "imu_qx", "imu_qy", "imu_qz"): turned_by(draws.rotation[k], answer.quaternion),
+    }
+    for joint in (name for name in JOINTS if name in draws.joints):
+        names = (f"{joint}_x", f"{joint}_y", f"{joint}_z")
+        groups[names] = answer.joints[joint] + draws.joints[joint][k]
+    return {
+        name: np.rint(values * _PARTS).astype(np.float32) / np.float32(_PARTS)
+        for names, group in groups.items()
+        for name, values in zip(names, group.T, strict=True)
+    }

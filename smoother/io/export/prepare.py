@@ -97,7 +97,7 @@ def prepare_export(
     if format_name == "rrd":
         return prepare_rrd([recovery], level_down=level_down)
     if format_name == "parquet" and draws:
-        from .draws_parquet import drawn_rows, export_draws
+        from .parquet import drawn_rows, export_draws
 
         return Export(
             drawn_rows(recovery),
@@ -164,8 +164,7 @@ def _mot(recovery: Recovery, rate_hz: float | None) -> Export:
 
 
 def _osim(recovery: Recovery) -> Export:
-    from .arm_measures import arm_measures
-    from .osim import write_osim
+    from .osim import arm_measures, write_osim
 
     measures = arm_measures(recovery)
     notes: tuple[str, ...] = ()
@@ -191,9 +190,7 @@ def _markers(
 ) -> Export:
     import numpy as np
 
-    from .c3d import check_frames, write_c3d
-    from .markers import c3d_content, marker_table
-    from .trc import write_trc
+    from .markers import c3d_content, check_frames, marker_table, write_c3d, write_trc
 
     table = marker_table(recovery, frame, rate_hz, level_down, origin)
     rate, rows = table.grid.rate_hz, len(table.grid.t_s)

@@ -1,4 +1,4 @@
-"""A result as a recording of Rerun, with the views that show it."""
+"""A result as a recording of Rerun: arms in space, as curves, and the views that show them."""
 
 from __future__ import annotations
 
@@ -6,19 +6,355 @@ import hashlib
 import os
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from ...array_types import FloatArray
+from ...array_types import BoolArray, FloatArray, IntArray
 from ...errors import UnoccludeError
-from ...recording import Truth
+from ...joint_angles import elbow_flexion_sigma, recovery_angles
+from ...linalg import median_rate_hz
+from ...recording import JOINTS, JointState, JointTracks, Truth
 from ...result import Recovery
+from ...result.frame_residuals import BATCH_ROWS
 from ...result.untrusted import untrusted_sentences
 from ...runtime.outputs import writing
 from ...runtime.packages import extra_module
-from ..result.world import common_down, world_axes
-from .rerun_arm import RerunArm
-from .rerun_layout import views
+from ..result.drawing import ANSWER, CAMERA, CHAIN, DISTRUST, GUESSED, VISIBLE, Color, common_down, world_axes
+
+TIMELINE = "time"
+#: Pictures a second in space; curves have every sample.
+PICTURES_HZ = 30.0
+_NAMES = [JOINTS[i] for i in CHAIN]
+_TRUTH: Color = (0.0, 0.62, 0.45, 1.0)
+#: Of bones and joints, m.
+_BONE_M, _JOINT_M, _THIN_M, _TRAIL_M = 0.010, 0.016, 0.004, 0.004
+_AXES = "xyz"
+_AXIS_COLORS = np.array([0xE0483DFF, 0x4CAF50FF, 0x4F7FE8FF], np.uint32)
+#: Of the curves of several arms.
+ARM_COLORS: dict[str, Color] = {
+    "blue": VISIBLE,
+    "pink": (0.80, 0.47, 0.65, 1.0),
+    "yellow": (0.94, 0.75, 0.20, 1.0),
+    "white": (0.90, 0.90, 0.90, 1.0),
+}
+_STATES = ("seen", "occluded", "not to be trusted", "no answer")
+
+
+class RerunArm:
+    """What is logged of one arm, batch by batch.
+
+    Parameters
+    ----------
+    rr : module
+        The package `rerun`.
+    recovery : Recovery
+        The arm.
+    name : str
+        In entity paths.
+    truth : Truth, optional
+        Its times from the recovery's origin.
+    number : int, optional
+        Which of several arms it is: its curves get a colour and its name. None for the only one.
+    """
+
+    def __init__(
+        self, rr: Any, recovery: Recovery, name: str, truth: Truth | None = None, number: int | None = None
+    ):
+        self.rr = rr
+        self.recovery = recovery
+        self.name = name
+        self.label = "" if number is None else f"{name} "
+        self.color_name = list(ARM_COLORS)[(number or 0) % len(ARM_COLORS)]
+        self.color = ARM_COLORS[self.color_name]
+        self.truth = truth
+        self.space = f"scene/camera/{name}"
+        joints = recovery.joints
+        #: The point whose place and sigma are shown.
+        self.point = "wrist" if "wrist" in joints else "imu"
+        self.has_flexion = {"shoulder", "elbow", "wrist"} <= set(joints)
+        rate = median_rate_hz(recovery.t_s)
+        self.step = max(round(rate / PICTURES_HZ), 1) if np.isfinite(rate) else 1
+
+    def log(self, stream: Any) -> None:
+        """All of it."""
+        self.stream = stream
+        self._styles()
+        for start in range(0, len(self.recovery), BATCH_ROWS):
+            batch = self.recovery.rows(slice(start, start + BATCH_ROWS))
+            self._in_space(batch.rows(np.arange(-start % self.step, len(batch), self.step)))
+            self._curves(batch)
+        for frames in self.recovery.frame_batches():
+            self._before(frames)
+        if self.truth is not None:
+            for start in range(0, len(self.truth), BATCH_ROWS):
+                self._truth(self.truth, slice(start, start + BATCH_ROWS))
+        self._gaps()
+
+    def point_of(self, batch: Recovery) -> tuple[FloatArray, FloatArray]:
+        """Positions (n, 3) and covariances (n, 3, 3) of the shown point."""
+        if self.point in batch.joints:
+            return batch.joints[self.point], batch.joint_covariance[self.point]
+        return batch.position, batch.pose_covariance[:, :3, :3]
+
+    def _in_space(self, batch: Recovery) -> None:
+        """The arm, its uncertainty and the trail."""
+        rr = self.rr
+        places = np.full((len(batch), len(_NAMES) + 1, 3), np.nan)
+        for place, joint in enumerate(_NAMES):
+            if joint in batch.joints:
+                places[:, place] = batch.joints[joint]
+        places[:, -1] = batch.position
+        shade = np.array([packed(color) for color in ANSWER])[_kind(batch)]
+        self._bones("after", batch.t_s, places[:, :-1], shade, _BONE_M)
+        self._dots("after/joints", batch.t_s, places, np.repeat(shade[:, None], places.shape[1], 1), _JOINT_M)
+        point, covariance = self.point_of(batch)
+        self._dots("trail", batch.t_s, point[:, None], shade[:, None], _TRAIL_M)
+        good = np.isfinite(point).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+        variance, turn = np.linalg.eigh(covariance[good])
+        turn[:, :, 2] *= np.sign(np.linalg.det(turn).reshape(-1, 1))
+        quaternion = Rotation.from_matrix(turn).as_quat() if len(turn) else np.empty((0, 4))
+        columns = rr.Ellipsoids3D.columns(
+            half_sizes=2.0 * np.sqrt(np.maximum(variance, 0.0)),
+            centers=point[good],
+            quaternions=quaternion,
+            colors=shade[good] - 0xFF + 0x60,
+            fill_mode=[rr.components.FillMode.TransparentFillMajorWireframe] * int(good.sum()),
+        )
+        self._send("two_sigma", batch.t_s, columns.partition(good.astype(int)))
+
+    def _before(self, frames: JointTracks) -> None:
+        """The camera's joints."""
+        has = (frames.state != JointState.NOT_TRACKED) & np.isfinite(frames.position).all(axis=2)
+        places = np.where(has[:, :, None], frames.position, np.nan)
+        guessed = frames.state == JointState.INFERRED
+        shades = np.where(guessed, packed(GUESSED), packed(CAMERA))
+        grey = np.full(len(frames), packed(CAMERA))
+        self._bones("before", frames.t_s, places[:, CHAIN], grey, _THIN_M)
+        self._dots("before/joints", frames.t_s, places, shades, _JOINT_M / 2)
+        if self.point == "wrist":
+            wrist = JOINTS.index("wrist")
+            for axis, name in enumerate(_AXES):
+                self._curve(f"wrist_{name}", "camera", frames.t_s, places[:, wrist, axis : axis + 1])
+
+    def _truth(self, truth: Truth, rows: slice) -> None:
+        t_s = truth.t_s[rows]
+        step = max(round(median_rate_hz(truth.t_s) / PICTURES_HZ), 1) if len(truth) > 1 else 1
+        known = [truth.joints[name][rows][::step] for name in _NAMES if name in truth.joints]
+        places = np.stack([*known, truth.position[rows][::step]], axis=1)
+        shade = np.full(places.shape[:2], packed(_TRUTH))
+        self._bones("truth", t_s[::step], places[:, :-1], shade[:, 0], _THIN_M)
+        self._dots("truth/joints", t_s[::step], places, shade, _JOINT_M / 2)
+        point = truth.joints.get(self.point) if self.point != "imu" else truth.position
+        if point is not None:
+            for axis, name in enumerate(_AXES):
+                self._curve(f"{self.point}_{name}", "truth", t_s, point[rows, axis : axis + 1])
+
+    def _curves(self, batch: Recovery) -> None:
+        """Place with its 2 sigma lines, sigma, and flexion, at every sample."""
+        point, covariance = self.point_of(batch)
+        sigma = np.sqrt(np.einsum("nii->ni", covariance))
+        for axis, name in enumerate(_AXES):
+            self._curve(f"{self.point}_{name}", "after", batch.t_s, point[:, axis : axis + 1])
+            band = point[:, axis, None] + 2.0 * sigma[:, axis, None] * np.array([-1.0, 1.0])
+            self._curve(f"{self.point}_{name}", "two_sigma", batch.t_s, band)
+        self._curve("sigma", "", batch.t_s, 100.0 * sigma)
+        if self.has_flexion:
+            flexion, spread = recovery_angles(batch)["elbow_flexion"], elbow_flexion_sigma(batch)
+            self._curve("elbow_flexion", "after", batch.t_s, flexion[:, None])
+            band = flexion[:, None] + 2.0 * spread[:, None] * np.array([-1.0, 1.0])
+            self._curve("elbow_flexion", "two_sigma", batch.t_s, band)
+
+    def _gaps(self) -> None:
+        """Seen, occluded, not to be trusted or without an answer, where it changes."""
+        states = np.where(self.recovery.answered, _kind(self.recovery), np.int8(len(ANSWER)))
+        turns = np.flatnonzero(np.diff(states, prepend=-1))
+        names = [_STATES[state] for state in states[turns]]
+        columns = self.rr.StateChange.columns(state=names)
+        time = self.rr.TimeColumn(TIMELINE, duration=self.recovery.t_s[turns])
+        self.stream.send_columns(f"gaps/{self.name}", [time], columns)
+
+    def _styles(self) -> None:
+        """How curves and states look; the same at all times."""
+        rr = self.rr
+        log, curves = self.stream.log, [f"{self.point}_{axis}" for axis in _AXES]
+        curves += ["elbow_flexion"] if self.has_flexion else []
+        after, faint = packed(self.color), packed((*self.color[:3], 0.45))
+        for curve in curves:
+            of = f"curves/{curve}/{self.name}"
+            log(
+                f"{of}/after",
+                rr.SeriesLines(colors=[after], widths=[2.0], names=[f"{self.label}after"]),
+                static=True,
+            )
+            lines = rr.SeriesLines(
+                colors=[faint] * 2, widths=[1.0] * 2, names=[f"{self.label}{sign} 2 sigma" for sign in "-+"]
+            )
+            log(f"{of}/two_sigma", lines, static=True)
+            if curve.startswith("wrist"):
+                dots = rr.SeriesPoints(
+                    colors=[packed(CAMERA)], marker_sizes=[1.5], names=[f"{self.label}camera"]
+                )
+                log(f"{of}/camera", dots, static=True)
+            if self.truth is not None and curve != "elbow_flexion":
+                line = rr.SeriesLines(colors=[packed(_TRUTH)], widths=[1.0], names=["truth"])
+                log(f"{of}/truth", line, static=True)
+        names = [f"{self.label}{self.point} {axis}" for axis in _AXES]
+        lines = rr.SeriesLines(names=names, widths=[1.5] * 3, colors=_AXIS_COLORS)
+        log(f"curves/sigma/{self.name}", lines, static=True)
+        colors = np.array([packed(color) for color in (*ANSWER, GUESSED)], np.uint32)
+        log(f"gaps/{self.name}", rr.StateConfiguration(values=_STATES, colors=colors), static=True)
+
+    def _bones(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
+        """A line through the joints (n, J, 3) that are there; nothing where it is less than two."""
+        has: BoolArray = np.asarray(np.isfinite(places).all(axis=2))
+        drawn = has.sum(axis=1) > 1
+        strips = [places[row][has[row]] for row in np.flatnonzero(drawn)]
+        columns = self.rr.LineStrips3D.columns(
+            strips=strips, colors=shade[drawn], radii=np.full(len(strips), radius)
+        )
+        self._send(path, t_s, columns.partition(drawn.astype(int)))
+
+    def _dots(self, path: str, t_s: FloatArray, places: FloatArray, shade: IntArray, radius: float) -> None:
+        """Points (n, J, 3) where they are there."""
+        has: BoolArray = np.asarray(np.isfinite(places).all(axis=2))
+        columns = self.rr.Points3D.columns(
+            positions=places[has], colors=shade[has], radii=np.full(int(has.sum()), radius)
+        )
+        self._send(path, t_s, columns.partition(has.sum(axis=1)))
+
+    def _curve(self, curve: str, line: str, t_s: FloatArray, values: FloatArray) -> None:
+        """Values (n, lines); nan breaks a line."""
+        path = "/".join(part for part in ("curves", curve, self.name, line) if part)
+        columns = self.rr.Scalars.columns(scalars=values.ravel())
+        time = self.rr.TimeColumn(TIMELINE, duration=t_s)
+        self.stream.send_columns(path, [time], columns.partition(np.full(len(values), values.shape[1])))
+
+    def _send(self, path: str, t_s: FloatArray, columns: Any) -> None:
+        if len(t_s):
+            time = self.rr.TimeColumn(TIMELINE, duration=t_s)
+            self.stream.send_columns(f"{self.space}/{path}", [time], columns)
+
+
+def _kind(batch: Recovery) -> NDArray[np.int8]:
+    """(n,) which of the colours of the answer a sample has."""
+    return np.where(batch.trusted, batch.occluded.astype(np.int8), np.int8(DISTRUST))
+
+
+def packed(color: Color) -> int:
+    """A colour as 0xRRGGBBAA."""
+    red, green, blue, alpha = (round(255 * part) for part in color)
+    return red << 24 | green << 16 | blue << 8 | alpha
+
+
+def middle_and_radius(arms: list[RerunArm]) -> tuple[FloatArray, float]:
+    """The middle (3,) of what is drawn, in the camera's axes, and the radius about it that holds it, m."""
+    drawn = []
+    for arm in arms:
+        for places in (*arm.recovery.joints.values(), arm.recovery.position):
+            rows = places[:: max(len(places) // 1000, 1)]
+            drawn.append(rows[np.isfinite(rows).all(axis=1)])
+    places = np.concatenate(drawn)
+    middle = np.median(places, axis=0)
+    return middle, float(np.percentile(np.linalg.norm(places - middle, axis=1), 98))
+
+
+#: How far back the trail reaches, s.
+TRAIL_S = 2.0
+#: Direction from the arm to the eye, in the level frame: before the person, to one side, above.
+_EYE = np.array([0.80, -0.52, 0.30])
+#: Distance of the eye, in radii of what is drawn, and at the least, m.
+_FAR, _NEAR_M = 1.45, 0.7
+
+
+def views(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
+    """The blueprint: the arm in space and its gaps on the left, curves on the right.
+
+    Parameters
+    ----------
+    rr : module
+        The package `rerun`.
+    arms : list of RerunArm
+        What is shown.
+    R_W_K : ndarray, shape (3, 3)
+        From the camera's axes to the level frame's.
+    upright : bool
+        `R_W_K` is by gravity: z is up.
+
+    Returns
+    -------
+    Blueprint
+    """
+    rrb = rr.blueprint
+    curves = [(f"{point}_{axis}", f"{point} {axis}, m") for point in _points(arms) for axis in "xyz"]
+    if any(arm.has_flexion for arm in arms):
+        curves.append(("elbow_flexion", "elbow flexion, degrees"))
+    curves.append(("sigma", "sigma, cm"))
+    whose = ", ".join(f"{arm.color_name}: {arm.name}" for arm in arms) if len(arms) > 1 else ""
+    plots = [
+        rrb.TimeSeriesView(
+            origin=f"curves/{path}",
+            name=f"{name} ({whose})" if whose and path != "sigma" else name,
+            axis_x=rrb.TimeAxis(view_range=whole_recording(rr), zoom_lock=False),
+            axis_y=rrb.ScalarAxis(range=(0.0, 1.1 * top_sigma_cm(arms))) if path == "sigma" else None,
+            plot_legend=rrb.PlotLegend("RightTop", visible=path == "sigma" and len(arms) == 1),
+        )
+        for path, name in curves
+    ]
+    gaps = rrb.StateTimelineView(origin="gaps", name="gaps")
+    notes = rrb.TextDocumentView(origin="notes", name="notes")
+    left = rrb.Vertical(_space(rr, arms, R_W_K, upright), rrb.Tabs(gaps, notes), row_shares=[4, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[1, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        auto_views=False,
+    )
+
+
+def whole_recording(rr: Any) -> Any:
+    """A range of times from the first to the last, wherever the cursor is."""
+    return rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+
+
+def top_sigma_cm(arms: list[RerunArm]) -> float:
+    """The largest sigma of an axis that is shown; its curve begins at zero."""
+    tops = []
+    for arm in arms:
+        for batch in arm.recovery.batches():
+            variance = np.einsum("nii->ni", arm.point_of(batch)[1])
+            tops.append(np.max(variance[np.isfinite(variance)], initial=0.0))
+    return max(100.0 * float(np.sqrt(max(tops, default=0.0))), 0.1)
+
+
+def _points(arms: list[RerunArm]) -> list[str]:
+    return list(dict.fromkeys(arm.point for arm in arms))
+
+
+def _space(rr: Any, arms: list[RerunArm], R_W_K: FloatArray, upright: bool) -> Any:
+    rrb = rr.blueprint
+    place, radius = middle_and_radius(arms)
+    middle = R_W_K @ place
+    trail = rr.VisibleTimeRange(
+        TIMELINE,
+        start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+    eye = None
+    if upright:
+        there = middle + max(_FAR * radius, _NEAR_M) * _EYE
+        eye = rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=there, look_target=middle, eye_up=[0, 0, 1]
+        )
+    return rrb.Spatial3DView(
+        origin="scene",
+        name="blue: seen, orange: recovered, dark red: not to be trusted, grey: the camera's",
+        overrides={f"{arm.space}/trail": rrb.VisibleTimeRanges(trail) for arm in arms},
+        eye_controls=eye,
+    )
 
 
 def rerun_module() -> ModuleType:

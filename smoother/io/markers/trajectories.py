@@ -9,7 +9,7 @@ import numpy as np
 
 from ...array_types import FloatArray
 from ...errors import RecordingError
-from ..devices.head import shown
+from ..tables.file_head import shown
 
 #: Metres in a unit, by the names that files use.
 METRES = {

@@ -11,7 +11,7 @@ import numpy as np
 from ...array_types import FloatArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from ..devices.head import plain_minus, shown
+from ..tables.file_head import plain_minus, shown
 from .trajectories import Markers, metres_in, told_apart, without_origin
 
 #: Spellings of "no number", beyond those that `float` reads: Windows' and spreadsheets' ones.

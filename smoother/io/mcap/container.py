@@ -20,12 +20,9 @@ from numpy.typing import NDArray
 from ...array_types import IntArray
 from ...errors import RecordingError
 from ...runtime.inputs import check_input
-from .chunk_source import ChunkSource
-from .definitions import Definitions
-from .losses import DamageLog, Loss, plain_name
-from .messages import ChunkMessages, McapMessage, Topic, TopicMessages
-from .records import HEAD, MAGIC, MESSAGE, find
-from .summary import Summary, read_summary
+from .chunk_source import ChunkSource, Definitions
+from .messages import ChunkMessages, DamageLog, Loss, McapMessage, Topic, TopicMessages, plain_name
+from .records import HEAD, MAGIC, MESSAGE, Summary, find, read_summary
 
 #: Log times beyond this, ns, do not fit what times are counted in.
 _LATEST = np.uint64(np.iinfo(np.int64).max - 1)

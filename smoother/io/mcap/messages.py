@@ -1,7 +1,9 @@
-"""Messages of an MCAP file and the topics that they belong to."""
+"""Messages of an MCAP file, the topics that they belong to, and what a damaged file lost of them."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -9,7 +11,134 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...array_types import IntArray
-from .losses import plain_name
+from ...runtime.printable import printable
+
+#: So many losses have a sentence of their own.
+_MOST = 6
+#: Names in messages are cut to this length.
+_LONGEST_NAME = 80
+
+
+@dataclass
+class Loss:
+    """A part of the file that gave nothing, or gave what cannot be vouched for.
+
+    Attributes
+    ----------
+    what : str
+        What is there and what became of it.
+    start, stop : int, bytes
+        Where it lies in the file.
+    first_ns, last_ns : int, ns, optional
+        Log times that it lies between; None where nothing tells.
+    counts : dict of str to int
+        Messages lost by topic, as far as indexes tell.
+    is_kept : bool
+        They were read all the same, and cannot be vouched for.
+    """
+
+    what: str
+    start: int
+    stop: int
+    first_ns: int | None = None
+    last_ns: int | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+    is_kept: bool = False
+
+    def sentence(self, zero_ns: int | None) -> str:
+        """One clause for a note; times count from `zero_ns`."""
+        parts = []
+        if self.counts:
+            parts.append(listed(self.counts))
+        if zero_ns is not None and self.first_ns is not None and self.last_ns is not None:
+            first, last = (max((time - zero_ns) / 1e9, 0.0) for time in (self.first_ns, self.last_ns))
+            if last < 1e8:  # a time that is damaged itself says nothing
+                parts.append(f"{first:.3f} to {max(first, last):.3f} s after the first message")
+        return f"{self.what} ({', '.join(parts)})" if parts else self.what
+
+
+class DamageLog:
+    """What was wrong with a file, as it is met.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, for notes.
+    notes : list of str
+        One sentence each.
+    losses : list of Loss
+        In the file's order.
+    is_cut : bool
+        The file ends in the middle of a record.
+    first_ns : int, ns, optional
+        Of the first messages; notes count from it.
+    """
+
+    def __init__(self, name: str):
+        self.name = name
+        self.notes: list[str] = []
+        self.losses: list[Loss] = []
+        self.is_cut = False
+        self.first_ns: int | None = None
+        self._last_ns: int | None = None
+        self._open: list[Loss] = []
+
+    def note(self, what: str) -> None:
+        """Say what was wrong, once."""
+        sentence = f"{self.name}: {what}."
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def lost(self, loss: Loss) -> None:
+        """Take down a loss; where nothing tells its time, it lies between the messages around it."""
+        if loss.first_ns is None and self._last_ns is not None:
+            loss.first_ns = self._last_ns
+            self._open.append(loss)
+        self.losses.append(loss)
+
+    def met(self, log_ns: NDArray[np.uint64]) -> None:
+        """Messages (n,), at least one: what was lost before lies between the ones before and these."""
+        first, last = int(log_ns.min()), int(log_ns.max())
+        for loss in self._open:
+            loss.last_ns = max(first, loss.first_ns or 0)
+        self._open.clear()
+        self.first_ns = first if self.first_ns is None else self.first_ns
+        self._last_ns = last if self._last_ns is None else max(self._last_ns, last)
+
+    def finish(self) -> None:
+        """Say what was lost."""
+        for clause in sentences(self.losses, self.first_ns):
+            self.note(clause)
+
+
+def sentences(losses: Sequence[Loss], zero_ns: int | None) -> list[str]:
+    """A clause for each of the first losses, and one for all others."""
+    clauses = list(dict.fromkeys(loss.sentence(zero_ns) for loss in losses[:_MOST]))
+    rest = losses[_MOST:]
+    if rest:
+        counts: Counter[str] = Counter()
+        for loss in rest:
+            counts.update(loss.counts)
+        lost = f" ({listed(counts)})" if counts else ""
+        clauses.append(f"{len(rest)} places more are damaged{lost}; `unocclude repair` lists them all")
+    return clauses
+
+
+def listed(counts: dict[str, int]) -> str:
+    """Messages by topic, for a sentence."""
+    names = sorted(counts)
+    texts = [f"{counts[name]} of {plain_name(name)}" for name in names[:_MOST]]
+    if len(names) > _MOST:
+        texts.append(f"{len(names) - _MOST} topics more")
+    return "messages: " + ", ".join(texts)
+
+
+def plain_name(name: str) -> str:
+    """A name that came from a file, fit for a message: no control characters, at most 80 letters."""
+    if len(name) <= _LONGEST_NAME and name.isprintable():
+        return name
+    clean = printable(name[: 4 * _LONGEST_NAME])
+    return clean if len(clean) <= _LONGEST_NAME else clean[: _LONGEST_NAME - 2] + ".."
 
 
 @dataclass

@@ -18,9 +18,8 @@ from ...errors import RecordingError
 from ...runtime.outputs import writing
 from ...runtime.printable import printable
 from .container import Container
-from .losses import Loss
 from .merge import Output
-from .messages import ChunkMessages, Topic
+from .messages import ChunkMessages, Loss, Topic
 
 #: Metadata record that says what the file had lost when it was repaired.
 REPAIRED = "unocclude.repair"

@@ -34,7 +34,7 @@ from ..mcap.stamps import nanoseconds
 from ..recording.streams import ImuSamples
 from ..recording.write import imu_messages
 from ..wire.schemas import message_class
-from .image_messages import CAMERA_CALIBRATION, RAW_IMAGE, lens_message, raw_image
+from .images import CAMERA_CALIBRATION, RAW_IMAGE, lens_message, raw_image
 
 DEPTH_TOPIC = "/camera/depth/image"
 INFRARED_TOPIC = "/camera/infrared/image"

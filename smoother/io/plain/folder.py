@@ -14,24 +14,27 @@ from ...errors import RecordingError
 from ...linalg import unit
 from ...recording import JointState, Recording
 from ...runtime.inputs import check_input, inside, read_toml
-from ..devices.head import shown
-from ..devices.into_recording import add_imu, add_skeleton, rate_note, times_of
-from ..devices.pairing import paired
-from ..devices.protocol import SkeletonTable
-from ..devices.repair import repaired_imu, repaired_skeleton
-from ..devices.starts import Timed, shifts
+from ..devices.files import add_imu, add_skeleton, rate_note, times_of
+from ..devices.repair import Timed, repaired_imu, repaired_skeleton, shifts
 from ..mcap.stamps import nanoseconds
-from ..recording.clock_resets import begins_frames, clock_resets, resets_message
-from ..recording.joint_rows import JointRows, frames_of
+from ..recording.decode import JointRows, frames_of, joint_code
 from ..recording.read import select_recording
 from ..recording.selection import Selection
-from ..recording.skeletons import joint_code
+from ..recording.stamps import begins_frames, clock_resets, resets_message
 from ..recording.streams import ImuSamples, PoseSamples, RecordingFile, TopicInfo
-from .columns import read_imu_columns
-from .imu_table import imu_columns
-from .layout_keys import ACCELERATION, ANGULAR_VELOCITY, METRES, CameraKeys, ImuKeys
-from .skeleton_columns import read_skeleton_columns
-from .table import read_table, vectors
+from ..tables.file_head import shown
+from ..tables.imu_checks import paired
+from ..tables.protocol import SkeletonTable
+from .columns import (
+    ACCELERATION,
+    ANGULAR_VELOCITY,
+    METRES,
+    CameraKeys,
+    ImuKeys,
+    read_imu_columns,
+    read_skeleton_columns,
+)
+from .table import imu_columns, read_table, vectors
 
 _STATES = {
     "tracked": JointState.TRACKED,

@@ -1,15 +1,24 @@
-"""One person under several numbers: a camera that loses a body counts it anew."""
+"""The persons of a file: numbers that the camera exchanged or gave anew are put right."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from itertools import combinations
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from ...array_types import BoolArray, FloatArray, IntArray
+from ...errors import RecordingError
+from ...linalg import runs
 from ...recording import FOREARM_JOINTS, JOINTS, JointState
 from ...runtime.store import Store, batches
-from .streams import ArmFrames
+from .selection import role
+from .streams import ArmFrames, RecordingFile
+
+if TYPE_CHECKING:
+    from ...matching import ImuMatch
+
 
 #: A body that comes back within this time and distance counts as the same one.
 _AWAY_S = 30.0
@@ -125,3 +134,212 @@ def _continues(earlier: ArmFrames, later: ArmFrames) -> bool:
             reach = _APART_M + (0.4 if JOINTS[joint] in FOREARM_JOINTS else 0.0)
             return bool(step < reach)
     return False
+
+
+#: Between two frames this close in time nobody walks to where another stood.
+_SOON_NS = 200_000_000
+#: Both jump at least this far, m; what is left after exchanging is at most this share of the jumps.
+_JUMP_M, _LEFT = 0.4, 0.35
+_SHOULDER = JOINTS.index("shoulder")
+
+
+def unswap_bodies(arms: list[ArmFrames], store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
+    """Give bodies their numbers back where two of one topic exchanged them.
+
+    Two people who stand apart do not change places from one frame to the next: where both shoulders jump,
+    each to where the other's was, the numbers were exchanged.
+
+    Parameters
+    ----------
+    arms : list of ArmFrames
+        As the file has them; they stay as they are.
+    store : Store, optional
+        Where the positions of such arms are to lie; None = in memory.
+
+    Returns
+    -------
+    arms : list of ArmFrames
+        In the same order.
+    notes : list of str
+        A sentence for each pair of bodies.
+    """
+    arms, notes = list(arms), []
+    bodies = sorted({(arm.topic, arm.body) for arm in arms})
+    for (topic, first), (other_topic, second) in combinations(bodies, 2):
+        if topic != other_topic:
+            continue
+        swaps = _swaps(_of(arms, topic, first), _of(arms, topic, second))
+        if not len(swaps):
+            continue
+        pairs = [
+            (i, k)
+            for i, one in enumerate(arms)
+            for k, other in enumerate(arms)
+            if (one.topic, one.body, other.topic, other.body) == (topic, first, topic, second)
+            and one.side == other.side
+        ]
+        stamp = arms[pairs[0][0]].stamp_ns
+        exchanged = np.zeros(len(stamp), bool)
+        for row in swaps:
+            exchanged[row:] ^= True
+        for i, k in pairs:
+            arms[i], arms[k] = (
+                _exchanged(arms[i], arms[k], exchanged, store or Store()),
+                _exchanged(arms[k], arms[i], exchanged, store or Store()),
+            )
+        seconds = [f"{(int(stamp[run.start]) - int(stamp[0])) / 1e9:.1f}" for run in runs(exchanged)]
+        notes.append(
+            f"Bodies {first} and {second} of {topic} exchange their numbers {', '.join(seconds[:5])} s after"
+            " the first frame (each jumps to where the other was); they were exchanged back."
+        )
+    return arms, notes
+
+
+def _of(arms: list[ArmFrames], topic: str, body: int) -> list[ArmFrames]:
+    return [arm for arm in arms if (arm.topic, arm.body) == (topic, body)]
+
+
+def _place(arms: list[ArmFrames]) -> tuple[FloatArray, BoolArray]:
+    """Where a body is in each frame (n, 3), by its shoulders, and whether all of them are there (n,)."""
+    there = np.all([arm.state[:, _SHOULDER] != JointState.NOT_TRACKED for arm in arms], axis=0)
+    return np.mean([arm.position[:, _SHOULDER] for arm in arms], axis=0), there
+
+
+def _swaps(first: list[ArmFrames], second: list[ArmFrames]) -> IntArray:
+    """Rows from which on the numbers are exchanged, or exchanged back."""
+    nothing = np.empty(0, np.int64)
+    sides = {arm.side for arm in first}
+    if sides != {arm.side for arm in second} or len({len(arm.stamp_ns) for arm in (*first, *second)}) != 1:
+        return nothing
+    a, a_there = _place(first)
+    b, b_there = _place(second)
+    rows = np.flatnonzero(a_there & b_there)
+    if len(rows) < 2:
+        return nothing
+    soon = np.diff(first[0].stamp_ns[rows]) <= _SOON_NS
+    a, b = a[rows], b[rows]
+
+    def apart(now: FloatArray, before: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(now[1:] - before[:-1], axis=1))
+
+    own_a, own_b = apart(a, a), apart(b, b)
+    crossed = apart(a, b) + apart(b, a)
+    jumps = soon & (np.minimum(own_a, own_b) > _JUMP_M) & (crossed < _LEFT * (own_a + own_b))
+    # after one exchange the next one is seen in the numbers as they are then: every jump counts
+    return np.asarray(rows[1:][jumps])
+
+
+def _exchanged(own: ArmFrames, other: ArmFrames, rows: BoolArray, store: Store) -> ArmFrames:
+    """An arm with the other body's joints in some frames."""
+    position = store.array(own.position.shape, 0.0)
+    for part in batches(len(position)):
+        position[part] = np.where(rows[part, None, None], other.position[part], own.position[part])
+    return replace(own, position=position, state=np.where(rows[:, None], other.state, own.state))
+
+
+#: With more bodies than this the camera counts shadows, and comparing all of them costs more than it tells.
+MOST_BODIES = 12
+#: An IMU that is on none of a body's limbs with this probability is on somebody else.
+NOT_WORN_FROM = 0.95
+
+
+class WornImus:
+    """Which IMUs each body of a file wears, worked out when it is asked for.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams, bodies as the camera numbered them.
+    store : Store, optional
+        Where cleaned columns are to lie; None = in memory.
+    """
+
+    def __init__(self, file: RecordingFile, store: Store | None = None) -> None:
+        self._file, self._store = file, store
+        self._imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
+        self._matches: dict[tuple[str, int], dict[str, ImuMatch]] = {}
+        bodies = {(arm.topic, arm.body) for arm in file.arms if arm.tracked}
+        #: With one IMU there is nothing to tell people apart by.
+        self.can_tell = len(self._imus) > 1 and 1 < len(bodies) <= MOST_BODIES
+
+    def agree(self, earlier: list[int], later: int, topic: str) -> bool | None:
+        """Whether a body wears what another wore.
+
+        Parameters
+        ----------
+        earlier : list of int
+            The numbers that the other had so far.
+        later : int
+            The body's number.
+        topic : str
+            Of their skeleton.
+
+        Returns
+        -------
+        bool or None
+            True where an IMU is surely on the same limb of both; False where it is surely on the limb of one
+            and not on that limb of the other; None where the motion settles neither.
+        """
+        if not self.can_tell:
+            return None
+        before = {name: match for body in earlier for name, match in self._sure(topic, body).items()}
+        now = self._of(topic, later)
+        verdicts = set()
+        for name, match in before.items():
+            assert match.limb is not None
+            other = now.get(name)
+            if other is None:
+                continue
+            if other.is_sure and other.limb is not None:
+                verdicts.add(other.limb.joint == match.limb.joint)
+            elif other.limb is None and other.is_known and other.probability > NOT_WORN_FROM:
+                verdicts.add(False)
+        return verdicts.pop() if len(verdicts) == 1 else None
+
+    def _sure(self, topic: str, body: int) -> dict[str, ImuMatch]:
+        return {name: match for name, match in self._of(topic, body).items() if match.is_sure}
+
+    def _of(self, topic: str, body: int) -> dict[str, ImuMatch]:
+        """What every IMU is on if this body is the only one; nothing where too little was seen of it."""
+        from .match_streams import match_streams
+
+        if (topic, body) not in self._matches:
+            arms = [arm for arm in self._file.arms if (arm.topic, arm.body) == (topic, body)]
+            try:
+                matches, _ = match_streams(self._file, self._imus, seen_frames(arms), store=self._store)
+            except RecordingError:
+                matches = []
+            self._matches[topic, body] = {match.imu: match for match in matches}
+        return self._matches[topic, body]
+
+
+def seen_frames(arms: list[ArmFrames]) -> list[ArmFrames]:
+    """The arms in the frames in which anything of a body is there."""
+    ends = [first_and_last(arm) for arm in arms]
+    start, stop = min((first for first, _ in ends), default=0), max((last + 1 for _, last in ends), default=0)
+    rows = slice(start, stop)
+    return [
+        replace(arm, stamp_ns=arm.stamp_ns[rows], position=arm.position[rows], state=arm.state[rows])
+        for arm in arms
+    ]
+
+
+def people(file: RecordingFile, store: Store | None = None) -> tuple[list[ArmFrames], list[str]]:
+    """The arms of every person, each under one number.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams; it stays as it is.
+    store : Store, optional
+        Where the positions of changed arms are to lie; None = in memory.
+
+    Returns
+    -------
+    arms : list of ArmFrames
+    notes : list of str
+        A sentence for each change.
+    """
+    arms, swapped = unswap_bodies(file.arms, store)
+    arms, joined = join_bodies(arms, store, WornImus(replace(file, arms=arms), store))
+    return arms, swapped + joined

@@ -8,9 +8,9 @@ from dataclasses import replace
 from ...errors import RecordingError
 from ...matching import ImuMatch
 from ...runtime.store import Store
+from .bodies import people
 from .match_streams import REACH_S, match_streams
-from .people import people
-from .stream_names import is_named, named_side, role
+from .selection import is_named, named_side, role
 from .streams import ImuSamples, RecordingFile
 
 

@@ -1,4 +1,4 @@
-"""A recording from an MCAP file."""
+"""Topics that belong to another topic's stream: reference joints, magnetometers of their own."""
 
 from __future__ import annotations
 
@@ -10,25 +10,87 @@ from typing import Unpack
 
 import numpy as np
 
+from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from ...linalg import unit
-from ...recording import CameraFrame, Recording
+from ...recording import JOINTS, CameraFrame, Recording
 from ...runtime.printable import printable
-from ...runtime.store import Store
+from ...runtime.store import Store, batches
 from ..mcap.container import Container
-from ..mcap.losses import plain_name
-from ..mcap.messages import Topic
+from ..mcap.messages import Topic, plain_name
 from ..mcap.repair_container import repair_notes
-from .arrival_order import sort_arrivals
-from .decode import FieldDecoder, ImuDecoder, PoseDecoder, plain_decoder
-from .joining import TRUTH_PREFIX, join_field, join_truth_joints
+from .decode import (
+    FieldDecoder,
+    ImuDecoder,
+    MarkerDecoder,
+    PoseDecoder,
+    SkeletonDecoder,
+    plain_decoder,
+    skeleton_decoder,
+)
 from .json_messages import JsonSkeleton, JsonStream, json_decoder
 from .select import select_recording, select_recordings
-from .selection import Selection
-from .skeletons import MarkerDecoder, SkeletonDecoder, skeleton_decoder
-from .stream_names import OTHER_SIDE
+from .selection import OTHER_SIDE, Selection
+from .stamps import drop_timestamp_outliers, sort_arrivals
 from .streams import FieldSamples, ImuSamples, PoseSamples, RecordingFile, TopicInfo
-from .timestamp_outliers import drop_timestamp_outliers
+
+TRUTH_PREFIX = "/truth"
+
+
+def join_truth_joints(file: RecordingFile, store: Store) -> None:
+    """Skeletons on truth topics are reference joints of the truth beside them."""
+    for arm in [arm for arm in file.arms if arm.topic.startswith(TRUTH_PREFIX)]:
+        file.arms.remove(arm)
+        for poses in file.poses:
+            if f"{poses.topic}/joints" != arm.topic:
+                continue
+            for i, joint in enumerate(JOINTS):
+                if arm.state[:, i].any():
+                    poses.joints[joint] = store.array((len(poses.stamp_ns), 3), 0.0)
+            for part in batches(len(poses.stamp_ns)):
+                row = np.searchsorted(arm.stamp_ns, poses.stamp_ns[part])
+                row = np.minimum(row, len(arm.stamp_ns) - 1)
+                same = arm.stamp_ns[row] == poses.stamp_ns[part]
+                for joint, values in poses.joints.items():
+                    there = arm.position[row, JOINTS.index(joint)]
+                    values[part] = np.where(same[:, None], there, np.nan)
+
+
+def join_field(file: RecordingFile, field: FieldSamples, store: Store) -> None:
+    """Give a magnetometer to the IMU of its frame, or under the same name."""
+
+    def beside(imu: ImuSamples) -> bool:
+        return field.topic.rpartition("/")[0] == imu.topic.rpartition("/")[0]
+
+    mine = [imu for imu in file.imus if imu.frame_id == field.frame_id and beside(imu)]
+    mine = mine or [imu for imu in file.imus if field.frame_id and imu.frame_id == field.frame_id]
+    mine = mine or [imu for imu in file.imus if beside(imu)]
+    if len(mine) != 1 or mine[0].mag is not None:
+        file.notes.append(f"{field.topic}: the magnetometer belongs to no IMU by its names and was left out.")
+        return
+    stamp, values = _usable_field(field)
+    if not len(stamp):
+        return
+    zero = int(stamp[0])
+    mag = store.array((len(mine[0].stamp_ns), 3), 0.0)
+    for part in batches(len(mag)):
+        at = mine[0].stamp_ns[part]
+        first, last = np.searchsorted(stamp, [at.min(), at.max()], "right")
+        near = slice(max(int(first) - 2, 0), int(last) + 2)
+        x, have = (at - zero) / 1e9, (stamp[near] - zero) / 1e9
+        mag[part] = np.stack([np.interp(x, have, values[near, i]) for i in range(3)], axis=1)
+    mine[0].mag = mag
+
+
+def _usable_field(field: FieldSamples) -> tuple[IntArray, FloatArray]:
+    """Samples that are finite, in the order of their stamps; nothing is copied where all are so."""
+    stamp, values = field.stamp_ns, field.mag
+    if (stamp[1:] < stamp[:-1]).any():
+        order = np.argsort(stamp, kind="stable")
+        stamp, values = stamp[order], values[order]
+    finite = np.isfinite(values).all(axis=1)
+    return (stamp, values) if finite.all() else (stamp[finite], values[finite])
+
 
 #: Topics that a result adds; a recording is read without them.
 RESULT_PREFIX = "/unocclude/"

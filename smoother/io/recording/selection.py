@@ -1,11 +1,13 @@
-"""What to take of a file that holds several, and what was taken."""
+"""Which streams of a file are meant, by options and by their names."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
-from .streams import ArmFrames, ImuSamples, PoseSamples
+from ...errors import RecordingError
+from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 if TYPE_CHECKING:
     from ...runtime.store import Store
@@ -80,3 +82,152 @@ class StreamChoice:
     notes: list[str] = field(default_factory=list)
     upper: ImuSamples | None = None
     body: int | None = None
+
+
+OTHER_SIDE = {"left": "right", "right": "left"}
+_FOREARM_WORDS = ("forearm", "wrist", "lower_arm", "hand", "watch", "arm")
+_BASE_WORDS = ("base", "camera", "kinect", "k4a", "azure", "depth", "realsense")
+_TRUNK_WORDS = ("trunk", "sternum", "chest", "torso", "thorax")
+
+
+def role(stream: ImuSamples) -> str:
+    """What a stream's names say it is on: "forearm", "upper_arm", "trunk", "base" or ""."""
+    for name in (words(stream.topic), words(stream.frame_id)):
+        if any(word in name for word in _TRUNK_WORDS):
+            return "trunk"
+        if "upper" in name:
+            return "upper_arm"
+        if any(word in name for word in _FOREARM_WORDS):
+            return "forearm"
+        if any(word in name for word in _BASE_WORDS):
+            return "base"
+    return ""
+
+
+def named_side(*names: str) -> str:
+    """The side that names speak of: "left", "right" or ""."""
+    for name in names:
+        left, right = "left" in words(name), "right" in words(name)
+        if left != right:
+            return "left" if left else "right"
+    return ""
+
+
+def named_body(name: str) -> int | None:
+    """The camera's number of a body that a name speaks of ("body_2"), or None."""
+    match = re.search(r"body_?(\d+)", words(name))
+    return None if match is None else int(match.group(1))
+
+
+def is_named(wanted: str, topic: str, frame_id: str) -> bool:
+    """Whether a stream is what was asked for: by a part of its topic, or by its frame_id."""
+    return wanted.strip("/").lower() in topic.lower() or wanted == frame_id
+
+
+def words(name: str) -> str:
+    """Lower case with the parts of CamelCase apart."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+def topics_of(file: RecordingFile) -> str:
+    """What a file holds, for messages."""
+    listed = [f"{topic.name} ({topic.schema or 'no schema'})" for topic in file.topics if topic.count]
+    if len(listed) > 8:
+        listed = [*listed[:8], f"and {len(listed) - 8} more"]
+    return ", ".join(listed) if listed else "no messages"
+
+
+def choose_imu(file: RecordingFile, name: str | None = None) -> ImuSamples:
+    """The IMU of that name, of whatever limb, or the only one that there is.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    name : str, optional
+        Topic (or a part of it, or its frame_id).
+
+    Returns
+    -------
+    ImuSamples
+        As recorded.
+
+    Raises
+    ------
+    RecordingError
+        There is none, none of that name, or no name where there are several; the message lists them.
+    """
+    if name is None and len(file.imus) > 1:
+        listed = ", ".join(stream.topic for stream in file.imus)
+        raise RecordingError(f"{file.path} has several IMUs ({listed}); choose one with --imu.")
+    if name is None and len(file.imus) == 1:
+        return file.imus[0]
+    return forearm_imus(file, name)[0]
+
+
+def forearm_imus(file: RecordingFile, name: str | None) -> list[ImuSamples]:
+    """The IMU of that name, or all that may be on a forearm by their names.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message lists what the file has.
+    """
+    if not file.imus:
+        raise RecordingError(
+            f"{file.path} has no IMU (sensor_msgs/Imu or unocclude.Imu); it has {topics_of(file)}; "
+            "record the wrist's IMU as well."
+        )
+    listed = ", ".join(stream.topic for stream in file.imus)
+    if name is not None:
+        exact = [stream for stream in file.imus if stream.topic.strip("/") == name.strip("/")]
+        matches = exact or [s for s in file.imus if is_named(name, s.topic, s.frame_id)]
+        if len(matches) != 1:
+            what = "more than one IMU fits" if matches else "no IMU fits"
+            raise RecordingError(
+                f"{file.path}: {what} --imu {name}; it has {listed}{_what_fits(name, matches, file.imus)}."
+            )
+        return matches
+    candidates = [stream for stream in file.imus if role(stream) not in ("base", "upper_arm", "trunk")]
+    if not candidates:
+        raise RecordingError(
+            f"{file.path}: no IMU is named as one of a forearm; it has {listed}; choose with --imu."
+        )
+    named = [s for s in candidates if role(s) == "forearm" or named_side(s.topic, s.frame_id)]
+    return named or candidates
+
+
+def _what_fits(name: str, matches: list[ImuSamples], imus: list[ImuSamples]) -> str:
+    """What to give instead of a name that fits none or several IMUs, for the end of a sentence."""
+    forearms = [stream for stream in matches if role(stream) not in ("base", "upper_arm", "trunk")]
+    if len(forearms) == 1:
+        return f"; for the one on the forearm give --imu {forearms[0].topic}"
+    side = named_side(name)
+    may_be = any(named_side(stream.topic, stream.frame_id) in (side, "") for stream in imus)
+    return f"; for the {side} arm give --side {side}" if side and may_be else ""
+
+
+_TRUTH_WORDS = ("truth", "mocap", "reference", "optical", "vicon", "optitrack", "qualisys")
+
+
+def is_of_other_arm(name: str, side: str, body: int | None = None) -> bool:
+    """Whether a name speaks of another side than this one, or of another body."""
+    other_side = bool(side) and named_side(name) not in ("", side)
+    return other_side or (body is not None and named_body(name) not in (None, body))
+
+
+def choose_truth(
+    file: RecordingFile, side: str, body: int | None = None
+) -> tuple[PoseSamples | None, list[str]]:
+    """The poses that are the truth of an arm (of a body, where several are told apart), or None and why."""
+    poses = [poses for poses in file.poses if not is_of_other_arm(poses.topic, side, body)]
+    if len(poses) > 1:
+        named = [p for p in poses if any(word in words(p.topic) for word in _TRUTH_WORDS)]
+        sided = [p for p in named if named_side(p.topic) == side]
+        poses = sided if len(sided) == 1 else named
+        if len(poses) != 1:
+            return None, [
+                f"Of the poses {', '.join(p.topic for p in file.poses)} none is named as this arm's truth; "
+                "none was taken."
+            ]
+    return (poses[0], []) if poses else (None, [])

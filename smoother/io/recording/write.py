@@ -17,7 +17,7 @@ from ..mcap.merge import Encoded, Output, OutputStream
 from ..mcap.stamps import nanoseconds
 from ..wire import protobuf_encode as wire
 from .read import CLOCKS_UNRELATED, METADATA
-from .stream_names import OTHER_SIDE
+from .selection import OTHER_SIDE
 from .streams import ArmFrames, ImuSamples, PoseSamples, RecordingFile
 
 CAMERA = "camera"

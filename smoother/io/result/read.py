@@ -21,13 +21,11 @@ from ...result.trunk_motion import TrunkMotion
 from ...result.upper_motion import UpperMotion
 from ...rotation import Rotation
 from ..mcap.container import Container
-from ..mcap.losses import plain_name
-from ..mcap.messages import Topic
+from ..mcap.messages import Topic, plain_name
 from ..mcap.stamps import seconds
 from ..recording.read import RESULT_PREFIX
-from .draw_messages import DrawsTable
 from .metadata import calibration_of, gaps_of
-from .topic_tables import TABLES, CameraTable, ResidualTable, TopicTable, kind_of
+from .topic_tables import TABLES, CameraTable, DrawsTable, ResidualTable, TopicTable, kind_of
 from .write import RESULT
 
 Kind = TypeVar("Kind")

@@ -11,20 +11,16 @@ from numpy.typing import NDArray
 from ...array_types import BoolArray, FloatArray, IntArray
 from ...recording import JOINTS, JointState
 from ...result import FrameResiduals, Recovery
-from ..mcap.merge import Encoded, Output, OutputStream
+from ..mcap.merge import Encoded, Output, OutputStream, TimeAxis
 from ..mcap.stamps import nanoseconds
-from ..mcap.time_batches import TimeAxis
 from ..recording.read import RESULT_PREFIX
 from ..recording.streams import ArmFrames
 from ..recording.write import arm_messages, joints_there
 from ..wire import protobuf_encode as wire
 from . import drawing as scene
-from .arm_point_cloud import arm_point_clouds
-from .draw_messages import SCHEMA, draw_messages, message_rows
-from .gap_messages import gap_messages
-from .odometry import odometry, thorax_poses, upper_arm_poses
-from .residual_messages import ResidualMessages
-from .world import world_transform
+from .drawing import arm_point_clouds, world_transform
+from .messages import ResidualMessages, gap_messages, odometry, thorax_poses, upper_arm_poses
+from .topic_tables import SCHEMA, draw_messages, message_rows
 
 #: How many `axes` a recovery has.
 AXES = 5

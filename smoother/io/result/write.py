@@ -11,14 +11,13 @@ from ...errors import UnoccludeError
 from ...result import Recovery, arm_tags
 from ...runtime.outputs import check_output, writing
 from ..mcap.container import Container
-from ..mcap.merge import Output
-from ..mcap.time_batches import time_batches
-from ..recording.passthrough_topics import Passthrough
+from ..mcap.merge import Output, time_batches
+from ..recording.json_messages import Passthrough
 from ..recording.read import METADATA, RESULT_PREFIX, open_recording
 from ..recording.write import CAMERA
+from .drawing import common_down
 from .metadata import recovery_values
 from .streams import AXES, RecoveryStreams
-from .world import common_down
 
 RESULT = "unocclude.result"
 

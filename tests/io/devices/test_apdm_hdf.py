@@ -11,8 +11,8 @@ from imu_files import motion
 from library_files import write_opal
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
 
 ACC, GYRO = motion(200)
 

@@ -205,8 +205,8 @@ def test_every_real_file_that_holds_raw_data(datasets: Path):
     for path in sorted((datasets / "devices").iterdir()):
         if path.name == "README.md":
             continue
-        from smoother.io.devices.file_reader import FileReader
         from smoother.io.devices.folder import sort_files
+        from smoother.io.devices.registry import FileReader
 
         if path.name in refused:
             with pytest.raises(RecordingError, match=refused[path.name]):

@@ -11,8 +11,8 @@ from imu_files import GRAVITY, printed, rows
 from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, MICROS, TIME, check, read, written, xyz
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
 from smoother.io.devices.registry import format_named, formats
+from smoother.io.tables.file_head import read_head
 
 # ---------------------------------------------------------------------------------------- Xsens DOT
 PREAMBLE = (

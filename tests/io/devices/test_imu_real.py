@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
 
 pytestmark = pytest.mark.real
 

@@ -18,8 +18,8 @@ from other_recordings import read, turning
 
 from smoother.errors import RecordingError
 from smoother.io import open_recording
-from smoother.io.devices.joint_names import AZURE
 from smoother.io.recording.json_messages import stamp_ns
+from smoother.io.tables.joint_columns import AZURE
 from smoother.recording import JointState
 
 FRAMES = 60

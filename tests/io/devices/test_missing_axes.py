@@ -10,7 +10,7 @@ import skeleton_files
 
 from smoother.errors import RecordingError
 from smoother.io.devices.files import ImuFiles, import_files
-from smoother.io.devices.missing_axes import missing_axes, missing_axes_words
+from smoother.io.tables.columns import missing_axes, missing_axes_words
 
 SENSORS = {
     "xsens_dot": ("Acc_Z", "Gyr_Z"),

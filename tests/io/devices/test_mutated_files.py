@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from smoother.errors import RecordingError
-from smoother.io.devices.file_reader import FileReader
 from smoother.io.devices.files import import_files
 from smoother.io.devices.folder import sort_files
-from smoother.io.devices.registry import formats
+from smoother.io.devices.registry import FileReader, formats
 from smoother.io.recording.streams import RecordingFile
 
 MUTANTS = 2000

@@ -10,8 +10,8 @@ import pytest
 from imu_files import GRAVITY, motion, rows
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
 
 ACC, GYRO = motion(240)
 TIME = np.arange(240) * 0.01

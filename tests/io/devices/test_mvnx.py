@@ -9,8 +9,8 @@ import pytest
 from imu_files import motion
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
 
 ACC, GYRO = motion(120)
 

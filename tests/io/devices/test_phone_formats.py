@@ -10,10 +10,10 @@ from imu_files import GRAVITY, motion, printed, rows
 from imu_tables import ACC, COUNT, DEG, EPOCH, GYRO, NANOS, TIME, check, read, written
 
 from smoother.errors import RecordingError
-from smoother.io.devices.guess_sensor import guess_sensor
-from smoother.io.devices.head import read_head
+from smoother.io.devices.describe_table import guess_sensor
 from smoother.io.devices.registry import recognise
-from smoother.io.devices.sheet import read_sheet
+from smoother.io.tables.file_head import read_head
+from smoother.io.tables.text_table import read_sheet
 
 
 @pytest.mark.parametrize("units", [True, False])
@@ -150,7 +150,7 @@ def test_other_plain_tables(tmp_path: Path, header: str, units: str):
 
 
 def test_the_other_file_settles_an_assumed_unit(tmp_path: Path):
-    from smoother.io.devices.pairing import paired
+    from smoother.io.tables.imu_checks import paired
 
     slow = DEG / 4  # 21 deg/s at most: by its size it could be rad/s
     (gyro,) = read(written(tmp_path, "timestamp,x,y,z", *rows(NANOS, slow)), "android")

@@ -12,10 +12,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from smoother.errors import RecordingError
-from smoother.io.devices.head import read_head
-from smoother.io.devices.joint_names import AZURE, KINECT_V2
-from smoother.io.devices.protocol import SkeletonTable
 from smoother.io.devices.registry import recognise
+from smoother.io.tables.file_head import read_head
+from smoother.io.tables.joint_columns import AZURE, KINECT_V2
+from smoother.io.tables.protocol import SkeletonTable
 from smoother.recording import CameraFrame
 
 DATASETS = os.environ.get("UNOCCLUDE_DATASETS")

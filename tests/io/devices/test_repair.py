@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from smoother.errors import RecordingError
-from smoother.io.devices.pairing import paired
-from smoother.io.devices.protocol import ImuTable, SkeletonTable
-from smoother.io.devices.repair import repaired_imu, repaired_skeleton
-from smoother.io.devices.starts import Timed, count_from_zero, shifts
+from smoother.io.devices.repair import Timed, count_from_zero, repaired_imu, repaired_skeleton, shifts
+from smoother.io.tables.imu_checks import paired
+from smoother.io.tables.protocol import ImuTable, SkeletonTable
 
 N = 2000
 T = np.arange(N) / 100.0

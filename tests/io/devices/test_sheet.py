@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smoother.errors import RecordingError
-from smoother.io.devices.date_cells import seconds_of_dates
-from smoother.io.devices.physical_units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
-from smoother.io.devices.sheet import read_sheet, sheet_of_text
 from smoother.io.plain.table import read_table
+from smoother.io.tables.text_table import read_sheet, seconds_of_dates, sheet_of_text
+from smoother.io.tables.units import ACCELERATION, ANGULAR_VELOCITY, plain_unit, split_unit
 
 NAMES = ("Time", "Acc X", "Acc Y", "Acc Z")
 ROWS = np.array([[0.01 * k, 0.5 + k, -9.81 - k / 7, 1e-5 * k] for k in range(12)])

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 from other_recordings import read, turning
 
 from smoother.errors import RecordingError
-from smoother.io.devices.channel_names import find_sensors
-from smoother.io.devices.joint_names import KINECT_V2
+from smoother.io.tables.columns import find_sensors
+from smoother.io.tables.joint_columns import KINECT_V2
 from smoother.recording import CameraFrame, JointState
 
 FRAMES = 60

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
 from smoother.io import prepare_export
-from smoother.io.export.c3d import MOST_FRAMES, C3dContent, write_c3d
+from smoother.io.export.markers import MOST_FRAMES, C3dContent, write_c3d
 from smoother.recording import JOINTS, JointState
 from smoother.result import Recovery
 

@@ -15,8 +15,7 @@ from smoother.calibration import ArmCalibration
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
 from smoother.io import prepare_export, read_recording, write_recovery
-from smoother.io.export.arm_measures import arm_measures
-from smoother.io.export.osim import GENERIC, osim_text
+from smoother.io.export.osim import GENERIC, arm_measures, osim_text
 from smoother.recording import JointTracks, Recording
 from smoother.result import Recovery
 

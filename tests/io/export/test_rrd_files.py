@@ -158,7 +158,7 @@ def test_without_rerun_one_sentence(tmp_path, monkeypatch, capsys):
 
 
 def test_what_is_not_trusted_has_a_colour_and_a_state(rerun, tmp_path):
-    from smoother.io.export.rerun_arm import packed
+    from smoother.io.export.rrd import packed
     from smoother.io.result.drawing import UNTRUSTED
     from smoother.result import Estimates, UntrustedInterval
 

@@ -1,0 +1,252 @@
+"""Joints without names, by their number: rows of a Kinect's SDK without a header, and numpy's arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...recording import CameraFrame
+from ..tables.joint_columns import AZURE, BLAZEPOSE, KINECT_V2, POINT_SETS, joint_name
+from ..tables.protocol import FileHead, SkeletonTable
+from ..tables.raw_skeleton import Conventions, RawSkeleton, time_unit, unit_by_arm
+from ..tables.skeleton_formats import (
+    azure_states,
+    inferred_throughout,
+    kinect_states,
+    landmarks_in_metres,
+    share_states,
+    states_of,
+)
+from ..tables.text_table import read_sheet, sheet_of_text
+
+#: Numbers a joint: position; with a state; with a quaternion; with both.
+_PER_JOINT = (3, 4, 7, 8)
+#: Columns in front of the joints at most: a time and a body's number.
+_LEADING = 2
+#: Left and right arms are equally long within this share.
+_SAME = 0.25
+
+
+@dataclass(frozen=True)
+class _Order:
+    """How the numbers of a row follow each other."""
+
+    joints: tuple[str, ...]
+    per_joint: int
+    leading: int
+    state_first: bool = False
+
+    def position(self, rows: FloatArray, number: int) -> FloatArray:
+        start = self.leading + number * self.per_joint + int(self.state_first)
+        return rows[:, start : start + 3]
+
+    def state(self, rows: FloatArray, number: int) -> FloatArray | None:
+        if self.per_joint not in (4, 8):
+            return None
+        start = self.leading + number * self.per_joint
+        return rows[:, start if self.state_first else start + self.per_joint - 1]
+
+
+@dataclass(frozen=True)
+class BareKinect:
+    """32 or 25 joints of 3, 4, 7 or 8 numbers, with or without a time and a body's number in front.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "kinect-numbers"
+    title: str = "Azure Kinect or Kinect v2 joints without a header"
+    kind: str = "skeleton"
+    recognised_by: str = (
+        "no header, and 32 or 25 joints of 3, 4, 7 or 8 numbers whose arms are as long as arms"
+    )
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether rows have so many numbers, and both arms an arm's length in them."""
+        if not head.text:
+            return False
+        try:
+            sheet = sheet_of_text(head.path, "\n".join(head.lines[:40]) + "\n")
+            if sheet.layout.names or not len(sheet):
+                return False
+            rows = sheet.vectors(range(sheet.layout.width))
+            return any(_order_of(each) is not None for each in (rows, _filled(rows)))
+        except RecordingError:
+            return False
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read all bodies.
+
+        Raises
+        ------
+        RecordingError
+            Rows do not hold so many numbers, or no arm is in them.
+        """
+        sheet = read_sheet(path, "rows of numbers of a Kinect's joints")
+        rows = _filled(sheet.vectors(range(sheet.layout.width)))
+        order = _order_of(rows)
+        if order is None:
+            raise RecordingError(
+                f"{path}: {rows.shape[1]} numbers a row are not 32 joints of an Azure Kinect or 25 of a"
+                " Kinect v2 in their SDK's order; export the table with a header."
+            )
+        raw = RawSkeleton(path, {}, notes=list(sheet.notes))
+        is_azure = len(order.joints) == len(AZURE)
+        confidence: dict[str, FloatArray] = {}
+        for number, written in enumerate(order.joints):
+            name = joint_name(written)
+            if name is not None and name.joint:
+                raw.position[name.joint] = order.position(rows, number)
+                if (state := order.state(rows, number)) is not None:
+                    confidence[name.joint] = state
+            elif name is not None:
+                raw.rest.append((name, order.position(rows, number)))
+        raw.state = states_of(confidence, azure_states if is_azure else kinect_states)
+        _leading(raw, rows[:, : order.leading])
+        inferred_throughout(raw)
+        device = "32 joints of an Azure Kinect" if is_azure else "25 joints of a Kinect v2"
+        raw.notes.append(f"Rows count as {device}, {order.per_joint} numbers each, in the SDK's order.")
+        frame = CameraFrame.OPTICAL if is_azure else CameraFrame.KINECT
+        return raw.skeletons(Conventions("mm" if is_azure else "m", frame))
+
+
+def _filled(rows: FloatArray) -> FloatArray:
+    """Rows (N, width) without the empty column that a separator at the end of the line makes."""
+    return rows if np.isfinite(rows[:, -1]).any() else rows[:, :-1]
+
+
+def _order_of(rows: FloatArray) -> _Order | None:
+    """The order that fits the width of rows (N, width), and makes two arms of an arm's length."""
+    width = rows.shape[1]
+    for joints in (AZURE, KINECT_V2):
+        for per_joint in _PER_JOINT:
+            leading = width - per_joint * len(joints)
+            if not 0 <= leading <= _LEADING:
+                continue
+            for state_first in (False, True) if per_joint == 4 else (False,):
+                order = _Order(tuple(joints), per_joint, leading, state_first)
+                if _has_states(order, rows) and _has_arms(order, rows):
+                    return order
+    return None
+
+
+def _has_states(order: _Order, rows: FloatArray) -> bool:
+    """Whether what should be states are codes from 0 to 3, or shares of one."""
+    columns = [order.state(rows, number) for number in range(len(order.joints))]
+    states = np.concatenate([column for column in columns if column is not None] or [np.zeros(1)])
+    states = states[np.isfinite(states)]
+    is_code = (states % 1 == 0) & (states <= 3)
+    return bool(((states >= 0) & (is_code | (states <= 1))).all())
+
+
+def _has_arms(order: _Order, rows: FloatArray) -> bool:
+    position = {}
+    for number, written in enumerate(order.joints):
+        name = joint_name(written)
+        if name is not None and name.joint:
+            position[name.joint] = order.position(rows, number)
+    lengths = []
+    for side in ("left", "right"):
+        arm = {joint: values for joint, values in position.items() if joint.endswith(side)}
+        unit = unit_by_arm(arm)
+        if unit is None:
+            return False
+        length = np.linalg.norm(arm[f"shoulder_{side}"] - arm[f"elbow_{side}"], axis=1)
+        lengths.append(float(np.nanmedian(length)) * unit[1])
+    return min(lengths) > 0 and abs(lengths[0] - lengths[1]) < _SAME * max(lengths)
+
+
+def _leading(raw: RawSkeleton, columns: FloatArray) -> None:
+    """Time and body in front of the joints: what rises is the time."""
+    for column in columns.T:
+        step = np.diff(column)
+        if raw.time is None and len(step) and (step >= 0).all() and (step > 0).any():
+            if np.isin(step, (0, 1)).all() and (column % 1 == 0).all():
+                raw.frame = column
+            elif time_unit(column, None) is not None:
+                raw.time = column
+        elif raw.body is None and (column % 1 == 0).all():
+            raw.body = column
+
+
+@dataclass(frozen=True)
+class JointArray:
+    """An array of frames, points and x, y, z (and a score); which point is which goes by how many there are.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "joint-array"
+    title: str = "array of joints, npy (FreeMoCap)"
+    kind: str = "skeleton"
+    recognised_by: str = "numpy's npy file of an array of frames x points x 3 (or 4)"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file begins as numpy's do."""
+        return head.raw.startswith(b"\x93NUMPY")
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read the skeleton.
+
+        Raises
+        ------
+        RecordingError
+            The file breaks off, or its shape is of no known set of points.
+        """
+        array = _loaded(path)
+        names = POINT_SETS[array.shape[1]]
+        raw = RawSkeleton(path, {})
+        for at, name in enumerate(names):
+            meaning = joint_name(name)
+            if meaning is None:
+                continue
+            position = array[:, at, :3].copy()
+            if not meaning.joint:
+                raw.rest.append((meaning, position))
+                continue
+            raw.position[meaning.joint] = position
+            if array.shape[2] == 4:
+                raw.state[meaning.joint] = share_states(array[:, at, 3])
+        first, last = names[0], names[-1]
+        raw.notes.append(f"{array.shape[1]} points a frame count in the order {first} .. {last}.")
+        if names is BLAZEPOSE:
+            return landmarks_in_metres(raw, world=False)
+        return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL) if names is AZURE else Conventions())
+
+
+def _loaded(path: Path) -> NDArray[np.float64]:
+    """The array, (frames, points, 3 or 4)."""
+    try:
+        array = np.load(path, allow_pickle=False)
+    except Exception as error:  # whatever a damaged header leads numpy into
+        raise RecordingError(
+            f"{path} is no array of numbers that numpy can read ({str(error)[:80]}); save it again with"
+            " numpy.save."
+        ) from error
+    if array.dtype.kind not in "fiu":
+        raise RecordingError(
+            f"{path} holds {array.dtype} and not numbers; save an array of frames x points x 3."
+        )
+    if array.ndim == 2:
+        for width in (3, 4):
+            if array.shape[1] % width == 0 and array.shape[1] // width in POINT_SETS:
+                array = array.reshape(len(array), -1, width)
+                break
+    if array.ndim != 3 or array.shape[2] not in (3, 4) or array.shape[1] not in POINT_SETS or not len(array):
+        shape = " x ".join(map(str, array.shape))
+        known = ", ".join(map(str, sorted(POINT_SETS)))
+        raise RecordingError(
+            f"{path} is an array of {shape}; joints are frames x points x 3, of {known} points."
+        )
+    return array.astype(float)

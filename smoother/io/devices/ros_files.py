@@ -1,0 +1,262 @@
+"""Recordings of robots and loggers: MCAP files of others, and ROS 1 bags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...linalg import interpolate
+from ...recording import JOINTS, CameraFrame
+from ..mcap.stamps import seconds
+from ..recording.read import open_recording
+from ..recording.streams import ArmFrames
+from ..tables.file_head import shown
+from ..tables.joint_columns import AZURE, JointName, joint_name
+from ..tables.protocol import FileHead, ImuTable, SkeletonTable
+from ..tables.raw_skeleton import Conventions, RawSkeleton
+
+
+@dataclass(frozen=True)
+class McapFile:
+    """IMUs and arms of an MCAP file, as `unocclude smooth` reads them too.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "mcap"
+    title: str = "MCAP recording"
+    kind: str = "recording"
+    recognised_by: str = "MCAP's first bytes"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file begins as MCAP files do."""
+        return head.raw.startswith(b"\x89MCAP0\r\n")
+
+    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
+        """Read all IMUs and bodies.
+
+        Raises
+        ------
+        RecordingError
+            The file is damaged, or holds neither.
+        """
+        file = open_recording(path, truth=False)
+        by_body: dict[tuple[str, int], list[ArmFrames]] = {}
+        for arm in file.arms:
+            by_body.setdefault((arm.topic, arm.body), []).append(arm)
+        tables: list[ImuTable | SkeletonTable] = [_skeleton(arms) for arms in by_body.values()]
+        tables += [
+            ImuTable(
+                imu.topic.strip("/"),
+                seconds(imu.stamp_ns, 0),
+                imu.acc,
+                imu.gyro,
+                imu.mag,
+                units="m/s^2, rad/s",
+            )
+            for imu in file.imus
+        ]
+        if not tables:
+            listed = ", ".join(f"{topic.name} ({topic.schema}, {topic.encoding})" for topic in file.topics)
+            raise RecordingError(
+                f"{path} holds no IMU and no skeleton that can be read (topics:"
+                f" {shown(listed or 'none', 150)});"
+                " record sensor_msgs/Imu and the body tracking's MarkerArray."
+            )
+        tables[0].notes += file.notes
+        for table in tables:
+            if isinstance(table, SkeletonTable) and file.camera_frame is not None:
+                table.frame = file.camera_frame
+            if isinstance(table, SkeletonTable) and file.gravity_hint is not None:
+                table.gravity_hint = file.gravity_hint
+        return tables
+
+
+def _skeleton(arms: list[ArmFrames]) -> SkeletonTable:
+    """One body of the arms that it has."""
+    first = arms[0]
+    table = SkeletonTable(first.body, seconds(first.stamp_ns, 0), {}, {}, first.camera_frame, units="m")
+    for arm in arms:
+        for at, joint in enumerate(JOINTS):
+            if (arm.state[:, at] != 0).any():
+                name = f"{joint}_{arm.side}" if arm.side else joint
+                table.position[name], table.state[name] = arm.position[:, at], arm.state[:, at]
+    return table
+
+
+_IMU = "sensor_msgs/msg/Imu"
+_MARKERS = "visualization_msgs/msg/MarkerArray"
+_FIELD = "sensor_msgs/msg/MagneticField"
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_ADD = 0  # Marker.ADD
+#: Joints of the arms, and what shows how the body stands, by their number in the SDK.
+_NUMBERED: dict[int, JointName] = {
+    number: name for number, written in enumerate(AZURE) if (name := joint_name(written)) is not None
+}
+
+
+@dataclass
+class _Rows:
+    """Bodies of one topic, a row a frame and body."""
+
+    time: list[float] = field(default_factory=list)
+    body: list[float] = field(default_factory=list)
+    points: list[dict[int, tuple[float, float, float]]] = field(default_factory=list)
+    foreign: int = 0
+
+
+@dataclass(frozen=True)
+class RosBag1:
+    """Bags of ROS 1; markers are bodies of the Azure Kinect's driver (id = body x 100 + joint).
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "rosbag1"
+    title: str = "ROS 1 bag"
+    kind: str = "recording"
+    recognised_by: str = "the first bytes #ROSBAG V2.0"
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the file begins as bags do."""
+        return head.raw.startswith(b"#ROSBAG V2.0")
+
+    def read(self, path: Path) -> list[ImuTable | SkeletonTable]:
+        """Read all IMUs and bodies.
+
+        Raises
+        ------
+        RecordingError
+            The library rosbags is not installed, the bag is damaged, or none of its topics can be used.
+        """
+        try:
+            from rosbags.rosbag1 import Reader
+        except ImportError:
+            raise RecordingError(
+                f"{path}: ROS 1 bags are read by the library rosbags; install it with: pip install"
+                " '.[devices]' in the program's folder"
+            ) from None
+        try:
+            with Reader(path) as reader:
+                return _read(reader, path)
+        except RecordingError:
+            raise
+        except Exception as error:  # whatever a damaged file leads the library into
+            raise RecordingError(
+                f"{path} is damaged and rosbags cannot read it ({shown(str(error), 80)}); `rosbag reindex`"
+                " may mend it, or record again."
+            ) from error
+
+
+def _read(reader: Any, path: Path) -> list[ImuTable | SkeletonTable]:
+    wanted = [c for c in reader.connections if c.msgtype in (_IMU, _MARKERS, _FIELD)]
+    types = _types(wanted)
+    imus: dict[str, list[tuple[float, ...]]] = {}
+    frame_ids: dict[str, str] = {}
+    fields: dict[str, list[tuple[float, ...]]] = {}
+    bodies: dict[str, _Rows] = {}
+    for connection, log_ns, data in reader.messages(connections=wanted):
+        message = types.deserialize_ros1(data, connection.msgtype)
+        if connection.msgtype == _MARKERS:
+            _add_bodies(bodies.setdefault(connection.topic, _Rows()), message, log_ns)
+            continue
+        t = _seconds(message.header.stamp) or log_ns * 1e-9
+        if connection.msgtype == _FIELD:
+            fields.setdefault(connection.topic, []).append((t, *_xyz(message.magnetic_field)))
+            continue
+        frame_ids[connection.topic] = message.header.frame_id
+        row = (t, *_xyz(message.linear_acceleration), *_xyz(message.angular_velocity))
+        imus.setdefault(connection.topic, []).append(row)
+    tables: list[ImuTable | SkeletonTable] = [
+        table for topic, rows in bodies.items() for table in _skeletons(topic, rows, path)
+    ]
+    tables += [_imu(topic, np.array(rows), fields) for topic, rows in sorted(imus.items())]
+    if not tables:
+        listed = ", ".join(
+            sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in reader.connections})
+        )
+        raise RecordingError(
+            f"{path} holds no sensor_msgs/Imu and no MarkerArray of a body (topics: {shown(listed, 150)});"
+            " record the IMU's topic and the body tracking's."
+        )
+    angles = sorted({c.topic for c in reader.connections if c.msgtype == _JOINT_STATE})
+    if angles:
+        tables[0].notes.append(
+            f"{', '.join(angles)}: sensor_msgs/JointState holds angles, not places of joints; left alone."
+        )
+    return tables
+
+
+def _types(connections: list[Any]) -> Any:
+    """The messages' definitions, as the bag has them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = get_typestore(Stores.EMPTY)
+    for connection in connections:
+        text = getattr(connection.msgdef, "data", connection.msgdef)
+        types.register(get_types_from_msg(text, connection.msgtype))
+    return types
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def _xyz(vector: Any) -> tuple[float, float, float]:
+    return float(vector.x), float(vector.y), float(vector.z)
+
+
+def _imu(topic: str, rows: np.ndarray, fields: dict[str, list[tuple[float, ...]]]) -> ImuTable:
+    """One IMU, with the magnetometer of the same name space, if there is one."""
+    table = ImuTable(topic.strip("/"), rows[:, 0], rows[:, 1:4], rows[:, 4:7], units="m/s^2, rad/s")
+    near = [name for name in fields if name.rpartition("/")[0] == topic.rpartition("/")[0]]
+    if len(near) == 1 and len(fields[near[0]]) > 1:
+        samples = np.array(fields[near[0]])
+        samples = samples[np.argsort(samples[:, 0], kind="stable")]
+        table.mag = interpolate(
+            samples[:, 0], samples[:, 1:], np.clip(rows[:, 0], samples[0, 0], samples[-1, 0])
+        )
+    return table
+
+
+def _add_bodies(rows: _Rows, message: Any, log_ns: int) -> None:
+    added = [marker for marker in message.markers if marker.action == _ADD]
+    stamp = next((s for marker in added if (s := _seconds(marker.header.stamp))), log_ns * 1e-9)
+    by_body: dict[int, dict[int, tuple[float, float, float]]] = {}
+    for marker in added:
+        body, joint = divmod(int(marker.id), 100)
+        if not 0 <= joint < len(AZURE) or body < 0:
+            rows.foreign += 1
+        elif joint in _NUMBERED:
+            by_body.setdefault(body, {})[joint] = _xyz(marker.pose.position)
+    for number, points in by_body.items() or [(None, {})]:
+        rows.time.append(stamp)
+        rows.body.append(float("nan") if number is None else float(number))
+        rows.points.append(points)
+
+
+def _skeletons(topic: str, rows: _Rows, path: Path) -> list[SkeletonTable]:
+    """Bodies of a topic; none where its markers are something else."""
+    count = sum(map(len, rows.points))
+    if not count or rows.foreign > 0.05 * count:
+        return []
+    raw = RawSkeleton(path, {}, time=np.array(rows.time), time_scale=1.0, body=np.array(rows.body))
+    nothing = (float("nan"),) * 3
+    for number, name in _NUMBERED.items():
+        position = np.array([points.get(number, nothing) for points in rows.points], dtype=float)
+        if name.joint:
+            raw.position[name.joint] = position
+        else:
+            raw.rest.append((name, position))
+    raw.notes.append(f"Bodies are of the topic {topic}.")
+    return raw.skeletons(Conventions("m", CameraFrame.OPTICAL))

@@ -1,0 +1,311 @@
+"""The cameras of a recording that the strap is looked for with, and a simulated recording with images."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.intrinsics import Intrinsics, PlacedCamera
+
+from ...array_types import FloatArray, IntArray
+from ...errors import RecordingError
+from ...recording import Recording
+from ...runtime.outputs import writing
+from ..mcap.container import Container
+from ..mcap.merge import Output, OutputStream
+from ..mcap.messages import Topic
+from ..mcap.stamps import nanoseconds
+from ..recording.write import as_file, recording_streams
+from ..wire.schemas import message_class, parsed
+from .images import (
+    CAMERA_CALIBRATION,
+    COMPRESSED_IMAGE,
+    RAW_IMAGE,
+    TRANSFORMS,
+    ImageMessage,
+    LensMessage,
+    jpeg_image,
+    lens_message,
+    raw_image,
+    read_images,
+)
+
+_INFRARED = ("infrared", "/ir", "_ir", "amplitude")
+#: Child frame to its parent, R and t: p_parent = R p_child + t.
+Transforms = dict[str, tuple[str, FloatArray, FloatArray]]
+
+
+@dataclass
+class StrapFound:
+    """What the images gave, for figures and the report.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (n,), s
+        Times of the colour images looked at, after the first.
+    position, sigma_m : ndarray, shape (n, 3), m
+        Of the sensor in {K}; nan where rejected.
+    along : ndarray, shape (n,)
+        Part of the way from elbow to wrist.
+    in_profile : ndarray, shape (n,)
+        The same at which the dark place lies in the brightness profile.
+    reasons : list of str
+        "" where it was found.
+    """
+
+    t_s: FloatArray
+    position: FloatArray
+    sigma_m: FloatArray
+    along: FloatArray
+    reasons: list[str]
+    in_profile: FloatArray = field(default_factory=lambda: np.zeros(0))
+    profiles: list[tuple[float, FloatArray]] = field(default_factory=list)
+    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
+    topics: tuple[str, str] = ("", "")
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often the strap was found, and rejected for which reason."""
+        return dict(Counter(reason or "found" for reason in self.reasons))
+
+
+def check_images(path: str | os.PathLike[str], colour: str | None = None, depth: str | None = None) -> None:
+    """Refuse a recording without colour or depth images before any work is done for it.
+
+    Raises
+    ------
+    RecordingError
+        One of them is missing.
+    """
+    cameras = Cameras(path, colour, depth, np.eye(3))
+    for _ in cameras.images():
+        if len(cameras.chosen) == 2:
+            return
+
+
+class Cameras:
+    """The colour and the depth camera of a file, known by what their topics hold."""
+
+    def __init__(
+        self, path: str | os.PathLike[str], colour: str | None, depth: str | None, R_C_K: FloatArray
+    ):
+        self._path, self._wanted, self._R_C_K = path, {"colour": colour, "depth": depth}, R_C_K
+        self._lenses: dict[str, Intrinsics] = {}
+        self._transforms = _transforms(path)
+        self.chosen: dict[str, str] = {}
+        self.found = StrapFound(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), [])
+
+    def images(self) -> Iterator[tuple[str, ImageMessage]]:
+        """Yield ("colour" or "depth", image) in the file's order; nothing is unpacked yet."""
+        met: set[str] = set()
+        for message in read_images(self._path):
+            if isinstance(message, LensMessage):
+                folder = message.topic.rpartition("/")[0]
+                self._lenses[message.frame_id] = self._lenses[folder] = message.intrinsics
+                continue
+            met.add(message.topic)
+            for role, topic in self.chosen.items():
+                if topic == message.topic:
+                    yield role, message
+                    break
+            else:
+                role = self._role(message)
+                if role and role not in self.chosen:
+                    self.chosen[role] = message.topic
+                    yield role, message
+        missing = [role for role in ("colour", "depth") if role not in self.chosen]
+        if missing:
+            raise RecordingError(
+                f"{self._path} has no {' and no '.join(missing)} images that can be read; its images are"
+                f" {', '.join(sorted(met)) or 'none'}; record colour and depth (16UC1)."
+            )
+        self.found.topics = self.chosen["colour"], self.chosen["depth"]
+
+    def _role(self, message: ImageMessage) -> str:
+        """What a topic's images are, by their first one; "" for infrared and what was not asked for."""
+        is_depth = message.pixels().dtype != np.uint8
+        role = "depth" if is_depth else "colour"
+        wanted = self._wanted[role]
+        if wanted is not None:
+            return role if wanted in message.topic else ""
+        return "" if any(word in message.topic.lower() for word in _INFRARED) else role
+
+    def camera(
+        self, role: str, shape: tuple[int, ...], image: ImageMessage, reference: ImageMessage
+    ) -> PlacedCamera:
+        """The camera of an image with its place in {K}; {K} lies in the depth camera (`reference`)."""
+        own = self._lenses.get(image.frame_id) or self._lenses.get(self.chosen[role].rpartition("/")[0])
+        if own is None:
+            raise RecordingError(
+                f"{self._path}: there is no CameraCalibration (or CameraInfo) for the images of frame"
+                f" {image.frame_id!r}; record it."
+            )
+        height, width = shape[:2]
+        if abs(height / own.height - width / own.width) > 0.01:
+            raise RecordingError(
+                f"{self._path}: the intrinsics of frame {image.frame_id!r} are for {own.width} x {own.height}"
+                f" pixels, its images have {width} x {height}."
+            )
+        between = transform_between(self._transforms, reference.frame_id, image.frame_id)
+        if between is None:
+            self._note(f"no transform links {reference.frame_id} and {image.frame_id}: one place for both")
+        R, t = between or (np.eye(3), np.zeros(3))
+        return PlacedCamera(own.resized(width, height), R @ self._R_C_K, t)
+
+    def _note(self, note: str) -> None:
+        if note not in self.found.notes:
+            self.found.notes.append(note)
+
+
+def _transforms(path: str | os.PathLike[str]) -> Transforms:
+    """The tree of frames of a file (Foxglove's transforms), as last stated."""
+
+    def wanted(topic: Topic) -> bool:
+        return topic.schema in ("foxglove.FrameTransforms", "foxglove.FrameTransform")
+
+    found: Transforms = {}
+    for batch in Container(path).batches(wanted):
+        for message in (m for messages in batch.values() for m in messages):
+            try:
+                own = parsed(message.topic.schema, bytes(message.data))
+                for each in own.transforms if hasattr(own, "transforms") else [own]:
+                    q, t = each.rotation, each.translation
+                    R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                    found[each.child_frame_id] = each.parent_frame_id, R, np.array([t.x, t.y, t.z])
+            except ValueError:  # damaged, or no rotation
+                continue
+    return found
+
+
+def transform_between(
+    transforms: Transforms, source: str, target: str
+) -> tuple[FloatArray, FloatArray] | None:
+    """R and t with p_target = R p_source + t; None where the two frames do not hang together.
+
+    Parameters
+    ----------
+    transforms : Transforms
+        Child -> (parent, R, t) with p_parent = R p_child + t.
+    """
+
+    def to_root(frame: str) -> dict[str, tuple[FloatArray, FloatArray]]:
+        poses, R, t = {frame: (np.eye(3), np.zeros(3))}, np.eye(3), np.zeros(3)
+        while frame in transforms and len(poses) < 50:
+            parent, own, shift = transforms[frame]
+            R, t, frame = own @ R, own @ t + shift, parent
+            poses[frame] = (R, t)
+        return poses
+
+    here, there = to_root(source), to_root(target)
+    for frame, (R, t) in here.items():
+        if frame in there:
+            back, shift = there[frame]
+            return back.T @ R, back.T @ (t - shift)
+    return None
+
+
+COLOUR, DEPTH = "colour", "depth"
+
+
+class ImagePair(Protocol):
+    """A colour image and the depth image after it."""
+
+    @property
+    def grey(self) -> NDArray[np.uint8]:
+        """Brightness (height, width)."""
+
+    @property
+    def depth_mm(self) -> NDArray[np.uint16]:
+        """Depth (height, width), mm; 0 where there is none."""
+
+
+def write_strap_recording(
+    path: str | os.PathLike[str],
+    recording: Recording,
+    images: Sequence[ImagePair],
+    times: FloatArray,
+    cameras: tuple[PlacedCamera, PlacedCamera],
+    depth_later_s: float,
+    *,
+    force: bool = False,
+) -> None:
+    """Write the recording, its images, both lenses and how the cameras stand to each other.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    recording : Recording
+        The arm and its IMU.
+    images : sequence of ImagePair, length n
+        Colour and depth.
+    times : ndarray, shape (n,), s
+        Of the colour images, on the camera's clock.
+    cameras : (PlacedCamera, PlacedCamera)
+        Colour and depth camera; the depth camera is where the skeleton's frame is.
+    depth_later_s : float, s
+        From a colour image to its depth image.
+    force : bool
+        Replace a file that exists.
+
+    Raises
+    ------
+    UnoccludeError
+        The file exists and `force` is not given, or it cannot be written.
+    """
+    stamp = nanoseconds(times, recording.origin_ns)
+    later = stamp + round(1e9 * depth_later_s)
+    colour, depth = cameras
+    with writing(path, force) as temporary, Output(temporary) as output:
+        streams = recording_streams(output, as_file(recording))
+        for frame, camera in ((COLOUR, colour), (DEPTH, depth)):
+            channel = output.channel(f"/{frame}/calibration", CAMERA_CALIBRATION)
+            streams.append(_once(channel, stamp, lens_message(frame, camera.lens, int(stamp[0]))))
+        streams.append(_once(output.channel("/tf", TRANSFORMS), stamp, _beside(colour)))
+        channel = output.channel(f"/{COLOUR}/image", COMPRESSED_IMAGE)
+        streams.append(
+            OutputStream(
+                channel,
+                stamp,
+                lambda rows: [
+                    jpeg_image(COLOUR, pair.grey, int(at))
+                    for pair, at in zip(images[rows], stamp[rows], strict=True)
+                ],
+            )
+        )
+        channel = output.channel(f"/{DEPTH}/image", RAW_IMAGE)
+        streams.append(
+            OutputStream(
+                channel,
+                later,
+                lambda rows: [
+                    raw_image(DEPTH, "16UC1", pair.depth_mm, int(at))
+                    for pair, at in zip(images[rows], later[rows], strict=True)
+                ],
+            )
+        )
+        output.write(streams)
+
+
+def _once(channel: int, stamp: IntArray, data: bytes) -> OutputStream:
+    """A message that holds from the first image on."""
+    return OutputStream(channel, stamp[:1], lambda rows: list(islice([data], rows.start, rows.stop)))
+
+
+def _beside(colour: PlacedCamera) -> bytes:
+    """Where the colour camera stands in the depth camera's image axes."""
+    message = message_class(TRANSFORMS)()
+    transform = message.transforms.add(parent_frame_id=DEPTH, child_frame_id=COLOUR)
+    transform.rotation.w = 1.0
+    offset = -colour.t_C_K
+    transform.translation.x, transform.translation.y, transform.translation.z = offset.tolist()
+    return bytes(message.SerializeToString(deterministic=True))

@@ -1,0 +1,496 @@
+"""Which streams of a file belong together: by option, else by name, else by motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Unpack
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...runtime.store import Store
+from .bodies import people
+from .match_streams import agreement_far_apart, motion_agreement
+from .selection import (
+    OTHER_SIDE,
+    Selection,
+    StreamChoice,
+    choose_truth,
+    forearm_imus,
+    is_named,
+    named_side,
+    role,
+    topics_of,
+)
+from .streams import ArmFrames, ImuSamples, RecordingFile
+
+if TYPE_CHECKING:
+    from ...matching import ImuMatch, Limb
+
+
+#: Correlation that a pair must reach, and its lead over the next, to be taken by motion alone.
+_ENOUGH, _LEAD = 0.4, 0.1
+#: Where clocks are far apart the correlation of a pair must reach this.
+_ENOUGH_SHIFTED = 0.6
+_ONLY_ONE_ARM = (
+    "the skeleton shows the {} arm only: give --swap left,right if the camera's program exchanged the two"
+)
+
+
+def choose(
+    file: RecordingFile,
+    *,
+    imu: str | None = None,
+    skeleton: str | None = None,
+    side: str | None = None,
+    body: int | None = None,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+) -> StreamChoice:
+    """Settle which IMU and arm are meant: by option, else by name, else by motion.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    imu, skeleton, side, prefer_side : str, optional
+    body : int, optional
+        As in `read_recording`.
+    store : Store, optional
+        Where joined arms are to lie; in memory if None.
+
+    Returns
+    -------
+    StreamChoice
+        With a sentence for each decision.
+
+    Raises
+    ------
+    RecordingError
+        Nothing fits, or more than one pair does; the message lists what the file has.
+    """
+    notes: list[str] = []
+    if body is None:
+        arms, notes = people(file, store)
+        file = replace(file, arms=arms)
+    arms = wanted_arms(file, skeleton, side, body)
+    imus = forearm_imus(file, imu)
+    pairs = [(i, a) for i in imus for a in arms if _may_match(i, a, side)]
+    if not pairs:
+        raise RecordingError(
+            f"{file.path}: no IMU is on an arm that the skeleton shows; it has {_listing(file)};"
+            f" {_why_no_pair(imus, file.arms, side)}."
+        )
+    if prefer_side and not side:
+        preferred = [(i, a) for i, a in pairs if _side(i, a) in (prefer_side, "")]
+        pairs = preferred or pairs
+    if len(pairs) > 1:
+        pair, why = _pair_by_motion(file, pairs, store)
+        notes.append(f"Of {_listing(file)}, IMU {pair[0].topic} and {pair[1].label} were taken: {why}.")
+    else:
+        pair = pairs[0]
+        if len(file.imus) > 1 or len(file.arms) > 1:
+            notes.append(f"IMU {pair[0].topic} and skeleton {pair[1].label} were taken.")
+    chosen_side = _side(*pair) or side or ""
+    base = next((i for i in file.imus if i is not pair[0] and role(i) == "base"), None)
+    truth, truth_notes = choose_truth(file, chosen_side)
+    upper, upper_notes = choose_upper(file, pair[0], chosen_side)
+    more = truth_notes + upper_notes
+    return StreamChoice(pair[0], pair[1], chosen_side, base, truth, notes + more, upper)
+
+
+def choose_upper(file: RecordingFile, forearm: ImuSamples, side: str) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU that names say is on the same upper arm, or None, and a sentence on it.
+
+    One without a side in its name counts as on the arm of the only forearm IMU.
+    """
+    uppers = [imu for imu in file.imus if imu is not forearm and role(imu) == "upper_arm"]
+    sided = [imu for imu in uppers if side and named_side(imu.topic, imu.frame_id) == side]
+    other_forearms = [i for i in file.imus if i is not forearm and role(i) in ("", "forearm")]
+    free = [imu for imu in uppers if not named_side(imu.topic, imu.frame_id)]
+    fitting = sided or ([] if other_forearms else free)
+    if not side and not fitting and not other_forearms:
+        fitting = uppers
+    if len(fitting) == 1:
+        return fitting[0], [f"IMU {fitting[0].topic} is on the same arm's upper arm by its name."]
+    if len(fitting) > 1:
+        names = ", ".join(imu.topic for imu in fitting)
+        return None, [
+            f"Of the upper-arm IMUs {names} none was taken: their names do not tell which is meant."
+        ]
+    return None, []
+
+
+def wanted_arms(
+    file: RecordingFile, skeleton: str | None, side: str | None, body: int | None
+) -> list[ArmFrames]:
+    """The tracked arms that fit what was asked for.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message lists those that are there.
+    """
+    if not file.arms and not file.frames_without_body:
+        raise RecordingError(
+            f"{file.path} has no skeleton (unocclude.Skeleton, or MarkerArray of the Azure Kinect driver); "
+            f"it has {topics_of(file)}; record the body tracking as well."
+        )
+    seen = [arm for arm in file.arms if arm.tracked]
+    if not seen:
+        frames = max((len(arm.stamp_ns) for arm in file.arms), default=file.frames_without_body)
+        raise RecordingError(
+            f"{file.path} has {frames} skeleton frames and no forearm joint is tracked in any of them; "
+            "record again with the arm in view of the camera for some seconds."
+        )
+    fitting = [
+        arm
+        for arm in seen
+        if (skeleton is None or is_named(skeleton, arm.topic, arm.frame_id))
+        and (not side or arm.side in (side, ""))
+        and (body is None or arm.body == body)
+    ]
+    if not fitting:
+        wanted = [
+            f"--{name} {value}"
+            for name, value in (("skeleton", skeleton), ("side", side), ("body", body))
+            if value is not None
+        ]
+        raise RecordingError(
+            f"{file.path}: no tracked arm fits {' '.join(wanted)}; it has "
+            f"{', '.join(arm.label for arm in seen)}{_what_fits(seen, skeleton, side)}."
+        )
+    return fitting
+
+
+def _what_fits(seen: list[ArmFrames], skeleton: str | None, side: str | None) -> str:
+    """What to give instead of options that no arm fits, for the end of a sentence."""
+    named = named_side(skeleton or "")
+    if named and not side and any(arm.side == named for arm in seen):
+        return f"; a topic may hold both arms: for the {named} one give --side {named}"
+    sides = {arm.side for arm in seen}
+    if side and sides == {OTHER_SIDE[side]}:
+        return f"; {_ONLY_ONE_ARM.format(OTHER_SIDE[side])}"
+    return ""
+
+
+def _why_no_pair(imus: list[ImuSamples], arms: list[ArmFrames], side: str | None) -> str:
+    """Why no IMU may be on an arm of that side, and what to do, for the end of a sentence."""
+    worn = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    if len(worn) != 1 or not (named := worn.pop()):
+        return "choose with --imu, --skeleton, --side or --body"
+    other, topic = OTHER_SIDE[named], imus[0].topic
+    if {arm.side for arm in arms if arm.tracked} == {other}:
+        return (
+            f"{topic} is on the {named} arm by its name, and {_ONLY_ONE_ARM.format(other)}; if the IMU was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    if side == other:
+        return (
+            f"{topic} is on the {named} arm by its name: leave --side out, or give --side {named}; if it was"
+            f" worn on the {other} arm, import it again as forearm_{other}"
+        )
+    return "choose with --imu, --skeleton, --side or --body"
+
+
+def _may_match(imu: ImuSamples, arm: ArmFrames, side: str | None) -> bool:
+    sides = {named_side(imu.topic, imu.frame_id), arm.side, side or ""} - {""}
+    return len(sides) <= 1
+
+
+def _side(imu: ImuSamples, arm: ArmFrames) -> str:
+    return arm.side or named_side(imu.topic, imu.frame_id)
+
+
+def _pair_by_motion(
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
+) -> tuple[tuple[ImuSamples, ArmFrames], str]:
+    matches = _matches(file, pairs, store)
+    matched = [(pair, match) for pair, match in matches if match.limb and match.limb.segment == "wrist"]
+    if len(matched) == 1:
+        pair, match = matched[0]
+        return pair, f"their motion agrees best (probability {match.probability:.2f} among all limbs in view)"
+    elsewhere = {
+        id(imu): match
+        for (imu, _), match in matches
+        if match.is_sure and match.limb and match.limb.segment != "wrist"
+    }
+    offered = pairs
+    pairs = [pair for pair, _ in matched] or [pair for pair in pairs if id(pair[0]) not in elsewhere]
+    if not pairs:
+        where = ", ".join(f"{m.imu} as {m.limb.label}" for m in elsewhere.values() if m.limb)
+        raise RecordingError(
+            f"{file.path}: no IMU moves as a forearm that the camera shows ({where}); "
+            "choose with --imu and --side if one is on a forearm all the same."
+        )
+    scores = np.array([motion_agreement(imu, arm) for imu, arm in pairs])
+    shifted = [agreement_far_apart(imu, arm) for imu, arm in pairs]
+    correlation, shift_s, far = shifted[int(np.argmax([row[0] for row in shifted]))]
+    apart = ""
+    if far and correlation >= max(_ENOUGH_SHIFTED, float(scores.max())):
+        # the clocks are far apart: what agrees within a second does so by chance
+        scores = np.array([row[0] for row in shifted])
+        apart = f", with the clocks {abs(shift_s):.1f} s apart"
+    order = np.argsort(-scores)
+    best, second = scores[order[0]], max(scores[order[1:]].max(initial=0.0), 0.0)
+    if best < _ENOUGH or best - second < _LEAD:
+        options = [("--imu", len({id(i) for i, _ in offered}) > 1)]
+        options += [("--skeleton", len({a.topic for _, a in offered}) > 1)]
+        options += [("--side", len({a.side for _, a in offered}) > 1)]
+        options += [("--body", len({(a.topic, a.body) for _, a in offered}) > 1)]
+        needed = " and ".join(name for name, is_needed in options if is_needed)
+        if _named_apart(offered):
+            raise RecordingError(
+                f"{file.path} has an IMU on each of several arms ({_listing(file)}), and one arm is wanted"
+                " here; choose with --side."
+            )
+        raise RecordingError(
+            f"{file.path} has {_listing(file)}, and their motion does not tell which belong together; "
+            f"choose with {needed}."
+        )
+    why = f"their motion agrees best{apart} (correlation {best:.2f}, the next {second:.2f})"
+    further = [
+        f"{match.imu} moves as {match.limb.label}"
+        for pair, match in matched
+        if match.limb and pair[0] is not pairs[order[0]][0]
+    ]
+    return pairs[order[0]], "; ".join([why, *further])
+
+
+def _named_apart(pairs: list[tuple[ImuSamples, ArmFrames]]) -> bool:
+    """Whether names say which IMU is on which arm, and only the arm is open."""
+    sides = {named_side(imu.topic, imu.frame_id) for imu, _ in pairs}
+    return "" not in sides and len(sides) == len(pairs)
+
+
+def _matches(
+    file: RecordingFile, pairs: list[tuple[ImuSamples, ArmFrames]], store: Store | None
+) -> list[tuple[tuple[ImuSamples, ArmFrames], ImuMatch]]:
+    """Pairs that one assignment of all these IMUs to all limbs of these arms makes."""
+    from .match_streams import match_streams
+
+    imus = list({id(imu): imu for imu, _ in pairs}.values())
+    arms = list({id(arm): arm for _, arm in pairs}.values())
+    pair_of = {(imu.topic, arm.topic, arm.body, arm.side): (imu, arm) for imu, arm in pairs}
+
+    def may_be(row: int, limb: Limb) -> bool:
+        worn_as_named = limb.segment == "wrist" or role(imus[row]) != "forearm"
+        return worn_as_named and (imus[row].topic, limb.skeleton, limb.body, limb.side) in pair_of
+
+    try:
+        matches, _ = match_streams(file, imus, arms, store=store, may_be=may_be)
+    except RecordingError:
+        return []  # what cannot be used is said when it is read, if it is what is meant
+    return [
+        (pair_of[match.imu, match.limb.skeleton, match.limb.body, match.limb.side], match)
+        for match in matches
+        if match.limb is not None
+    ]
+
+
+def _listing(file: RecordingFile) -> str:
+    imus = ", ".join(stream.topic for stream in file.imus)
+    arms = ", ".join(arm.label for arm in file.arms if arm.tracked)
+    return f"IMU {imus} and skeleton {arms}"
+
+
+#: An arm is taken by motion alone where its IMU is on it with this probability.
+TAKEN_FROM = 0.8
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class ArmChoices:
+    """The arms of a file that are to be recovered.
+
+    Attributes
+    ----------
+    chosen : tuple of StreamChoice
+        One or more, in order of body and side.
+    left_out : tuple of str
+        A sentence for each arm that has an IMU and cannot be used.
+    """
+
+    chosen: tuple[StreamChoice, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def choose_arms(
+    file: RecordingFile,
+    *,
+    prefer_side: str | None = None,
+    store: Store | None = None,
+    **selection: Unpack[Selection],
+) -> ArmChoices:
+    """Settle which IMUs and arms belong together: by option, else by name, else by motion.
+
+    Both arms of one person are told apart by the sides in the IMUs' names. Where names leave it open, or the
+    camera saw several people, one assignment of all IMUs to all limbs settles it (`matching`). A file with
+    one arm gives what `choose` gives.
+
+    Parameters
+    ----------
+    file : RecordingFile
+        All streams.
+    prefer_side, store, imu, skeleton, side, body
+        As in `choose`; `imu` or `side` restrict.
+
+    Returns
+    -------
+    ArmChoices
+        At least one arm.
+
+    Raises
+    ------
+    RecordingError
+        Nothing fits, or nothing tells what belongs together; the message lists what the file has.
+    """
+
+    def one_arm() -> ArmChoices:
+        return ArmChoices((choose(file, prefer_side=prefer_side, store=store, **selection),))
+
+    if selection.get("imu") is not None:
+        return one_arm()
+    wanted = (selection.get("skeleton"), selection.get("side"), selection.get("body"))
+    joined = file
+    notes: list[str] = []
+    if wanted[2] is None:
+        arms, notes = people(file, store)
+        joined = replace(file, arms=arms)
+    arms = wanted_arms(joined, *wanted)
+    imus = _candidates(joined, arms)
+    if len(imus) < 2 or len(arms) < 2:
+        return one_arm()
+    if _sides_settle(imus, arms):
+        return _by_side(joined, selection, store, notes)
+    by_motion = _arms_by_motion(joined, arms, selection.get("side"), store, notes)
+    return ArmChoices(tuple(by_motion)) if len(by_motion) > 1 else one_arm()
+
+
+def _bodies(arms: Sequence[ArmFrames]) -> list[tuple[str, int]]:
+    return sorted({(arm.topic, arm.body) for arm in arms})
+
+
+def _candidates(file: RecordingFile, arms: Sequence[ArmFrames]) -> list[ImuSamples]:
+    """IMUs that may be on a forearm; with several people those without a telling name as well."""
+    named = forearm_imus(file, None)
+    if len(_bodies(arms)) < 2:
+        return named
+    return [imu for imu in file.imus if role(imu) not in ("base", "upper_arm", "trunk")]
+
+
+def _sides_settle(imus: Sequence[ImuSamples], arms: Sequence[ArmFrames]) -> bool:
+    """Whether one person wears IMUs whose names say on which arm each of them is."""
+    sides = {named_side(imu.topic, imu.frame_id) for imu in imus}
+    return len(_bodies(arms)) == 1 and sides == set(_SIDES) and {arm.side for arm in arms} == set(_SIDES)
+
+
+def _by_side(
+    file: RecordingFile, selection: Selection, store: Store | None, notes: Sequence[str]
+) -> ArmChoices:
+    """Both arms, or the one that can be used and why the other cannot."""
+    chosen, errors = [], []
+    for side in _SIDES:
+        options: Selection = {**selection, "side": side}
+        try:
+            choice = choose(file, store=store, **options)
+        except RecordingError as error:
+            errors.append((side, error))
+            continue
+        chosen.append(replace(choice, notes=[*notes, *choice.notes]))
+    if not chosen:
+        raise errors[0][1]
+    return ArmChoices(tuple(chosen), tuple(left_out_words(f"{side} arm", error) for side, error in errors))
+
+
+def left_out_words(arm: str, error: Exception) -> str:
+    """That an arm is not among the results, and why."""
+    return f"The {arm} was left out: {error}"
+
+
+def _arms_by_motion(
+    file: RecordingFile,
+    arms: Sequence[ArmFrames],
+    side: str | None,
+    store: Store | None,
+    notes: Sequence[str],
+) -> list[StreamChoice]:
+    """A choice for every arm on whose forearm an IMU is, by one assignment of all IMUs to all limbs."""
+    from .match_streams import match_streams
+
+    imus = [imu for imu in file.imus if role(imu) not in ("base", "trunk")]
+
+    def may_be(row: int, limb: Limb) -> bool:
+        named, worn_on = role(imus[row]), named_side(imus[row].topic, imus[row].frame_id)
+        segment = {"forearm": "wrist", "upper_arm": "upper_arm"}.get(named, limb.segment)
+        return limb.segment == segment and len({worn_on, limb.side, side or ""} - {""}) <= 1
+
+    try:
+        matches, open_notes = match_streams(file, imus, arms, store=store, may_be=may_be)
+    except RecordingError:
+        return []  # what cannot be used is said when it is read, if it is what is meant
+    on_limb = {
+        (match.limb.skeleton, match.limb.body, match.limb.side, match.limb.segment): (imu, match)
+        for imu, match in zip(imus, matches, strict=True)
+        if match.limb is not None and match.probability >= TAKEN_FROM
+    }
+    several = len({key[:2] for key in on_limb if key[3] == "wrist"}) > 1
+    choices = []
+    for arm in sorted(arms, key=lambda arm: (arm.topic, arm.body, arm.side)):
+        key = (arm.topic, arm.body, arm.side)
+        if (*key, "wrist") not in on_limb:
+            continue
+        imu, match = on_limb[*key, "wrist"]
+        upper, upper_notes = _upper(file, on_limb.get((*key, "upper_arm")), imu, arm.side, several)
+        base = next((i for i in file.imus if i is not imu and role(i) == "base"), None)
+        body = arm.body if several else None
+        truth, truth_notes = choose_truth(file, arm.side, body)
+        said = [*notes, *open_notes, _taken(imu, arm, match), *truth_notes, *upper_notes]
+        choices.append(StreamChoice(imu, arm, arm.side, base, truth, said, upper, body))
+    used = {id(stream) for one in choices for stream in (one.imu, one.upper, one.base)}
+    unused = _unused([(i, m) for i, m in zip(imus, matches, strict=True) if id(i) not in used])
+    return [replace(one, notes=[*one.notes, *unused]) for one in choices]
+
+
+def _unused(rest: Sequence[tuple[ImuSamples, ImuMatch]]) -> list[str]:
+    """What is said of IMUs that belong to no arm that is recovered; those left open are said already."""
+    notes = []
+    for imu, match in rest:
+        where, how_sure = match.limb, f"(probability {match.probability:.2f})"
+        if where is None and match.is_known:
+            notes.append(f"IMU {imu.topic} is on no limb in view {how_sure}.")
+        elif where is not None and where.segment == "wrist":
+            notes.append(
+                f"IMU {imu.topic} may be on {where.label} {how_sure}, too doubtful to recover that arm;"
+                f" if it is, give --imu {imu.topic}."
+            )
+        elif where is not None:
+            notes.append(
+                f"IMU {imu.topic} is on {where.label} {how_sure} and not used: that forearm has none."
+            )
+    return notes
+
+
+def _taken(imu: ImuSamples, arm: ArmFrames, match: ImuMatch) -> str:
+    return (
+        f"IMU {imu.topic} and {arm.label} were taken: their motion agrees best (probability"
+        f" {match.probability:.2f} among all limbs in view)."
+    )
+
+
+def _upper(
+    file: RecordingFile,
+    matched: tuple[ImuSamples, ImuMatch] | None,
+    forearm: ImuSamples,
+    side: str,
+    several: bool,
+) -> tuple[ImuSamples | None, list[str]]:
+    """The IMU on the same upper arm: by motion, or with one person by its name."""
+    if matched is not None:
+        imu, match = matched
+        return imu, [
+            f"IMU {imu.topic} is on the same arm's upper arm by its motion (probability"
+            f" {match.probability:.2f})."
+        ]
+    return (None, []) if several else choose_upper(file, forearm, side)

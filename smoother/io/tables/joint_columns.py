@@ -1,0 +1,405 @@
+"""Which columns are which joint's, in the spellings of camera programs and marker sets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+
+def _listed(names: str) -> list[str]:
+    return names.split()
+
+
+#: Joints of an arm that are read from files.
+ARM = ("shoulder", "elbow", "wrist", "hand")
+#: 33 landmarks of BlazePose in their order (MediaPipe's documentation of the pose landmarker).
+BLAZEPOSE = _listed(
+    "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear"
+    " mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist"
+    " left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee"
+    " right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index"
+)
+#: 32 joints of the Azure Kinect Body Tracking SDK (`k4abt_joint_id_t`), which Orbbec's wrapper uses too.
+AZURE = _listed(
+    "PELVIS SPINE_NAVEL SPINE_CHEST NECK CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT"
+    " HANDTIP_LEFT THUMB_LEFT CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT"
+    " THUMB_RIGHT HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT HEAD"
+    " NOSE EYE_LEFT EAR_LEFT EYE_RIGHT EAR_RIGHT"
+)
+#: 25 joints of the Kinect v2's SDK (`JointType`).
+KINECT_V2 = _listed(
+    "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight"
+    " WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight"
+    " SpineShoulder HandTipLeft ThumbLeft HandTipRight ThumbRight"
+)
+#: OpenPose's BODY_25, whose first 18 are not those of its COCO model.
+BODY_25 = _listed(
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee LAnkle"
+    " REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
+)
+OPENPOSE_18 = _listed(
+    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist RHip RKnee RAnkle LHip LKnee LAnkle REye LEye"
+    " REar LEar"
+)
+#: COCO's 17 keypoints; HALPE_26 and COCO's 133 of the whole body begin with them.
+COCO_17 = _listed(
+    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow"
+    " left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+)
+#: Sets of points by how many there are; FreeMoCap's 553 (or 543) begin with BlazePose's.
+POINT_SETS = {
+    17: COCO_17, 18: OPENPOSE_18, 25: BODY_25, 26: COCO_17, 32: AZURE, 33: BLAZEPOSE, 133: COCO_17,
+    75: BLAZEPOSE, 543: BLAZEPOSE, 553: BLAZEPOSE,
+}  # fmt: skip
+
+#: Words that say nothing of which joint is meant.
+_NOISE = {
+    *(
+        "k",
+        "4",
+        "abt",
+        "k4abt",
+        "joint",
+        "joints",
+        "type",
+        "body",
+        "pose",
+        "landmark",
+        "landmarks",
+        "keypoint",
+    ),
+    *("world", "marker", "pos", "position", "skeleton", "lm", "kp", "kpt", "bone", "global", "filtered"),
+    *("mm", "cm", "m", "meter", "meters", "metre", "metres"),
+    *("unfiltered", "3d", "3", "d", "rigid", "tracked", "coords", "coordinate", "coordinates"),
+}
+_SIDES = {"l": "left", "left": "left", "lt": "left", "r": "right", "right": "right", "rt": "right"}
+_CENTRE_WORDS = {"center", "centre", "jc", "cj", "jcs", "cor"}
+#: Short names of joint centres (Visual3D, OpenSim; Vicon's Plug-in Gait calls origins of its segments so).
+_CENTRES = {
+    **dict.fromkeys(("sjc", "shjc", "gh", "gjc", "ghjc", "clo"), "shoulder"),
+    **dict.fromkeys(("ejc", "huo"), "elbow"),
+    **dict.fromkeys(("wjc", "rao"), "wrist"),
+}
+#: Skin markers by their short names: joint, and which of a pair ("" = alone).
+_SKIN = {
+    **dict.fromkeys(("sho", "acr", "acrom", "acromion", "ac", "sae"), ("shoulder", "")),
+    **dict.fromkeys(("elb", "lel", "lelb", "elbl", "elblat", "hle", "lep", "epl", "lelbow"), ("elbow", "a")),
+    **dict.fromkeys(("mel", "melb", "elbm", "elbmed", "hme", "mep", "epm", "melbow"), ("elbow", "b")),
+    **dict.fromkeys(("wra", "rad", "radius", "rsp", "rs", "lwrist", "wrr", "wrl", "rst"), ("wrist", "a")),
+    **dict.fromkeys(("wrb", "uln", "ulna", "usp", "us", "mwrist", "wru", "wrm", "ust"), ("wrist", "b")),
+    "fin": ("hand", ""),
+}
+_PAIR = {
+    **dict.fromkeys(("lat", "lateral", "radius", "radial", "rad", "thumb", "outer"), "a"),
+    **dict.fromkeys(("med", "medial", "ulna", "ulnar", "uln", "pinky", "inner"), "b"),
+}
+#: Parts of the body by which upright and the middle of the hips are found.
+_OTHER = {
+    **dict.fromkeys(("head", "nose", "neck", "c7", "cv7", "clav", "strn", "sternum"), "top"),
+    **dict.fromkeys(("hip", "hips", "pelvis", "midhip", "asis", "psis", "asi", "psi", "hjc"), "hip"),
+    **dict.fromkeys(("ankle", "heel", "foot", "calc", "toe", "ank", "hee", "knee", "bigtoe", "ajc"), "foot"),
+}
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+
+
+@dataclass(frozen=True)
+class JointName:
+    """What the name of a marker or joint means.
+
+    Attributes
+    ----------
+    part : str
+        `shoulder`, `elbow`, `wrist`, `hand`; or `top`, `hip`, `foot` of the rest of the body.
+    side : str
+        "left", "right" or "".
+    kind : str
+        "centre" (a joint's centre, said so), "joint" (a joint of a skeleton), "skin" (a marker on the skin).
+    pair : str
+        "a" or "b" where two skin markers lie on both sides of the joint, else "".
+    """
+
+    part: str
+    side: str
+    kind: str = "joint"
+    pair: str = ""
+
+    @property
+    def joint(self) -> str:
+        """Joint and side as the product names them (`wrist_right`); "" for the rest of the body."""
+        return f"{self.part}_{self.side}" if self.part in ARM and self.side else ""
+
+
+def words_of(name: str) -> list[str]:
+    """Words of a name in small letters: parted by signs and by capitals (`K4ABT_JOINT_WristLeft`)."""
+    return [word.lower() for word in _WORD.findall(name.rsplit(":", 1)[-1])]
+
+
+@lru_cache(maxsize=4096)  # tables are recognised by the same names many times
+def joint_name(name: str) -> JointName | None:
+    """What a joint or marker is by its name.
+
+    Parameters
+    ----------
+    name : str
+        As a file has it: `WRIST_RIGHT`, `RWrist`, `r_wrist`, `WristRight`, `K4ABT_JOINT_WRIST_RIGHT`,
+        `right_wrist`, `RWJC`, `r_lwrist_study`, `Subject:RWRA`.
+
+    Returns
+    -------
+    JointName or None
+        None where it is nothing of an arm, and nothing that shows how the body stands.
+    """
+    words = [word for word in words_of(name) if word not in _NOISE]
+    return _meaning(tuple(words))
+
+
+def _meaning(words: tuple[str, ...]) -> JointName | None:
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    rest = [word for word in words if word not in _SIDES]
+    side = sides[0] if len(set(sides)) == 1 else ""
+    if not sides and rest:  # "lwrist", "RSHO": the side is the first letter
+        glued = [word for word in rest if word[0] in "lr" and _is_part(word[1:])]
+        if len(glued) == 1 and not any(_is_part(word) for word in rest if word not in glued):
+            side = _SIDES[glued[0][0]]
+            rest = [word[1:] if word in glued else word for word in rest]
+    study = "study" in rest
+    rest = [word for word in rest if word != "study"]
+    centre = any(word in _CENTRE_WORDS for word in rest)
+    rest = [word for word in rest if word not in _CENTRE_WORDS]
+    plain = [word for word in rest if word in ARM]
+    pairs = [_PAIR[word] for word in rest if word in _PAIR]
+    if len(plain) == 1 and side:
+        others = [word for word in rest if word not in ARM and word not in _PAIR]
+        if others or len(pairs) > 1:
+            return None
+        if pairs:
+            return JointName(plain[0], side, "skin", pairs[0]) if plain[0] in ("elbow", "wrist") else None
+        return JointName(plain[0], side, "centre" if centre else "skin" if study else "joint")
+    if len(rest) == 1 and side:
+        word = rest[0]
+        if word in _CENTRES:
+            return JointName(_CENTRES[word], side, "centre")
+        if word in _SKIN:
+            part, pair = _SKIN[word]
+            return JointName(part, side, "skin", pair)
+    return next((JointName(_OTHER[word], side) for word in rest if word in _OTHER and not plain), None)
+
+
+def _is_part(word: str) -> bool:
+    return word in ARM or word in _CENTRES or word in _SKIN or word in _OTHER
+
+
+_AXES = {"x": 0, "y": 1, "z": 2, "posx": 0, "posy": 1, "posz": 2, "tx": 0, "ty": 1, "tz": 2}
+_CONFIDENCE = {
+    *("c", "conf", "confidence", "state", "tracking", "tracked", "trackingstate", "visibility", "vis", "v"),
+    *("score", "presence", "likelihood", "status", "level"),
+}
+#: Columns with one of these words are no position.
+_ELSE = {
+    *("rot", "rotation", "orientation", "orient", "ori", "quat", "quaternion", "qx", "qy", "qz", "qw", "w"),
+    *("euler", "roll", "pitch", "yaw", "depth", "color", "colour", "screen", "pixel", "px", "image", "img"),
+    *("proj", "projected", "angle", "velocity", "vel", "acc", "speed", "residual", "reprojection", "error"),
+    *("uncertainty", "sigma", "std", "cov", "q"),
+}
+_NORMALISED = {"norm", "normalized", "normalised"}
+_BODY = (
+    *("body idx", "body id", "bodyid", "bodyidx", "body", "tracking id", "trackingid", "person", "person id"),
+    *("skeleton id", "skeletonid", "user id", "userid", "user", "player", "player id", "subject", "track id"),
+    *("body index", "body num", "pose id", "pose index", "pose idx", "id"),
+)
+_TIME = (
+    *(
+        "timestamp",
+        "time stamp",
+        "timestamps",
+        "times",
+        "ts",
+        "date",
+        "time",
+        "t",
+        "seconds",
+        "device",
+        "device timestamp",
+        "relative time",
+    ),
+    *("elapsed", "elapsed time", "datetime", "date time", "clock", "ticks", "system timestamp", "frame time"),
+)
+_FRAME = ("frame", "frame number", "frame no", "frame index", "frame idx", "frame id", "framenumber", "index")
+_UNIT_WORDS = {
+    **dict.fromkeys(("us", "usec", "usecs", "microsecond", "microseconds", "micros"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds", "millis"), 1e-3),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosecond", "nanoseconds", "nanos"), 1e-9),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    "ticks": 1e-7,
+}
+
+
+@dataclass
+class JointColumns:
+    """Columns (from 0) of a table with one row a frame and body.
+
+    Attributes
+    ----------
+    axes : dict of str to tuple of int
+        Columns of x, y, z by joint and side (`wrist_right`).
+    rest : list of (JointName, tuple of int)
+        Parts of the body that are no joint of an arm (hips, head).
+    confidence : dict of str to int
+        Column of the confidence or state by joint and side.
+    time, frame, body : int, optional
+        Columns of the time, of the frame's number, of the body's number.
+    time_scale : float, optional
+        Seconds in a unit of the time, where its name states it.
+    world : bool
+        Columns that are named "world" were taken, beside others that are not.
+    normalised : bool
+        Columns are named as normalised image coordinates.
+    numbered : bool
+        Joints are numbered, not named (33 landmarks).
+    incomplete : set of str
+        Columns of joints of an arm that have two axes and nowhere the third.
+    """
+
+    axes: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    rest: list[tuple[JointName, tuple[int, int, int]]] = field(default_factory=list)
+    confidence: dict[str, int] = field(default_factory=dict)
+    time: int | None = None
+    frame: int | None = None
+    body: int | None = None
+    time_scale: float | None = None
+    world: bool = False
+    normalised: bool = False
+    numbered: bool = False
+    incomplete: set[str] = field(default_factory=set)
+
+    def has_arm(self) -> bool:
+        """Whether there is a side with an elbow and a wrist or hand."""
+        return any(
+            f"elbow_{side}" in self.axes and {f"wrist_{side}", f"hand_{side}"} & self.axes.keys()
+            for side in ("left", "right")
+        )
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One column's name taken apart."""
+
+    at: int
+    key: str  # what it is of: the name's remaining words
+    axis: int | None
+    world: bool
+    normalised: bool
+
+
+def find_joint_columns(names: Sequence[str]) -> JointColumns:
+    """Find the columns of the arms' joints by their names.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of all columns: `WRIST_RIGHT (x)`, `wrist_right_x`, `WristRight_X`, `right_wrist.x`, `landmark_16_x`,
+        `x16`; with `(c)`, `_conf`, `_state`, `_visibility` beside them.
+
+    Returns
+    -------
+    JointColumns
+        Without joints where there are none.
+    """
+    result = JointColumns()
+    parts = [part for at, name in enumerate(names) if (part := _taken_apart(at, name)) is not None]
+    result.world = any(part.world for part in parts)
+    if result.world:  # the same landmarks in the image beside those in the world
+        parts = [part for part in parts if part.world]
+    result.normalised = bool(parts) and all(part.normalised for part in parts)
+    by_key: dict[str, dict[int | None, int]] = {}
+    for part in parts:
+        by_key.setdefault(part.key, {}).setdefault(part.axis, part.at)
+    by_key = _named(by_key, result)
+    lacking: dict[str, set[str]] = {}
+    for key, columns in by_key.items():
+        name = joint_name(key)
+        there = {0, 1, 2} & columns.keys()
+        if name is not None and name.joint and name.kind != "skin" and len(there) == 2:
+            lacking[name.joint] = {names[columns[axis]] for axis in there}
+        if name is None or len(there) < 3:
+            continue
+        triple = (columns[0], columns[1], columns[2])
+        if name.joint and name.kind != "skin":
+            if name.joint not in result.axes:
+                result.axes[name.joint] = triple
+                if None in columns:
+                    result.confidence[name.joint] = columns[None]
+        elif name.part not in ARM:
+            result.rest.append((name, triple))
+    result.incomplete = {
+        name for joint, there in lacking.items() if joint not in result.axes for name in there
+    }
+    _bookkeeping(names, result)
+    return result
+
+
+@lru_cache(maxsize=4096)
+def plain_words(name: str) -> str:
+    """A column's name in plain words without its unit: `timestamp_usec` is `timestamp`."""
+    words = words_of(name)
+    bare = [word for word in words if word not in _UNIT_WORDS or words == [word]]
+    return " ".join(bare)
+
+
+def time_unit_of(name: str) -> float | None:
+    """Seconds in the unit that a column's name states, None where it states none."""
+    words = words_of(name)
+    return next((_UNIT_WORDS[word] for word in reversed(words) if word in _UNIT_WORDS and word != "t"), None)
+
+
+def column_named(names: Sequence[str], wanted: Sequence[str]) -> int | None:
+    """The column whose plain words are the first of these that is there."""
+    words = [plain_words(name) for name in names]
+    return next((words.index(want) for want in wanted if want in words), None)
+
+
+def _taken_apart(at: int, name: str) -> _Column | None:
+    words = words_of(name)
+    if not words or _ELSE & set(words):
+        return None
+    axes = [word for word in words if word in _AXES]
+    of_confidence = [word for word in words if word in _CONFIDENCE]
+    if len(axes) > 1 or (axes and of_confidence) or not (axes or of_confidence):
+        return None
+    rest = [w for w in words if w not in _AXES and w not in _CONFIDENCE and w not in ("world", *_NORMALISED)]
+    if not rest:
+        return None
+    axis = _AXES[axes[0]] if axes else None
+    return _Column(at, " ".join(rest), axis, "world" in words, bool(_NORMALISED & set(words)))
+
+
+def _named(
+    by_key: dict[str, dict[int | None, int]], result: JointColumns
+) -> dict[str, dict[int | None, int]]:
+    """Landmarks by their names where the columns number them (from 0 or 1)."""
+    numbers: dict[int, dict[int | None, int]] = {}
+    for key, columns in by_key.items():
+        digits = [word for word in key.split() if word.isdigit()]
+        if len(digits) == 1 and len({0, 1, 2} & columns.keys()) >= 2 and joint_name(key) is None:
+            numbers.setdefault(int(digits[0]), columns)
+    if any(name is not None and name.joint for name in map(joint_name, by_key)) or not numbers:
+        return by_key
+    first, last = min(numbers), max(numbers)
+    base = 1 if (first, last) == (1, len(BLAZEPOSE)) else 0
+    if last - base >= len(BLAZEPOSE) or len(numbers) < 6:
+        return by_key  # some other set of points
+    result.numbered = True
+    return {BLAZEPOSE[number - base]: columns for number, columns in sorted(numbers.items())}
+
+
+def _bookkeeping(names: Sequence[str], result: JointColumns) -> None:
+    """Columns of time, frame and body, which are no joint's."""
+    used = {at for triple in result.axes.values() for at in triple}
+    free = [name if at not in used else "" for at, name in enumerate(names)]
+    result.time = column_named(free, _TIME)
+    result.frame = column_named(free, _FRAME)
+    result.body = column_named(free, _BODY)
+    if result.time is not None:
+        result.time_scale = time_unit_of(names[result.time])

@@ -1,0 +1,479 @@
+"""From a file's numbers to skeletons: unit, axes, states and times decided, and said, in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...array_types import FloatArray, IntArray
+from ...errors import RecordingError
+from ...recording import CameraFrame, JointState
+from ..markers.trajectories import METRES, without_origin
+from .file_head import shown
+from .joint_columns import JointName
+from .protocol import SkeletonTable
+
+#: Half an arm of a child to a tall adult, shoulder to elbow or elbow to wrist, m.
+ARM_M = (0.09, 0.6)
+#: What is larger is no position in any unit, but a cell that was damaged.
+LARGEST = 1e7
+#: An axis is up where the trunk lies so much along it (cosine).
+UPRIGHT = 0.75
+
+
+def half_arm(position: Mapping[str, FloatArray]) -> float:
+    """Median length of upper arms and forearms in the unit of the positions; nan where there are none."""
+    lengths = []
+    for side in ("left", "right"):
+        for one, other in (("shoulder", "elbow"), ("elbow", "wrist")):
+            a, b = position.get(f"{one}_{side}"), position.get(f"{other}_{side}")
+            if a is not None and b is not None:
+                near = (np.abs(a) < LARGEST).all(axis=1) & (np.abs(b) < LARGEST).all(axis=1)
+                length = np.linalg.norm(a[near] - b[near], axis=1)
+                length = length[np.isfinite(length) & (length > 0)]
+                if len(length):
+                    lengths.append(float(np.median(length)))
+    return float(np.median(lengths)) if lengths else float("nan")
+
+
+def unit_by_arm(position: Mapping[str, FloatArray]) -> tuple[str, float] | None:
+    """Unit in which arms have an arm's length.
+
+    Parameters
+    ----------
+    position : dict of str to ndarray, shape (F, 3)
+        In the unit asked for, by joint and side.
+
+    Returns
+    -------
+    (str, float) or None
+        The unit and the metres in it; None where no unit fits, or no two joints are there to tell.
+    """
+    length = half_arm(position)
+    for unit, metres in (("m", 1.0), ("cm", 0.01), ("mm", 0.001)):
+        if ARM_M[0] <= length * metres <= ARM_M[1]:
+            return unit, metres
+    return None
+
+
+def up_axis(points: list[tuple[JointName, FloatArray]]) -> tuple[int, int] | None:
+    """Axis along which the body stands or sits upright most of the time.
+
+    Parameters
+    ----------
+    points : list of (JointName, ndarray of shape (F, 3))
+        What parts of the body they are, and where.
+
+    Returns
+    -------
+    (int, int) or None
+        Axis (0, 1, 2) and sign of up; None where the trunk lies along none of them, or is not to be seen.
+    """
+    upper = [rows for name, rows in points if name.part in ("top", "shoulder")]
+    lower = [rows for name, rows in points if name.part == "hip"]
+    lower = lower or [rows for name, rows in points if name.part == "foot"]
+    if not upper or not lower:
+        return None
+    trunk = _middle(upper) - _middle(lower)
+    trunk = trunk[np.isfinite(trunk).all(axis=1)]
+    if not len(trunk):
+        return None
+    direction = np.median(trunk, axis=0)
+    length = float(np.linalg.norm(direction))
+    axis = int(np.abs(direction).argmax())
+    if not length > 0 or abs(direction[axis]) < UPRIGHT * length:
+        return None
+    return axis, 1 if direction[axis] > 0 else -1
+
+
+def down_of(axis: int, sign: int) -> FloatArray:
+    """Unit vector of down where an axis is up."""
+    down = np.zeros(3)
+    down[axis] = -sign
+    return down
+
+
+def frame_of(axis: int, sign: int, camera: bool) -> CameraFrame | None:
+    """The convention of axes of which one is up; a room's y up has none (`camera`: axes of a camera)."""
+    if (axis, sign) == (2, 1):
+        return CameraFrame.ZUP
+    if camera and axis == 1:
+        return CameraFrame.KINECT if sign > 0 else CameraFrame.OPTICAL
+    return None
+
+
+def axis_words(axis: int, sign: int) -> str:
+    """For sentences: "y up"."""
+    return f"{'xyz'[axis]} {'up' if sign > 0 else 'down'}"
+
+
+def _middle(points: list[FloatArray]) -> FloatArray:
+    """Mean (F, 3) of points, each where it is there."""
+    stack = np.stack(points)
+    there = np.isfinite(stack).all(axis=2, keepdims=True)
+    count = there.sum(axis=0)
+    total = np.where(there, stack, 0.0).sum(axis=0)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+#: Body numbers above this do not fit a recording: they are counted from 0 instead.
+_LARGEST_BODY = 2**31 - 1
+#: Frame rates of cameras, Hz: a time in another unit makes none of them.
+_RATES_HZ = (4.0, 260.0)
+_SCALES = (1.0, 1e-3, 1e-6, 1e-9, 1e-7)  # s, ms, us, ns, ticks of 100 ns
+SCALE_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns", 1e-7: "ticks of 100 ns"}
+
+
+@dataclass
+class BodyRows:
+    """What a file says of bodies, a row a frame and body.
+
+    Attributes
+    ----------
+    time : ndarray, shape (N,)
+        By which rows belong to one frame: the time in any unit, or the frame's number.
+    body : ndarray, shape (N,), optional
+        The body of each row; nan where the frame has none. None = one body.
+    position : dict of str to ndarray, shape (N, 3), m
+        By joint and side.
+    state : dict of str to ndarray of int8, shape (N,)
+        `JointState` values of the same joints.
+    notes : list of str
+        What was decided in reading.
+    """
+
+    time: FloatArray
+    body: FloatArray | None
+    position: dict[str, FloatArray]
+    state: dict[str, NDArray[np.int8]]
+    notes: list[str] = field(default_factory=list)
+
+    def skeletons(self, pattern: SkeletonTable, seconds: float | None) -> list[SkeletonTable]:
+        """One skeleton a body, on the times of all frames of the file.
+
+        Parameters
+        ----------
+        pattern : SkeletonTable
+            Frame, unit, rate and notes of all of them.
+        seconds : float, s, optional
+            In a unit of `time`; None where the file has no times.
+
+        Returns
+        -------
+        list of SkeletonTable
+            In order of the bodies' numbers.
+        """
+        frame, times = frames_of_rows(self.time, self.body)
+        t_s = None if seconds is None else times * seconds
+        bodies = np.zeros(len(frame)) if self.body is None else self.body
+        numbers = np.unique(bodies[np.isfinite(bodies)])
+        tables = []
+        for count, number in enumerate(numbers.tolist()):
+            rows = np.flatnonzero(bodies == number)
+            fits = 0 <= number <= _LARGEST_BODY and number == int(number)
+            notes = [*pattern.notes, *self.notes]
+            if not fits:
+                notes.append(f"Body {number:.0f} is called {count}.")
+            position = {joint: np.full((len(times), 3), np.nan) for joint in self.position}
+            state = {joint: np.zeros(len(times), np.int8) for joint in self.position}
+            for joint in self.position:
+                position[joint][frame[rows]] = self.position[joint][rows]
+                state[joint][frame[rows]] = self.state[joint][rows]
+            tables.append(
+                SkeletonTable(
+                    int(number) if fits else count,
+                    None if t_s is None else t_s.copy(),
+                    position,
+                    state,
+                    pattern.frame,
+                    pattern.gravity_hint,
+                    pattern.rate_hz,
+                    pattern.relative,
+                    pattern.units,
+                    notes,
+                )
+            )
+        return tables
+
+
+def frames_of_rows(time: FloatArray, body: FloatArray | None) -> tuple[IntArray, FloatArray]:
+    """Number of the frame that each row is of, and the frames' times.
+
+    Rows of one body are frames as they stand, stamps that repeat or go back included. Where a file lists
+    one body after the other, frames are the different times in order.
+    """
+    count = len(time)
+    bodies = np.zeros(0) if body is None else np.unique(body[np.isfinite(body)])
+    absent = body is not None and not np.isfinite(body).all()
+    if len(bodies) < 2 and not absent:
+        return np.arange(count), time
+    known = np.isfinite(time)
+    if np.any(np.diff(time[known]) < 0) and body is not None:
+        ordered = all((np.diff(time[known & (body == one)]) >= 0).all() for one in bodies)
+        if ordered and known.all():
+            times, frame = np.unique(time, return_inverse=True)
+            return frame, times
+    is_new = np.append(True, time[1:] != time[:-1])[:count]
+    return np.cumsum(is_new) - 1, time[is_new]
+
+
+def time_unit(time: FloatArray, stated: float | None) -> float | None:
+    """Seconds in a unit of frame times.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        As written.
+    stated : float, s, optional
+        What the column's name states.
+
+    Returns
+    -------
+    float or None
+        The stated unit where it makes a camera's rate, else the one that does; None where none does.
+    """
+    step = np.diff(time[np.isfinite(time)])
+    step = step[step > 0]
+    if not len(step):
+        return stated
+    typical = float(np.median(step))
+    for scale in (*(() if stated is None else (stated,)), *_SCALES):
+        if _RATES_HZ[0] <= 1.0 / (typical * scale) <= _RATES_HZ[1]:
+            return scale
+    return stated
+
+
+def without_position(state: NDArray[np.int8], position: FloatArray) -> NDArray[np.int8]:
+    """States (N,), not tracked where the position (N, 3) is missing."""
+    return np.where(np.isfinite(position).all(axis=1), state, np.int8(JointState.NOT_TRACKED)).astype(np.int8)
+
+
+def tracked_where_finite(position: FloatArray) -> NDArray[np.int8]:
+    """States (N,) of a format without states: tracked where there is a position."""
+    return without_position(np.full(len(position), JointState.TRACKED, np.int8), position)
+
+
+#: Rate of a file without times, Hz: that of the cameras' usual mode.
+USUAL_RATE_HZ = 30.0
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What a format settles.
+
+    Attributes
+    ----------
+    unit : str
+        "m" or "mm", what the format is written in as a rule; "" where it has no rule.
+    frame : CameraFrame, optional
+        Axes of the camera that the format has; None = axes of a room, found by how the body stands.
+    relative : bool
+        Positions are about the hips.
+    rate_hz : float, Hz
+        Counts where the file has no times.
+    """
+
+    unit: str = ""
+    frame: CameraFrame | None = None
+    relative: bool = False
+    rate_hz: float = USUAL_RATE_HZ
+
+
+@dataclass
+class RawSkeleton:
+    """Numbers of a file as written, a row a frame and body.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    position : dict of str to ndarray, shape (N, 3)
+        By joint and side, in the file's unit.
+    state : dict of str to ndarray of int8, shape (N,)
+        `JointState` values where the file has them; other joints are tracked where they have a position.
+    time : ndarray, shape (N,), optional
+        As written.
+    time_scale : float, s, optional
+        In a unit of `time`, where the file states it.
+    frame : ndarray, shape (N,), optional
+        Numbers of the frames.
+    body : ndarray, shape (N,), optional
+        Numbers of the bodies, nan where a frame has none.
+    rest : list of (JointName, ndarray of shape (N, 3))
+        Hips, feet and head.
+    rate_hz : float, Hz, optional
+        As the file states it.
+    notes : list of str
+        What was decided in reading.
+    """
+
+    path: Path
+    position: dict[str, FloatArray]
+    state: dict[str, NDArray[np.int8]] = field(default_factory=dict)
+    time: FloatArray | None = None
+    time_scale: float | None = None
+    frame: FloatArray | None = None
+    body: FloatArray | None = None
+    rest: list[tuple[JointName, FloatArray]] = field(default_factory=list)
+    rate_hz: float | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def skeletons(self, conventions: Conventions) -> list[SkeletonTable]:
+        """One skeleton a body.
+
+        Parameters
+        ----------
+        conventions : Conventions
+            What the format settles.
+
+        Returns
+        -------
+        list of SkeletonTable
+            In order of the bodies' numbers.
+
+        Raises
+        ------
+        RecordingError
+            No arm has an elbow and a wrist, or there is no frame with a position.
+        """
+        self._drop_empty()
+        self._drop_row_numbers()
+        require_arm(self.position, self.path, "joints", list(self.position))
+        unit, metres = self._unit(conventions)
+        frame, down = self._axes(conventions)
+        time, seconds, rate = self._times(conventions)
+        position = {joint: rows * metres for joint, rows in self.position.items()}
+        state = {
+            joint: without_position(self.state[joint], rows)
+            if joint in self.state
+            else tracked_where_finite(rows)
+            for joint, rows in position.items()
+        }
+        pattern = SkeletonTable(
+            0, None, {}, {}, frame, down, rate, conventions.relative, unit, list(self.notes)
+        )
+        tables = BodyRows(time, self.body, position, state).skeletons(pattern, seconds)
+        if not tables:
+            raise RecordingError(
+                f"{self.path} holds no frame with a body; record again with the person in view."
+            )
+        return tables
+
+    def _drop_empty(self) -> None:
+        """Lost joints, written as (0, 0, 0), have no position; joints that never have one are left out."""
+        filled = {joint: without_origin(rows) for joint, rows in self.position.items()}
+        for rows in filled.values():
+            rows[~(np.abs(rows) < LARGEST).all(axis=1)] = np.nan
+        there = {joint: rows for joint, rows in filled.items() if np.isfinite(rows).any()}
+        if filled and not there:
+            raise RecordingError(
+                f"{self.path} names joints and holds no position of any; record again with the person in"
+                " view."
+            )
+        self.position = there
+        self.rest = [
+            (name, np.where(np.abs(rows) < LARGEST, without_origin(rows), np.nan)) for name, rows in self.rest
+        ]
+
+    def _drop_row_numbers(self) -> None:
+        """A column of bodies that counts rows (an `id`) names no bodies."""
+        if self.body is None:
+            return
+        numbers, rows = np.unique(self.body[np.isfinite(self.body)], return_counts=True)
+        if len(numbers) > 10 and np.median(rows) < 3:
+            self.body = None
+            self.notes.append("The column of the body counts rows; the file counts as one body.")
+
+    def _unit(self, conventions: Conventions) -> tuple[str, float]:
+        """Name of the unit and metres in it."""
+        fits = unit_by_arm(self.position)
+        length = half_arm(self.position)
+        if fits is None:
+            if conventions.unit and not np.isfinite(length):
+                return conventions.unit, METRES[conventions.unit]
+            raise RecordingError(
+                f"{self.path}: upper arms and forearms are {length:.3g} long, which is an arm's length"
+                " neither in"
+                " m nor in cm nor in mm; export positions in metres, not pixels or parts of the image."
+            )
+        unit, metres = fits
+        if conventions.unit and unit != conventions.unit:
+            self.notes.append(
+                f"Positions count as {unit}, not {conventions.unit} as the format has them as a rule: arms"
+                f" are {length * metres:.2f} m long so."
+            )
+        elif not conventions.unit:
+            self.notes.append(f"Positions count as {unit}: half an arm is {length * metres:.2f} m long so.")
+        return unit, metres
+
+    def _axes(self, conventions: Conventions) -> tuple[CameraFrame | None, FloatArray | None]:
+        """Convention of the axes, and the direction of down where they are a room's."""
+        shoulders = [
+            (JointName("shoulder", side), self.position[f"shoulder_{side}"])
+            for side in ("left", "right")
+            if f"shoulder_{side}" in self.position
+        ]
+        upright = up_axis([*self.rest, *shoulders])
+        if conventions.frame is not None:
+            stated = {CameraFrame.KINECT: (1, 1), CameraFrame.OPTICAL: (1, -1)}.get(conventions.frame)
+            if upright is None or stated is None or upright != (1, -stated[1]):
+                return conventions.frame, None
+            self.notes.append(
+                f"Axes count as {axis_words(*upright)}, against the format's rule: so the body stands or sits"
+                " in most frames."
+            )
+            return frame_of(*upright, camera=True), None
+        if upright is None:
+            self.notes.append(
+                "Which axis is up is not known: the file does not state it, nor does the body show it."
+            )
+            return None, None
+        self.notes.append(f"Axes count as {axis_words(*upright)}: so the body stands or sits in most frames.")
+        return frame_of(*upright, camera=False), down_of(*upright)
+
+    def _times(self, conventions: Conventions) -> tuple[FloatArray, float | None, float | None]:
+        """What tells frames apart, seconds in a unit of it (None: no times), the rate without times."""
+        if self.time is not None and np.isfinite(self.time).any():
+            self.time = np.where(np.isfinite(self.time), self.time, np.nan)
+            scale = time_unit(self.time, self.time_scale)
+            if scale is None:
+                raise RecordingError(
+                    f"{self.path}: its times make no camera's rate in s, ms, us or ns; export the times of"
+                    " the frames."
+                )
+            if scale != self.time_scale:
+                self.notes.append(
+                    f"Times count as {SCALE_NAMES.get(scale, scale)}: so they make a camera's rate."
+                )
+            return self.time, scale, None
+        rate = self.rate_hz or conventions.rate_hz
+        if self.rate_hz is None:
+            self.notes.append(
+                f"The file has no times: {rate:g} frames a second count, evenly; a file with times is better."
+            )
+        count = len(next(iter(self.position.values())))
+        if self.frame is not None and np.isfinite(self.frame).all():
+            return self.frame, 1.0 / rate, rate
+        return np.arange(count, dtype=float), None, rate
+
+
+def require_arm(position: dict[str, FloatArray], path: Path, what: str, names: list[str]) -> None:
+    """Refuse a skeleton of which no side has an elbow and a wrist (or a hand).
+
+    Raises
+    ------
+    RecordingError
+        It is so; the message says which joints are needed and what the file names.
+    """
+    for side in ("left", "right"):
+        if f"elbow_{side}" in position and ({f"wrist_{side}", f"hand_{side}"} & position.keys()):
+            return
+    listed = shown(", ".join(names), 120)
+    raise RecordingError(
+        f"{path}: no arm with an elbow and a wrist is among its {what} ({listed}); export shoulder, elbow and"
+        " wrist of the arm under such names as RShoulder, RElbow and RWrist."
+    )

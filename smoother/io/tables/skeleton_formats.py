@@ -1,0 +1,393 @@
+"""Plain tables of skeletons with a header, a row a frame: a class a device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...recording import CameraFrame, JointState
+from .joint_columns import JointColumns, find_joint_columns, words_of
+from .protocol import FileHead, SkeletonTable
+from .raw_skeleton import Conventions, RawSkeleton, unit_by_arm
+from .table_layout import layout_of
+from .text_table import Sheet, read_sheet
+
+#: States (N,) from the cells of a confidence column, numbers or words made numbers.
+StateReader = Callable[[FloatArray], NDArray[np.int8]]
+#: What exporters write for states, as numbers.
+_WORDS = {
+    **dict.fromkeys(("nottracked", "not tracked", "not_tracked", "none", "false"), 0.0),
+    **dict.fromkeys(("inferred", "low", "true"), 1.0),
+    **dict.fromkeys(("tracked", "medium"), 2.0),
+    "high": 3.0,
+}
+
+
+def header_of(head: FileHead) -> tuple[str, ...]:
+    """Names of the columns of a file's beginning; none where it is no table with a header."""
+    layout = layout_of(head.lines) if head.text else None
+    return () if layout is None else layout.names
+
+
+def read_wide(path: Path, states: StateReader | None, expected: str) -> tuple[RawSkeleton, JointColumns]:
+    """Read a table with one row a frame and body.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    states : callable, optional
+        Makes states of the numbers of a joint's confidence; None = confidences are passed over.
+    expected : str
+        What the file should be, for messages.
+
+    Returns
+    -------
+    RawSkeleton, JointColumns
+        The numbers as written, and the columns that they are from.
+
+    Raises
+    ------
+    RecordingError
+        The file is no table.
+    """
+    sheet = read_sheet(path, expected)
+    sheet.refuse_nameless()
+    columns = find_joint_columns(sheet.layout.names)
+    raw = RawSkeleton(
+        path,
+        {joint: sheet.vectors(triple) for joint, triple in columns.axes.items()},
+        rest=[(name, sheet.vectors(triple)) for name, triple in columns.rest],
+        time_scale=columns.time_scale,
+    )
+    if columns.time is not None:
+        raw.time, dates = sheet.times(columns.time)
+        if dates:
+            raw.time_scale = 1.0
+        elif raw.time_scale is None:
+            raw.time_scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(sheet.unit(columns.time))
+        if _counts_frames(raw.time) and raw.time_scale is None:
+            raw.frame, raw.time = raw.time, None
+    elif columns.frame is not None:
+        raw.frame = sheet.numbers(columns.frame)
+    if columns.body is not None:
+        raw.body = body_numbers(sheet, columns.body)
+    if states is not None:
+        values = {joint: state_numbers(sheet, column) for joint, column in columns.confidence.items()}
+        raw.state = states_of(values, states)
+    raw.notes += sheet.notes
+    return raw, columns
+
+
+def state_numbers(sheet: Sheet, column: int) -> FloatArray:
+    """A column of confidences or states; words as `_WORDS` has them, also behind a prefix."""
+    cells = sheet.texts(column)
+    sample = next((cell for cell in cells if cell), "")
+    if not any(character.isalpha() for character in sample) or sample.lower() == "nan":
+        return sheet.numbers(column)
+    code = {
+        cell: _WORDS.get(cell.lower(), _WORDS.get(cell.lower().rpartition("_")[2], np.nan))
+        for cell in set(cells)
+    }
+    return np.array([code[cell] for cell in cells])
+
+
+def body_numbers(sheet: Sheet, column: int) -> FloatArray:
+    """A column of the bodies' numbers; names are numbered in their order, no body (-1, 2^32 - 1) is nan."""
+    cells = sheet.texts(column)
+    if any(character.isalpha() for cell in cells[:50] for character in cell if cell.lower() != "nan"):
+        order = {cell: float(number) for number, cell in enumerate(dict.fromkeys(cells)) if cell}
+        return np.array([order.get(cell, np.nan) for cell in cells])
+    numbers = sheet.numbers(column).copy()
+    numbers[(numbers < 0) | (numbers == 2**32 - 1)] = np.nan
+    return numbers
+
+
+def azure_states(confidence: FloatArray) -> NDArray[np.int8]:
+    """States of the Azure Kinect's confidences: 0 none, 1 low (occluded, guessed), 2 medium, 3 high."""
+    state = np.zeros(len(confidence), np.int8)
+    state[confidence == 1] = JointState.INFERRED
+    state[confidence >= 2] = JointState.TRACKED
+    return state
+
+
+def kinect_states(confidence: FloatArray) -> NDArray[np.int8]:
+    """States of the Kinect v2's: 0 not tracked, 1 inferred, 2 tracked."""
+    return azure_states(confidence)
+
+
+def states_of(confidence: dict[str, FloatArray], states: StateReader) -> dict[str, NDArray[np.int8]]:
+    """States of all joints; where no value of a Kinect v2's is above 1, they are shares of one.
+
+    Parameters
+    ----------
+    confidence : dict of str to ndarray, shape (N,)
+        As written, by joint.
+    states : callable
+        The format's reading of them.
+    """
+    largest = max((float(np.nanmax(c)) for c in confidence.values() if np.isfinite(c).any()), default=0.0)
+    if states is not azure_states and largest <= 1.0:
+        states = share_states
+    return {joint: states(values) for joint, values in confidence.items()}
+
+
+def share_states(confidence: FloatArray) -> NDArray[np.int8]:
+    """States of a visibility or score from 0 to 1: inferred up to one half, tracked above."""
+    state = np.full(len(confidence), JointState.TRACKED, np.int8)
+    state[confidence <= 0.5] = JointState.INFERRED
+    return state
+
+
+def inferred_throughout(raw: RawSkeleton) -> None:
+    """Joints with positions that are never tracked count as inferred, with a note."""
+    joints = []
+    for joint, state in raw.state.items():
+        there = np.isfinite(raw.position[joint]).all(axis=1) & (raw.position[joint] != 0).any(axis=1)
+        if there.any() and not state.any():
+            state[there] = JointState.INFERRED
+            joints.append(joint)
+    if joints:
+        raw.notes.append(
+            f"{', '.join(joints)}: confidence 0 in every frame, though with positions; they count as"
+            " inferred, so they are kept and not measured by."
+        )
+
+
+def _counts_frames(time: FloatArray) -> bool:
+    """Whether a column of times is a count of frames: whole numbers, the next one at nearly every row."""
+    step = np.diff(time[np.isfinite(time)])
+    return bool(len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all())
+
+
+@dataclass(frozen=True)
+class AzureKinectTable:
+    """A row a frame and body: positions in mm in the depth camera's axes, confidences 0 to 3, times in us.
+
+    Confidence 2 and 3 is tracked, 1 (occluded, guessed) inferred, 0 (out of range) not tracked. Orbbec's
+    wrapper of the same SDK writes the same joints.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "azure-kinect"
+    title: str = "Azure Kinect or Orbbec body tracking, table"
+    kind: str = "skeleton"
+    recognised_by: str = (
+        "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
+    )
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the header names joints that only this SDK has."""
+        names = header_of(head)
+        if not find_joint_columns(names).has_arm():
+            return False
+        words = {word for name in names for word in words_of(name)}
+        return bool(words & {"navel", "naval", "clavicle", "k4abt"}) or "WRIST_RIGHT (c)" in names
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read all bodies.
+
+        Raises
+        ------
+        RecordingError
+            The file is no such table, or no arm is in it.
+        """
+        raw, _ = read_wide(path, azure_states, "a table of an Azure Kinect's joints")
+        inferred_throughout(raw)
+        return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL))
+
+
+@dataclass(frozen=True)
+class KinectV2Table:
+    """A row a frame and body, with tracking states 0, 1, 2 or in words where there are any.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "kinect-v2"
+    title: str = "Kinect v2 joints, table"
+    kind: str = "skeleton"
+    recognised_by: str = (
+        "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
+    )
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the header names joints that only this SDK has."""
+        names = header_of(head)
+        if not find_joint_columns(names).has_arm():
+            return False
+        words = [words_of(name) for name in names]
+        pairs = {pair for row in words for pair in pairwise(row)}
+        return bool(pairs & {("spine", "base"), ("spine", "shoulder"), ("spine", "mid"), ("hand", "tip")})
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read all bodies.
+
+        Raises
+        ------
+        RecordingError
+            The file is no such table, or no arm is in it.
+        """
+        raw, _ = read_wide(path, kinect_states, "a table of a Kinect's joints")
+        return raw.skeletons(Conventions("m", CameraFrame.KINECT))
+
+
+#: World landmarks have the middle of the hips within this of their origin, m.
+_ABOUT_HIPS_M = 0.06
+RELATIVE_NOTE = (
+    "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the place"
+    " in the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
+)
+
+
+@dataclass(frozen=True)
+class MediapipeTable:
+    """A row a frame: x, y, z (and visibility) of landmarks by number or name.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "mediapipe"
+    title: str = "MediaPipe world landmarks, table"
+    kind: str = "skeleton"
+    recognised_by: str = (
+        "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
+    )
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the header numbers landmarks, or names some that only BlazePose has."""
+        names = header_of(head)
+        columns = find_joint_columns(names)
+        if not columns.has_arm():
+            return False
+        words = {word for name in names for word in words_of(name)}
+        return columns.numbered or columns.world or bool(words & {"pinky", "mouth", "visibility"})
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read the skeleton.
+
+        Raises
+        ------
+        RecordingError
+            The landmarks are parts of the image, or no arm is in the table.
+        """
+        raw, columns = read_wide(path, share_states, "a table of MediaPipe's landmarks")
+        return landmarks_in_metres(raw, columns.world, columns.normalised)
+
+
+def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False) -> list[SkeletonTable]:
+    """Skeletons of BlazePose's landmarks: about the hips in metres, or a room's (FreeMoCap).
+
+    Parameters
+    ----------
+    raw : RawSkeleton
+        As written.
+    world : bool
+        The file calls them world landmarks.
+    normalised : bool
+        The file calls them normalised.
+
+    Returns
+    -------
+    list of SkeletonTable
+        With `relative` where they are about the hips.
+
+    Raises
+    ------
+    RecordingError
+        They are normalised image coordinates.
+    """
+    fits = unit_by_arm(raw.position)
+    is_about_hips = about_hips(raw)
+    if not world and fits is not None and fits[0] in ("mm", "cm") and not normalised:
+        return raw.skeletons(Conventions())
+    if normalised or (not is_about_hips and (_in_image(raw) or (fits is None and not world))):
+        raise RecordingError(
+            f"{raw.path} holds landmarks as parts of the image's width and height (pose_landmarks), which are"
+            " no metres; export pose_world_landmarks of the same video."
+        )
+    if is_about_hips or world or _middle_of_hips(raw) is None:
+        raw.notes.append(RELATIVE_NOTE)
+        return raw.skeletons(Conventions("m", CameraFrame.OPTICAL, relative=True))
+    return raw.skeletons(Conventions())
+
+
+def about_hips(raw: RawSkeleton) -> bool:
+    """Whether the middle of the hips is the origin."""
+    middle = _middle_of_hips(raw)
+    return middle is not None and bool(np.abs(middle).max() < _ABOUT_HIPS_M)
+
+
+def _middle_of_hips(raw: RawSkeleton) -> FloatArray | None:
+    """Median middle of the hips (3,), None where the file has none."""
+    hips = {name.side: rows for name, rows in raw.rest if name.part == "hip" and name.side}
+    if len(hips) < 2:
+        return None
+    middle = 0.5 * (hips["left"] + hips["right"])
+    middle = middle[np.isfinite(middle).all(axis=1)]
+    return np.median(middle, axis=0) if len(middle) else None
+
+
+def _in_image(raw: RawSkeleton) -> bool:
+    """Whether shoulders and elbows lie between 0 and 1 in x and y, y down, as in an image."""
+    hips = [rows[:, 1] for name, rows in raw.rest if name.part == "hip"]
+    shoulders = [rows[:, 1] for joint, rows in raw.position.items() if joint.startswith("shoulder")]
+    if hips and shoulders and np.nanmedian(np.concatenate(shoulders)) > np.nanmedian(np.concatenate(hips)):
+        return False
+    rows = [rows[:, :2] for joint, rows in raw.position.items() if joint.startswith(("shoulder", "elbow"))]
+    if not rows:
+        return False
+    points = np.concatenate(rows)
+    points = points[np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)]
+    inside = ((points > -0.05) & (points < 1.05)).all(axis=1)
+    return bool(len(points) and inside.mean() > 0.9)
+
+
+@dataclass(frozen=True)
+class NamedJoints:
+    """A row a frame and body; the unit is found by the arms' lengths, up by how the body stands.
+
+    Attributes
+    ----------
+    key, title, kind, recognised_by : str
+        See `DeviceFormat`.
+    """
+
+    key: str = "joint-table"
+    title: str = "table of joints by name (FreeMoCap, Pose2Sim and others)"
+    kind: str = "skeleton"
+    recognised_by: str = (
+        "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
+    )
+
+    def recognises(self, head: FileHead) -> bool:
+        """Whether the header names an elbow and a wrist of one side."""
+        return find_joint_columns(header_of(head)).has_arm()
+
+    def read(self, path: Path) -> list[SkeletonTable]:
+        """Read all bodies.
+
+        Raises
+        ------
+        RecordingError
+            The file is no such table, or its positions are in no unit of length.
+        """
+        raw, _ = read_wide(path, kinect_states, "a table of joints")
+        return raw.skeletons(Conventions())

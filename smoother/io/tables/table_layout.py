@@ -1,0 +1,261 @@
+"""How a delimited text is laid out: its separator, preamble, header, units and first row."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import median
+
+from .units import is_unit, split_unit
+
+#: Separators in the order in which they are believed where two fit; the last is any number of blanks.
+SEPARATORS = (";", "\t", "|", ",", " ")
+#: So many lines at the beginning settle the layout.
+LAYOUT_LINES = 400
+#: How columns put stem and axis together.
+AXIS_FORMS = ("{} {}", "{}_{}", "{}{}", "{}.{}", "{}-{}", "{}[{}]", "{}({})", "{}/{}", "{} {}-axis")
+_NUMBER = re.compile(
+    r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf(inity)?|null", re.IGNORECASE
+)
+_STAMP = re.compile(
+    r"\d{4}[-/.]\d\d?[-/.]\d\d?\b.*|\d\d?[-/.]\d\d?[-/.]\d{4}\b.*|\d\d?:\d\d(:\d\d([.,:_]\d+)?)?"
+)
+_SEP_LINE = re.compile(r'"?sep=.{0,3}', re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Where in a text the table is.
+
+    Attributes
+    ----------
+    separator : str
+        One of `SEPARATORS`.
+    preamble : tuple of str
+        Lines above the header, without `sep=` and blank lines.
+    names : tuple of str
+        Column names as written, `width` of them ("" = none); () where the file has no header.
+    units : tuple of str
+        By column, from the line of units or from brackets behind the name; "" where there is none.
+    labels : tuple of str
+        Names for comparing: without bracketed units, lower case, single blanks.
+    header : int
+        Index of the header's line; -1 where there is none.
+    first_row : int
+        Index of the first line of data.
+    width : int
+        Number of columns.
+    """
+
+    separator: str
+    preamble: tuple[str, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    header: int
+    first_row: int
+    width: int
+
+    def find(self, *labels: str) -> int | None:
+        """Number of the first column (from 0) that has one of these labels; the first label first."""
+        for label in labels:
+            if label in self.labels:
+                return self.labels.index(label)
+        return None
+
+    def axes(self, *stems: str, signs: Sequence[str] = ("xyz",)) -> tuple[int, int, int] | None:
+        """Numbers of the columns of a vector, labelled by one of these stems and the axes' signs.
+
+        Parameters
+        ----------
+        *stems : str
+            What stands before the axis ("acc" for `Acc_X`, `acc x`, `accX`); the first that fits counts.
+        signs : sequence of str
+            Signs of the three axes, tried in turn ("xyz", "123").
+
+        Returns
+        -------
+        tuple of int or None
+            Columns of x, y and z, whatever their order in the file.
+        """
+        for stem in stems:
+            for form in AXIS_FORMS:
+                for sign in signs:
+                    columns = [self.find(form.format(stem, axis).strip()) for axis in sign]
+                    if None not in columns:
+                        return columns[0], columns[1], columns[2]  # type: ignore[return-value]
+        return None
+
+    def stated(self, *subjects: str) -> str:
+        """What the preamble says of a subject ("120Hz" behind "OutputRate:"), "" where it says nothing."""
+        for line in self.preamble:
+            plain = line.strip().lstrip("/#%").strip().strip('"')
+            for subject in subjects:
+                if plain.lower().startswith(subject):
+                    return plain[len(subject) :].strip(' :=,;\t"')
+        return ""
+
+    def stated_number(self, *subjects: str) -> float | None:
+        """The number that the preamble states of a subject; None where it states none above zero."""
+        number = re.match(r"\d+(?:[.,]\d+)?", self.stated(*subjects))
+        value = float(number.group().replace(",", ".")) if number else 0.0
+        return value if value > 0 else None
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """The cells of one line, without blanks and quotes around them."""
+    if separator == " ":
+        return line.replace('"', "").split()
+    if '"' in line:
+        try:
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        except csv.Error:
+            cells = line.split(separator)
+        return [cell.strip().strip('"').strip() for cell in cells]
+    return [cell.strip() for cell in line.split(separator)]
+
+
+def is_data(cell: str) -> bool:
+    """Whether a cell is a number or a time."""
+    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
+
+
+def layout_of(lines: Sequence[str]) -> TableLayout | None:
+    """Find the table in a text.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The text's first lines; the first `LAYOUT_LINES` of them count.
+
+    Returns
+    -------
+    TableLayout or None
+        None where there is no table of two columns or more with numbers in it.
+    """
+    return _layout_of(tuple(lines[:LAYOUT_LINES]))
+
+
+@lru_cache(maxsize=16)
+def _layout_of(lines: tuple[str, ...]) -> TableLayout | None:
+    filled = [line for line in lines if line.strip()]
+    sample = filled[len(filled) // 2 :][-60:]
+    separator = _separator(sample)
+    if separator is None:
+        return None
+    counts = [_count(split_line(line, separator)) for line in sample]
+    typical_data, typical_text = median(c[0] for c in counts), median(c[1] for c in counts)
+    width = Counter(len(split_line(line, separator)) for line in sample).most_common(1)[0][0]
+
+    def is_row(line: str) -> bool:
+        data, text = _count(split_line(line, separator))
+        return data > typical_data / 2 and text <= typical_text + max(1, width // 4)
+
+    first = _first_row(lines, is_row)
+    if first is None:
+        return None
+    # Rows in which most sensors have no value yet stand between the header and the first full row.
+    while first > 0 and _is_sparse_row(split_line(lines[first - 1], separator), width):
+        first -= 1
+    header, units_line = _header(lines, first, separator, width)
+    written = _stripped(split_line(lines[header], separator)) if header >= 0 else []
+    if written:
+        written[0] = re.sub(r"^(#+|%+|//+)\s*", "", written[0])
+        if separator == " " and not written[0]:  # "# t ax ay": the mark stood alone
+            written = written[1:]
+    if not all(cell or separator != " " for cell in _stripped(split_line(lines[first], separator))):
+        return None
+    data_width = len(_stripped_to(split_line(lines[first], separator), len(written)))
+    width = max(len(written), min(width, data_width) if written else width)
+    names = tuple(written + [""] * (width - len(written))) if written else ()
+    under = split_line(lines[units_line], separator) if units_line >= 0 else []
+    under += [""] * (width - len(under))
+    parts = [split_unit(name) for name in names]
+    return TableLayout(
+        separator,
+        tuple(line for line in lines[: max(header, 0) if names else first] if _is_preamble(line)),
+        names,
+        tuple(below or behind for (_, behind), below in zip(parts, under, strict=False)) or ("",) * width,
+        tuple(" ".join(label.lower().split()) for label, _ in parts),
+        header,
+        first,
+        width,
+    )
+
+
+def _separator(sample: list[str]) -> str | None:
+    """The separator that makes most lines equally wide rows of numbers."""
+    best, best_score = None, 0.3
+    for separator in SEPARATORS:
+        rows = [split_line(line, separator) for line in sample]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        shares = [data / max(data + text, 1) for data, text in (_count(r) for r in rows if len(r) == width)]
+        score = sum(shares) / len(rows)
+        if score > best_score + 1e-9:
+            best, best_score = separator, score
+    return best
+
+
+def _count(cells: list[str]) -> tuple[int, int]:
+    """Number of cells with data, and with other text."""
+    data = sum(1 for cell in cells if cell and is_data(cell))
+    return data, sum(1 for cell in cells if cell) - data
+
+
+def _first_row(lines: tuple[str, ...], is_row: Callable[[str], bool]) -> int | None:
+    """Index of the first line of data that another follows, or that is the last one."""
+    filled = [at for at, line in enumerate(lines) if line.strip()]
+    for at, following in zip(filled, [*filled[1:], None], strict=True):
+        if is_row(lines[at]) and (following is None or is_row(lines[following])):
+            return at
+    return None
+
+
+def _is_sparse_row(cells: list[str], width: int) -> bool:
+    data, text = _count(cells)
+    return data >= 1 and text == 0 and len(cells) >= width
+
+
+def _header(lines: tuple[str, ...], first: int, separator: str, width: int) -> tuple[int, int]:
+    """Indices of the header and of the line of units; -1 where there is none."""
+    above = [at for at in range(first - 1, -1, -1) if lines[at].strip()][:2]
+    if not above:
+        return -1, -1
+    if len(above) == 2 and _is_units_line(split_line(lines[above[0]], separator)):
+        if _is_header(split_line(lines[above[1]], separator), width):
+            return above[1], above[0]
+        return -1, above[0]
+    return (above[0] if _is_header(split_line(lines[above[0]], separator), width) else -1), -1
+
+
+def _is_units_line(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and sum(map(is_unit, filled)) > len(filled) / 2
+
+
+def _is_header(cells: list[str], width: int) -> bool:
+    data, text = _count(cells)
+    return text >= 2 and text > 4 * data and len(cells) >= width / 2 and not _SEP_LINE.fullmatch(cells[0])
+
+
+def _is_preamble(line: str) -> bool:
+    return bool(line.strip()) and not _SEP_LINE.fullmatch(line.strip().strip('"'))
+
+
+def _stripped(cells: list[str]) -> list[str]:
+    """Without the empty cells behind the last one."""
+    return _stripped_to(cells, 0)
+
+
+def _stripped_to(cells: list[str], least: int) -> list[str]:
+    end = len(cells)
+    while end > least and not cells[end - 1]:
+        end -= 1
+    return cells[:end]

@@ -1,0 +1,206 @@
+"""Units as files write them, and those that a file does not state, by the size of its values."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ...array_types import FloatArray
+from ...errors import RecordingError
+from ...units import GRAVITY, STANDARD_GRAVITY
+
+#: m/s^2 in one unit, by the unit in its plain form (see `plain_unit`).
+ACCELERATION = {
+    **dict.fromkeys(
+        ("m/s^2", "m/s2", "m/(s^2)", "m/(sec^2)", "m/s/s", "ms^-2", "m.s^-2", "m*s^-2", "m/s**2"), 1.0
+    ),
+    **dict.fromkeys(("mps2", "ms2", "m_s2", "ms-2", "mps^2"), 1.0),
+    **dict.fromkeys(("g", "gs", "gn", "gravity"), STANDARD_GRAVITY),
+    **dict.fromkeys(("mg", "milli-g"), STANDARD_GRAVITY / 1000),
+}
+#: rad/s in one unit.
+ANGULAR_VELOCITY = {
+    **dict.fromkeys(("rad/s", "rads/s", "radian/s", "radians/s", "rad*s^-1", "rad.s^-1", "rads^-1"), 1.0),
+    **dict.fromkeys(("rads", "rad_s", "radps", "r/s"), 1.0),
+    **dict.fromkeys(
+        ("deg/s", "degs/s", "degree/s", "degrees/s", "dps", "deg*s^-1", "deg.s^-1"), math.pi / 180
+    ),
+    **dict.fromkeys(("deg_s", "degs", "d/s", "degps"), math.pi / 180),
+    **dict.fromkeys(("mdps", "mdeg/s"), math.pi / 180_000),
+}
+#: s in one unit.
+TIME = {
+    **dict.fromkeys(("s", "seconds", "second"), 1.0),
+    **dict.fromkeys(("ms", "milliseconds", "msec", "msecs", "millis"), 1e-3),
+    **dict.fromkeys(("us", "usec", "microseconds", "micros"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanoseconds", "nanos"), 1e-9),
+}
+_OTHERS = (
+    *("ut", "t", "nt", "mt", "gauss", "ga", "mgauss", "au", "a.u.", "arbitrary", "local_flux", "flux"),
+    *("mv", "v", "kpa", "pa", "hpa", "mbar", "bar", "degc", "c", "celsius", "degreecelsius"),
+    *("k", "%", "lux", "m", "mm", "cm", "deg", "degree", "degrees", "rad", "radians", "hz", "no_units"),
+    *("nounits", "counts", "count", "lsb", "raw", "adc", "quaternion", "unitless", "none", "n/a", "-"),
+    *("degreescelsius", "yyyy-mm-dd", "hh:mm:ss"),
+)
+_UNITS = frozenset((*ACCELERATION, *ANGULAR_VELOCITY, *TIME, *_OTHERS))
+_BRACKETED = re.compile(r"\s*[\(\[]([^()\[\]]*(?:\([^()]*\))?[^()\[\]]*)[\)\]]\s*$")
+#: Units that are spelled behind a name: acc_x_mps2, gyro_x_dps, time_ms.
+_SPELLED = re.compile(
+    r"(.*[xyz])_(mps2|ms2|m_s2|ms-2|g|mg|dps|rads|rad_s|radps|deg_s|degs)"
+    r"|(timestamp|time|t|elapsed|epoch)_(s|ms|us|ns)",
+    re.IGNORECASE,
+)
+#: What stands in brackets behind a name and belongs to it: dv[1], Acc (x).
+_INDEX = re.compile(r"\d+|[xyzw]", re.IGNORECASE)
+
+
+def plain_unit(text: str) -> str:
+    """A unit in the form that the tables above have it: `[m/s²]` is "m/s^2", `°/s` is "deg/s"."""
+    unit = text.strip().strip('"').strip().lower()
+    while len(unit) > 1 and (unit[0], unit[-1]) in (("(", ")"), ("[", "]")):
+        unit = unit[1:-1].strip()
+    for sign, plain in (("²", "^2"), ("µ", "u"), ("μ", "u"), ("°", "deg"), ("⁻¹", "^-1"), (" ", "")):
+        unit = unit.replace(sign, plain)
+    return re.sub(r"/sec(onds?)?\b", "/s", unit)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell holds nothing but a unit."""
+    return plain_unit(text) in _UNITS
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """A column's name without the unit behind it, and that unit ("" where there is none)."""
+    bracketed = _BRACKETED.search(name)
+    if bracketed and bracketed.start() and not _INDEX.fullmatch(bracketed.group(1).strip()):
+        return name[: bracketed.start()].strip(), bracketed.group(1).strip()
+    spelled = _SPELLED.fullmatch(name.strip())
+    if spelled:
+        stem, unit = (part for part in spelled.groups() if part is not None)
+        return stem, unit
+    return name.strip(), ""
+
+
+#: Rates that a sensor may have, Hz: times are of the unit that gives one of these.
+_RATES = (3.0, 2500.0)
+#: Sizes that are gravity in m/s^2, in g and in mg.
+_IS_GRAVITY, _IS_ONE_G, _IS_1000_MG = (8.0, 12.0), (0.85, 1.15), (700.0, 1300.0)
+#: rad/s that no arm reaches in one sample of a hundred: larger values are deg/s.
+_FAST = 40.0
+#: A field of 15 to 120 uT whose middle half lies within a quarter is the earth's.
+_FIELD, _FIELD_SPREAD = (15.0, 120.0), 0.25
+#: A size that varies by less is the system's estimate of gravity, not a sensor.
+_EXACT = 1e-4
+
+
+def time_unit(stated: str, times: FloatArray) -> str | None:
+    """Unit in which times (n,) give a rate that a sensor may have.
+
+    Parameters
+    ----------
+    stated : str
+        What a column's name says ("ms"), "" = nothing.
+    times : ndarray, shape (n,)
+        As written.
+
+    Returns
+    -------
+    str or None
+        The stated unit where it fits, else s, ms, us or ns; None where none of them does.
+    """
+    dt = np.diff(times[np.isfinite(times)])
+    dt = dt[dt > 0]
+    if not len(dt):
+        return None
+    mean = float(np.minimum(dt, 20 * np.median(dt)).mean())
+    fitting = [unit for unit in ("s", "ms", "us", "ns") if _RATES[0] < 1 / (mean * TIME[unit]) < _RATES[1]]
+    return stated if stated in fitting else next(iter(fitting), None)
+
+
+def acceleration_unit(values: FloatArray, notes: list[str], source: Path) -> str:
+    """Unit of an accelerometer (n, 3) that states none: m/s^2 as on Android, or g where gravity is 1.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3)
+        As written.
+    notes : list of str
+        The choice is added to it.
+    source : Path
+        The file, for messages.
+
+    Returns
+    -------
+    str
+        "m/s^2", "g" or "mg".
+
+    Raises
+    ------
+    RecordingError
+        The values hold gravity in none of them.
+    """
+    size = np.linalg.norm(values, axis=1)
+    median = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    if _IS_ONE_G[0] < median < _IS_ONE_G[1]:
+        notes.append("The accelerometer states no unit; gravity is 1, so it is in g.")
+        return "g"
+    if _IS_1000_MG[0] < median < _IS_1000_MG[1]:
+        notes.append("The accelerometer states no unit; gravity is 1000, so it is in mg.")
+        return "mg"
+    if not 0.35 < median / GRAVITY < 2:
+        raise RecordingError(
+            f"{source} states no unit of acceleration, and its usual size of {median:.3g} is neither 9.81"
+            " m/s^2 nor 1 g; export calibrated acceleration with gravity, or describe it in a recording.toml."
+        )
+    notes.append("The accelerometer states no unit; gravity is 9.8, so it is in m/s^2.")
+    return "m/s^2"
+
+
+def turning_unit(values: FloatArray, notes: list[str]) -> str:
+    """Unit of a gyroscope (n, 3) that states none: rad/s as on Android, deg/s where it is too fast."""
+    finite = np.abs(values[np.isfinite(values)])
+    unit = "deg/s" if len(finite) and float(np.percentile(finite, 99)) > _FAST else "rad/s"
+    notes.append(f"The gyroscope states no unit; by the size of its values it is in {unit}.")
+    return unit
+
+
+def unit_by_size(values: FloatArray, source: Path) -> str:
+    """Unit, and with it the sensor, of a vector that says neither.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 3)
+        As written, some of them finite.
+    source : Path
+        The file, for messages.
+
+    Returns
+    -------
+    str
+        "m/s^2" or "g" where its size is that of gravity, else "rad/s" or "deg/s".
+
+    Raises
+    ------
+    RecordingError
+        It is a magnetometer, or gravity as the system estimates it.
+    """
+    size = np.linalg.norm(values, axis=1)
+    low, median, high = np.percentile(size[np.isfinite(size)], (25, 50, 75))
+    if _IS_GRAVITY[0] < median < _IS_GRAVITY[1]:
+        if high - low < _EXACT * median:
+            raise RecordingError(
+                f"{source} holds gravity as the system estimates it, not an accelerometer; log the raw"
+                " accelerometer."
+            )
+        return "m/s^2"
+    if _IS_ONE_G[0] < median < _IS_ONE_G[1] and high - low < 0.3:
+        return "g"
+    if _FIELD[0] < median < _FIELD[1] and high - low < _FIELD_SPREAD * median:
+        raise RecordingError(
+            f"{source} looks like a magnetometer (its size is {median:.0f} throughout); name the files of the"
+            " accelerometer and the gyroscope."
+        )
+    return "deg/s" if float(np.percentile(size[np.isfinite(size)], 99)) > _FAST else "rad/s"

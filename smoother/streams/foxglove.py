@@ -1,0 +1,281 @@
+"""Foxglove's WebSocket: the layout of a result shows the session while it lasts, in a result's messages."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..array_types import FloatArray
+from ..errors import UnoccludeError
+from ..io.mcap.merge import Output
+from ..io.recording.read import RESULT_PREFIX
+from ..io.recording.write import CAMERA
+from ..io.result.messages import gap_messages
+from ..io.result.streams import RecoveryStreams
+from ..io.wire.protobuf_encode import HEAD_BYTES
+from ..io.wire.schemas import message_class, schema_data
+from ..live.estimate import LiveEstimate, LiveOutput, LiveState
+from ..measurements.visibility import Gap
+from ..recording import JOINTS, JointTracks
+from ..result import Recovery
+from ..runtime.packages import extra_module
+from .arrivals import FrameRows, SourceInfo
+
+#: Topics of the present, of the settled answer (only those with numbers), of the camera's frames, of gaps.
+_NOW = {
+    "skeleton": "unocclude.Skeleton",
+    "forearm": "foxglove.Odometry",
+    "arm": "foxglove.SceneUpdate",
+    "beads": "foxglove.PointCloud",
+    "tf": "foxglove.FrameTransforms",
+    "joints": "foxglove.JointStates",
+}
+_SETTLED = {f"{name}/settled": _NOW[name] for name in ("skeleton", "forearm")}
+_FRAMES = {"camera": "unocclude.Skeleton", "arm_camera": "foxglove.SceneUpdate"}
+_GAPS = {"gaps": "foxglove.Event", "log": "foxglove.Log"}
+#: Every topic, and the full name of its schema.
+TOPICS = {f"{RESULT_PREFIX}{name}": schema for name, schema in (_NOW | _SETTLED | _FRAMES | _GAPS).items()}
+
+
+class LiveMessage(NamedTuple):
+    """One message to be sent.
+
+    Attributes
+    ----------
+    topic, schema : str
+        Where, and the full name of what it is.
+    stamp_ns : int, ns
+    data : bytes
+        Its wire form, protobuf.
+    """
+
+    topic: str
+    schema: str
+    stamp_ns: int
+    data: bytes
+
+
+class _Channels(Output):
+    """Takes the place of a file: what channels are, and no file."""
+
+    def __init__(self) -> None:
+        self.names: list[tuple[str, str]] = []
+
+    def channel(self, topic: str, schema: str) -> int:
+        self.names.append((topic, schema))
+        return len(self.names) - 1
+
+
+class LiveMessages:
+    """Makes messages of what a session answers.
+
+    Topics are those of `write_recovery`, of the estimate `now`; those of `settled` end in `/settled`.
+
+    Parameters
+    ----------
+    info : SourceInfo
+        Of the session.
+    """
+
+    def __init__(self, info: SourceInfo):
+        self._info = info
+        self._down = info.gravity_hint
+        if self._down is None and info.camera_frame is not None:
+            self._down = info.camera_frame.down
+
+    def estimate(self, estimate: LiveEstimate, wanted: Collection[str] = TOPICS) -> Iterator[LiveMessage]:
+        """The arm at a moment, on those of its topics that are wanted."""
+        names, suffix = (_NOW, "") if estimate.kind == "now" else (_SETTLED, "/settled")
+        topics = _among(names, wanted)
+        if topics:
+            here = _no_frame(self._info.skeleton, estimate.t_s)
+            yield from self._encoded(self._recovery(estimate, here), suffix, topics)
+
+    def frames(
+        self, frames: FrameRows, offset_s: float, wanted: Collection[str] = TOPICS
+    ) -> Iterator[LiveMessage]:
+        """The camera's joints as they came, on the IMU's clock.
+
+        Parameters
+        ----------
+        frames : FrameRows
+            On the camera's clock.
+        offset_s : float, s
+            t_imu = t_camera + offset; nan where it is not known yet, which counts as zero.
+        wanted : collection of str
+            Topics.
+        """
+        topics = _among(_FRAMES, wanted)
+        if not topics:
+            return
+        t_s = frames.t_s + (offset_s if np.isfinite(offset_s) else 0.0)
+        tracks = JointTracks(self._info.skeleton, t_s, frames.position, frames.state)
+        yield from self._encoded(self._recovery(None, tracks), "", topics)
+
+    def gap(self, gap: Gap) -> Iterator[LiveMessage]:
+        """A gap that is over, as an event and a line of the log."""
+        start, end = (round(t * 1e9) + self._info.origin_ns for t in (gap.start_s, gap.end_s))
+        events, lines = gap_messages([gap], np.array([start]), np.array([end]), self._info.side)
+        yield LiveMessage(f"{RESULT_PREFIX}gaps", "foxglove.Event", start, events[0])
+        yield LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", end, lines[0])
+
+    def line(self, text: str, t_s: float) -> LiveMessage:
+        """A line of the log."""
+        line = message_class("foxglove.Log")()
+        stamp = round(t_s * 1e9) + self._info.origin_ns
+        line.timestamp.FromNanoseconds(stamp)
+        line.level, line.message, line.name = line.INFO, text, "unocclude"
+        data = line.SerializeToString(deterministic=True)
+        return LiveMessage(f"{RESULT_PREFIX}log", "foxglove.Log", stamp, data)
+
+    def _encoded(self, recovery: Recovery, suffix: str, wanted: set[str]) -> Iterator[LiveMessage]:
+        channels = _Channels()
+        streams = RecoveryStreams(channels, recovery, suffix, CAMERA, 0, self._down)
+        streams.camera_joints = [JOINTS.index(joint) for joint in self._info.joints]
+        samples, frames = slice(0, len(recovery)), slice(0, len(recovery.arm))
+        for stream in streams.batch(samples, frames, slice(0, 0), slice(0, 0), slice(0, 0)):
+            topic, schema = channels.names[stream.channel]
+            if topic not in wanted:
+                continue
+            encoded = stream.encode(slice(0, len(stream.time_ns)))
+            for stamp, row in zip(stream.time_ns.tolist(), encoded, strict=True):
+                data = row if isinstance(row, bytes) else row[HEAD_BYTES:].tobytes()
+                yield LiveMessage(topic, schema, stamp, data)
+
+    def _recovery(self, estimate: LiveEstimate | None, arm: JointTracks) -> Recovery:
+        """An estimate as a recovery of one sample; of none where there is no estimate."""
+        count = 0 if estimate is None else 1
+
+        def column(value: Callable[[LiveEstimate], FloatArray], *shape: int) -> FloatArray:
+            return np.empty((0, *shape)) if estimate is None else np.array([value(estimate)], float)
+
+        joints = () if estimate is None else [joint for joint in JOINTS if joint in estimate.joints]
+        is_gap = estimate is not None and estimate.state is not LiveState.VISIBLE
+        return Recovery(
+            method="live",
+            t_s=column(lambda e: np.array(e.t_s)),
+            occluded=np.full(count, is_gap),
+            position=column(lambda e: e.position, 3),
+            quaternion=column(lambda e: e.quaternion, 4),
+            velocity=column(lambda e: e.velocity, 3),
+            pose_covariance=column(lambda e: e.pose_covariance, 6, 6),
+            velocity_covariance=np.full((count, 3, 3), np.nan),
+            joints={joint: column(lambda e, j=joint: e.joints[j], 3) for joint in joints},  # type: ignore[misc]
+            joint_covariance={
+                joint: column(lambda e, j=joint: e.joint_covariance[j], 3, 3)  # type: ignore[misc]
+                for joint in joints
+            },
+            gaps=(),
+            calibration=None,
+            gravity_direction=np.full(3, np.nan),
+            clock_offset_s=0.0,
+            clock_offset_sigma_s=0.0,
+            arm=arm,
+            origin_ns=self._info.origin_ns,
+            side=self._info.side,
+        )
+
+
+def _among(names: Collection[str], wanted: Collection[str]) -> set[str]:
+    """Topics of these names that are wanted."""
+    return {topic for name in names if (topic := f"{RESULT_PREFIX}{name}") in wanted}
+
+
+def _no_frame(name: str, t_s: float) -> JointTracks:
+    """A frame without joints: the moment at which the arm is drawn."""
+    position = np.full((1, len(JOINTS), 3), np.nan)
+    return JointTracks(name, np.array([t_s]), position, np.zeros((1, len(JOINTS)), np.int8))
+
+
+#: The port that Foxglove proposes, and the address that nobody but this computer reaches.
+FOXGLOVE_PORT = 8765
+LOOPBACK = "127.0.0.1"
+#: The arm is drawn at most so often, s.
+_DRAWN_EACH_S = 0.03
+
+
+def foxglove_module() -> ModuleType:
+    """The package `foxglove`, an extra.
+
+    Raises
+    ------
+    UnoccludeError
+        It is not installed, or too old; the sentence says how to get it.
+    """
+    return extra_module("foxglove", "foxglove-sdk", "live", ["Context", "start_server"])
+
+
+class FoxgloveServer:
+    """Sends messages to whoever is connected; one who is slow misses some and holds nobody up.
+
+    Parameters
+    ----------
+    info : SourceInfo
+        Of the session.
+    port : int
+        0 takes a free one.
+
+    Raises
+    ------
+    UnoccludeError
+        foxglove-sdk is not installed, or the port is taken.
+    """
+
+    def __init__(self, info: SourceInfo, port: int = FOXGLOVE_PORT):
+        self._messages = LiveMessages(info)
+        self._drawn_s = float("-inf")
+        self._foxglove = foxglove_module()
+        logging.getLogger("foxglove").setLevel(logging.ERROR)
+        self._context = self._foxglove.Context()
+        self._channels: dict[str, Any] = {
+            topic: self._channel(topic, schema) for topic, schema in TOPICS.items()
+        }
+        try:
+            self._server = self._foxglove.start_server(
+                name="unocclude live", host=LOOPBACK, port=port, context=self._context
+            )
+        except (OSError, RuntimeError) as error:
+            raise UnoccludeError(
+                f"port {port} of {LOOPBACK} cannot be used for Foxglove ({error}); give another with"
+                " --foxglove"
+            ) from error
+
+    @property
+    def address(self) -> str:
+        """What is entered in Foxglove under Open connection."""
+        return f"ws://{LOOPBACK}:{self._server.port}"
+
+    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
+        """Send what a step answered, the arm at most some 30 times a second."""
+        wanted = {topic for topic, channel in self._channels.items() if channel.has_sinks()}
+        if not wanted:
+            return
+        if len(frames):
+            self.log(self._messages.frames(frames, output.clock_offset_s, wanted))
+        if not abs(output.now_s - self._drawn_s) < _DRAWN_EACH_S:
+            self._drawn_s = output.now_s
+            for estimate in (output.now, output.settled):
+                if estimate is not None:
+                    self.log(self._messages.estimate(estimate, wanted))
+        if gap is not None:
+            self.log(self._messages.gap(gap))
+        self.log(self._messages.line(text, output.now_s) for text in events)
+
+    def log(self, messages: Iterable[LiveMessage]) -> None:
+        """Send messages to whoever subscribed to their topics."""
+        for message in messages:
+            self._channels[message.topic].log(message.data, log_time=max(message.stamp_ns, 0))
+
+    def close(self) -> None:
+        """Let all connections go."""
+        self._server.stop()
+
+    def _channel(self, topic: str, schema: str) -> Any:
+        described = self._foxglove.Schema(name=schema, encoding="protobuf", data=schema_data(schema))
+        return self._foxglove.Channel(
+            topic, schema=described, message_encoding="protobuf", context=self._context
+        )

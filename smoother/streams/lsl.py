@@ -1,0 +1,334 @@
+"""Streams of the Lab Streaming Layer: the library `pylsl`, an extra; received by threads, and sent."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import FloatArray
+from ..errors import UnoccludeError
+from ..live.estimate import LiveEstimate, LiveOutput, LiveState
+from ..measurements.visibility import Gap
+from ..recording import JOINTS
+from ..runtime.packages import extra_module
+from ..runtime.printable import printable
+from .arrivals import FrameRows, SourceInfo
+
+#: Where liblsl looks for settings of the user's own.
+_SETTINGS = (
+    *("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg"),
+)  # fmt: skip
+#: The library writes lines of its log to the terminal, into the dashboard; -3 is the least.
+_NO_LOG = "[log]\nlevel = -3\n"
+
+
+@cache
+def lsl_module() -> ModuleType:
+    """The package `pylsl`, which keeps silent on the terminal unless the user has settings for it.
+
+    Raises
+    ------
+    UnoccludeError
+        It is not installed, or it finds no library liblsl; the sentence says what to do.
+    """
+    try:
+        pylsl = extra_module("pylsl", "pylsl", "live")
+    except (RuntimeError, OSError) as error:
+        raise UnoccludeError(
+            "pylsl is installed without the library liblsl; install a wheel of pylsl that brings it"
+            " (`pip install -U pylsl`), or liblsl itself, and name its file in PYLSL_LIB"
+        ) from error
+    has_settings = os.environ.get("LSLAPICFG") or any(Path(file).expanduser().exists() for file in _SETTINGS)
+    if not has_settings and hasattr(pylsl, "set_config_content"):
+        pylsl.set_config_content(_NO_LOG)
+    return pylsl
+
+
+def streams_there(seconds: float) -> list[Any]:
+    """Streams on the network, as far as they answer within some seconds."""
+    return list(lsl_module().resolve_streams(seconds))
+
+
+def listed(streams: Sequence[Any]) -> str:
+    """Names and types of streams, for a sentence."""
+    names = sorted({f"{stream.name()} (type {stream.type() or 'none'})" for stream in streams})
+    shown = [printable(name[:80]) for name in names[:8]]
+    more = [f"and {len(names) - 8} more"] if len(names) > 8 else []
+    return ", ".join([*shown, *more]) or "none"
+
+
+def is_wanted(stream: Any, wanted: str) -> bool:
+    """Whether a stream is meant: by its name or source_id, or by a part of the name."""
+    name = stream.name()
+    return wanted in (name, stream.source_id()) or wanted.lower() in name.lower()
+
+
+#: Samples that are received together at most, and for how long the library holds them, s.
+_MOST, _BUFFER_S = 512, 120
+#: Waits of the thread: for streams to answer, for samples, for the first estimate of the clocks, s.
+_RESOLVE_S, _PULL_S, _CLOCK_S = 1.0, 0.2, 3.0
+
+
+class LslSamples(NamedTuple):
+    """Samples that came together.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (n,), s
+        Stamps on this computer's LSL clock: as sent, and the library's time correction.
+    values : ndarray, shape (n, channels)
+    arrival_s : ndarray, shape (n,), s
+        When they came, on the same clock.
+    """
+
+    t_s: FloatArray
+    values: NDArray
+    arrival_s: FloatArray
+
+
+class LslInlet:
+    """Receives a stream, also after it was lost.
+
+    The library itself reconnects to a stream whose source_id comes back; one without is looked for again by
+    its name.
+
+    Parameters
+    ----------
+    wanted : str, optional
+        Name (or a part of it) or source_id of the stream; None for the only one of its types.
+    types : tuple of str
+        Content types that are looked for where no name was given.
+    wake : callable
+        Called whenever something came.
+
+    Attributes
+    ----------
+    wanted : str or None
+        As given.
+    stream : pylsl.StreamInfo or None
+        Its full description once it was there.
+    others : list of pylsl.StreamInfo
+        All streams that answered last.
+    correction_s : float, s
+        Time correction in use; nan before it is known.
+    """
+
+    def __init__(self, wanted: str | None, types: tuple[str, ...], wake: Callable[[], None]):
+        self.stream: Any = None
+        self.others: list[Any] = []
+        self.correction_s = float("nan")
+        self.wanted, self._types, self._wake = wanted, types, wake
+        self._samples: SimpleQueue[LslSamples] = SimpleQueue()
+        self._failure: UnoccludeError | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="lsl-inlet", daemon=True)
+
+    def start(self) -> None:
+        """Look for the stream, and receive it."""
+        self._thread.start()
+
+    def samples(self) -> list[LslSamples]:
+        """What came since the last call.
+
+        Raises
+        ------
+        UnoccludeError
+            Several streams are meant.
+        """
+        self.check()
+        batches: list[LslSamples] = []
+        try:
+            while True:
+                batches.append(self._samples.get_nowait())
+        except Empty:
+            return batches
+
+    def check(self) -> None:
+        """Raise what the thread failed by.
+
+        Raises
+        ------
+        UnoccludeError
+            Several streams are meant.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(3 * _RESOLVE_S)
+
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            try:
+                inlet = self._connected()
+                while inlet is not None and not self._closing.is_set():
+                    self._receive(inlet)
+            except UnoccludeError as failure:
+                self._failure = failure
+                self._wake()
+                return
+            except RuntimeError:  # the library's: lost, or no answer in time
+                continue  # look for it again
+
+    def _connected(self) -> Any:
+        """An inlet of the stream once it is there; None where this ends before."""
+        lsl = lsl_module()
+        while not self._closing.is_set():
+            self.others = list(lsl.resolve_streams(_RESOLVE_S))
+            found = self._matching()
+            if found is None:
+                continue
+            inlet = lsl.StreamInlet(found, max_buflen=_BUFFER_S, recover=bool(found.source_id()))
+            stream = inlet.info(_CLOCK_S)
+            if self.stream is not None and stream.channel_count() != self.stream.channel_count():
+                raise UnoccludeError(
+                    f"the stream {printable(stream.name())} came back with {stream.channel_count()} channels"
+                    f" instead of {self.stream.channel_count()}; begin a new session"
+                )
+            self.correction_s = inlet.time_correction(_CLOCK_S)
+            inlet.open_stream(_CLOCK_S)  # last: what waits inside has no arrival of its own
+            self.stream = stream
+            self._wake()
+            return inlet
+        return None
+
+    def _matching(self) -> Any:
+        """The stream that is meant among those that answered; None where it is not there."""
+        if self.wanted is not None:
+            exact = [s for s in self.others if self.wanted in (s.name(), s.source_id())]
+            fitting = exact or [stream for stream in self.others if is_wanted(stream, self.wanted)]
+        else:
+            fitting = [stream for stream in self.others if stream.type().lower() in self._types]
+        if len({stream.uid() for stream in fitting}) <= 1:
+            return fitting[0] if fitting else None
+        option = self.wanted if self.wanted is not None else "/".join(self._types)
+        raise UnoccludeError(
+            f"several streams are meant by {option}: {listed(fitting)}; give the whole name or the source_id"
+        )
+
+    def _receive(self, inlet: Any) -> None:
+        values, stamps = inlet.pull_chunk(timeout=_PULL_S, max_samples=_MOST, min_samples=1, as_numpy=True)
+        if not len(stamps):
+            return
+        arrival = lsl_module().local_clock()
+        with suppress(lsl_module().util.TimeoutError):  # the one before holds until there is a new one
+            self.correction_s = inlet.time_correction(0.0)
+        t_s = np.asarray(stamps, float) + self.correction_s
+        self._samples.put(LslSamples(t_s, np.asarray(values), np.full(len(t_s), arrival)))
+        self._wake()
+
+
+#: What the channel `state` says.
+STATES = {LiveState.CALIBRATING: 0, LiveState.VISIBLE: 1, LiveState.GAP: 2, LiveState.LOST: 3}
+_AXES = "XYZ"
+
+
+class LslOutlet:
+    """Sends `now` as a stream NAME and `settled` as NAME_settled, of type MoCap, a sample a step.
+
+    Of each joint x, y, z and the largest sigma of an axis, of the IMU its orientation as well; then `state`
+    (0 calibrating, 1 visible, 2 gap, 3 the IMU is lost), `gap` (s since it began, 0 outside) and `lag` (s
+    before the present). Joints without an answer are nan. Stamps are this computer's LSL clock at the moment
+    that the sample speaks of.
+
+    Parameters
+    ----------
+    name : str
+        Of the stream.
+    info : SourceInfo
+        Of the session.
+    """
+
+    def __init__(self, name: str, info: SourceInfo):
+        self._start_s = info.lsl_start_s
+        self._side = f"_{info.side}" if info.side else ""
+        self._outlets = {
+            "now": self._outlet(name, info),
+            "settled": self._outlet(f"{name}_settled", info),
+        }
+
+    def send(self, output: LiveOutput, frames: FrameRows, gap: Gap | None, events: Sequence[str]) -> None:
+        """Send what a step answered; frames, gaps and events have no place in a stream of numbers."""
+        start_s = self._start_s
+        if start_s is None:  # a recording is played: the step's present is now
+            start_s = lsl_module().local_clock() - output.now_s
+        for kind, estimate in (("now", output.now), ("settled", output.settled)):
+            t_s = output.now_s if estimate is None else estimate.t_s
+            values = self._values(estimate, output)
+            self._outlets[kind].push_sample(values, start_s + t_s)
+
+    def close(self) -> None:
+        """Let all receivers go."""
+        self._outlets.clear()
+
+    def _outlet(self, name: str, info: SourceInfo):  # type: ignore[no-untyped-def]
+        lsl = lsl_module()
+        channels = self._channels()
+        stream = lsl.StreamInfo(
+            name, "MoCap", len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"unocclude-{name}"
+        )
+        described = stream.desc().append_child("channels")
+        for label, marker, kind, unit in channels:
+            channel = described.append_child("channel")
+            texts = (("label", label), ("marker", marker), ("type", kind), ("unit", unit))
+            for key, text in texts:
+                if text:
+                    channel.append_child_value(key, text)
+        acquisition = stream.desc().append_child("acquisition")
+        for key, text in (("manufacturer", "unocclude"), ("imu", info.imu), ("skeleton", info.skeleton)):
+            acquisition.append_child_value(key, text)
+        return lsl.StreamOutlet(stream)
+
+    def _channels(self) -> list[tuple[str, str, str, str]]:
+        """Label, marker, type and unit of every channel."""
+        channels = []
+        for joint in ("imu", *JOINTS):
+            marker = joint + self._side
+            channels += [(f"{marker}_{axis.lower()}", marker, f"Position{axis}", "meters") for axis in _AXES]
+            channels.append((f"{marker}_sigma", "", "Sigma", "meters"))
+        marker = "imu" + self._side
+        turns = zip("wxyz", "ABCD", strict=True)
+        channels += [
+            (f"{marker}_q{axis}", marker, f"Orientation{letter}", "quaternion") for axis, letter in turns
+        ]
+        channels.append((f"{marker}_sigma_deg", "", "Sigma", "degrees"))
+        return [
+            *channels,
+            ("state", "", "State", "0 calibrating, 1 visible, 2 gap, 3 lost"),
+            ("gap", "", "Time", "seconds"),
+            ("lag", "", "Time", "seconds"),
+        ]
+
+    def _values(self, estimate: LiveEstimate | None, output: LiveOutput) -> list[float]:
+        nothing = [np.nan] * 4
+        if estimate is None:
+            values = [*nothing * (1 + len(JOINTS)), *nothing, np.nan]
+            return [*values, float(STATES[output.state]), 0.0, 0.0]
+        values = [*estimate.position.tolist(), _largest_sigma(estimate.pose_covariance[:3, :3])]
+        for joint in JOINTS:
+            if joint in estimate.joints:
+                covariance = estimate.joint_covariance[joint]
+                values += [*estimate.joints[joint].tolist(), _largest_sigma(covariance)]
+            else:
+                values += nothing
+        values += [*estimate.quaternion.tolist(), estimate.sigma_deg]
+        since = 0.0 if estimate.since_s is None else estimate.t_s - estimate.since_s
+        return [*values, float(STATES[estimate.state]), since, output.now_s - estimate.t_s]
+
+
+def _largest_sigma(covariance: FloatArray) -> float:
+    """Standard deviation (m) on the worst axis of a covariance (3, 3)."""
+    return float(np.sqrt(np.diag(covariance).max()))
