@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from shared import rms
 
-from smoother.evaluation.lag import lag_s
+from smoother.evaluation.align import lag_s
 from smoother.evaluation.live_methods import arrivals
 from smoother.live.buffers import ImuBatch
 from smoother.live.calibrations import InlineCalibrator

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from smoother.evaluation.align import truth_at
-from smoother.evaluation.change import (
+from smoother.evaluation.measure_agreement import same_samples
+from smoother.evaluation.progress import (
     LESS,
     MORE,
     UNKNOWN,
@@ -29,8 +30,7 @@ from smoother.evaluation.change import (
     change_between,
     without_like_movements,
 )
-from smoother.evaluation.main_measures import BY_MOVEMENT, is_main
-from smoother.evaluation.measure_pairs import same_samples
+from smoother.evaluation.quantity import BY_MOVEMENT, is_main
 from smoother.measures import Measure, measure
 from smoother.simulation import ArmSimulation
 from smoother.simulation.arm import SimulatedArm, random_streams, record_arm

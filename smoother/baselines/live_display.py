@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..linalg import interpolate
-from .gaussian_process import likeliest, measurements
-from .kernel import predict
+from .gaussian_process import likeliest, measurements, predict
 from .scene import Path, Scene, no_answer
 
 #: The camera's latency where nobody says otherwise, s (Feng's Kinect).

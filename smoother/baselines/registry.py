@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..result import Recovery
     from .scene import Baseline
 
-#: Orientation filters; each is the function of that name in `baselines/orientation/`.
+#: Orientation filters; each is a function of `baselines.orientation`.
 ORIENTATIONS = ("vqf", "madgwick", "comotti", "complementary")
 #: The filter that baselines get unless another is asked for.
 DEFAULT_ORIENTATION = "vqf"
@@ -59,9 +59,9 @@ BASELINES: dict[str, BaselineEntry] = {
         BaselineEntry("multirate-kalman"),
         BaselineEntry("kalman"),
         BaselineEntry("linear-drift", options=frozenset({"boundary_s"})),
-        BaselineEntry("camera-only", needs_orientation=False),
-        BaselineEntry("pchip"),
-        BaselineEntry("hold"),
+        BaselineEntry("camera-only", needs_orientation=False, module="simple"),
+        BaselineEntry("pchip", module="simple"),
+        BaselineEntry("hold", module="simple"),
     )
 }
 
@@ -112,8 +112,7 @@ def recover(
     UnoccludeError
         Method, orientation or option is unknown, or nothing can be recovered; in one sentence.
     """
-    from .answer import recovery_of
-    from .inputs import scenes_of
+    from .adapter import recovery_of, scenes_of
 
     options = dict(options or {})
     entries = BASELINES | LIVE_BASELINES

@@ -149,7 +149,7 @@ def batch(
     One failing recording does not stop the others; the exit code is 1 then. With --strict it is 3 where all
     were recovered, and a result is not to be trusted.
     """
-    from ..measures.intervals import FEWEST_DRAWS
+    from ..measures.definitions import FEWEST_DRAWS
     from ..runtime.outputs import check_output
     from ..study.cluster import run_cluster, run_local
     from ..study.fingerprint import InputSelection

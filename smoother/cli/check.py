@@ -33,7 +33,7 @@ from .several_figures import arms_figures, say_arm
 if TYPE_CHECKING:
     from ..calibration import ArmCalibration
     from ..config import Config
-    from ..evaluation.tried_gaps import TriedGaps
+    from ..evaluation.gaps import TriedGaps
     from ..measurements.clock import Clock
     from ..recording import Recording
     from ..result import Recovery
@@ -133,7 +133,7 @@ def _checked(
 def _tried(excerpt: Recording, recovery: Recovery, recover: Any, progress: Any) -> TriedGaps:
     from calib.motion.motion_calibration import found_in
 
-    from ..evaluation.tried_gaps import try_gaps
+    from ..evaluation.gaps import try_gaps
 
     found = found_in(recovery, excerpt)
     left_open = () if found is None else found.not_determined

@@ -199,7 +199,7 @@ def _prepared(
 
 def prepared_rrd(result: Path, recoveries: list[Recovery]) -> Export:
     """All arms for Rerun, with the truth that lies in the result's file where it is that of the one arm."""
-    from ..evaluation.truth_file import read_truth_mcap
+    from ..evaluation.truth import read_truth_mcap
     from ..io.export.prepare import prepare_rrd
     from ..io.export.rrd import rerun_module
 

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 from .output import centimetres, percent, print_table
 
 if TYPE_CHECKING:
-    from ..evaluation.gap_table import GapTable
-    from ..evaluation.real_gaps import RealGaps
+    from ..evaluation.gap_table import GapTable, RealGaps, SinceFigures
     from ..evaluation.sigma_factor import LengthFactor
-    from ..evaluation.since_last_frame import SinceFigures
     from ..recording import Recording
 
 
 def gap_figures(table: GapTable, real: RealGaps | None = None) -> dict[str, Any]:
     """All figures as plain values; `spread` has the quartiles over the gaps of a length."""
-    from ..evaluation.gap_spread import spread_by_length
+    from ..evaluation.gap_table import spread_by_length
 
     spread = [
         {"length_s": length, "methods": {name: each.to_dict() for name, each in methods.items()}}

@@ -100,11 +100,9 @@ def gaps(
     been shown at that moment, by the time since the last frame. Every arm that has an IMU takes
     part, by itself and together with the others.
     """
-    from ..evaluation.gap_table import pooled
+    from ..evaluation.gap_table import compare_real_gaps, pooled, since_last_frame
     from ..evaluation.gaps import evaluate_gaps
-    from ..evaluation.real_gaps import compare_real_gaps
     from ..evaluation.sigma_factor import factor_sentences
-    from ..evaluation.since_last_frame import since_last_frame
     from ..recording import arm_words
     from .config_file import read_config, with_processes
 

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 from .output import print_table
 
 if TYPE_CHECKING:
-    from ..evaluation.measure_pairs import MeasurePair
+    from ..evaluation.measure_agreement import MeasurePair
     from ..evaluation.validate import Validation
 
 
 def pooled_measures(paths: Sequence[Path]) -> list[MeasurePair]:
     """The pairs of earlier validations, each once."""
-    from ..evaluation.measure_files import read_pairs
-    from ..evaluation.measure_pairs import unique_pairs
+    from ..evaluation.measure_agreement import read_pairs, unique_pairs
 
     return unique_pairs(pair for path in paths for pair in read_pairs(path))
 

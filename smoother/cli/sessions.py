@@ -14,7 +14,7 @@ from .options import Force, Json, Report
 from .output import check_outputs, percent, print_notes, print_table, say, say_written, write_json
 
 if TYPE_CHECKING:
-    from ..evaluation.series import PersonProgress, Series
+    from ..evaluation.progress import PersonProgress, Series
 
 #: Characters at which a spreadsheet would take a cell for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -63,7 +63,7 @@ def progress(
     A change is clear where it is larger than the 95 % interval of the difference and, with --mdc, than the
     minimal detectable change. The study is one of `batch --measures`.
     """
-    from ..evaluation.measure_files import read_detectable
+    from ..evaluation.measure_agreement import read_detectable
     from ..study.progress import progress_of, read_rows, sessions_of
 
     if not study.is_dir():

@@ -11,7 +11,7 @@ from .output import check_outputs, print_table, say, say_command, say_written, t
 from .simulate_panel import Folder
 
 if TYPE_CHECKING:
-    from ..simulation.clock_session import ClockSession
+    from ..simulation.clocks import ClockSession
 
 
 def clock(
@@ -36,7 +36,7 @@ def clock(
     """
     from ..io.media.clock_files import MOTION, SOUND, TIMES, write_clock_folder
     from ..io.media.panel_writing import check_folder
-    from ..simulation.clock_session import simulate_clock_session
+    from ..simulation.clocks import simulate_clock_session
 
     check_folder(output, force)
     check_outputs(force, [json_file])
@@ -71,7 +71,7 @@ def clock(
 
 def true_links(session: ClockSession) -> list[dict[str, Any]]:
     """Every clock against every other at time 0 of the first, as the calibration file states links."""
-    from ..simulation.clock_session import BASE, CAMERA, IMU
+    from ..simulation.clocks import BASE, CAMERA, IMU
 
     links = []
     for first, second in ((CAMERA, BASE), (CAMERA, IMU), (BASE, IMU)):

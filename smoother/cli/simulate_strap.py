@@ -27,7 +27,7 @@ def strap(
     """
     from ..io.media.strap import write_strap_recording
     from ..simulation import ArmSimulation, simulate_arm
-    from ..simulation.strap_session import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
+    from ..simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images, strap_radius_m
     from .progress import progress_bar
 
     to.check()

@@ -173,8 +173,7 @@ def smooth_figures(recording: Recording, recovery: Recovery) -> dict[str, Any]:
     """All figures of a recovery, what it found and what it rejected included."""
     from calib.motion.motion_calibration import found_in
 
-    from ..evaluation.advice import advice
-    from ..evaluation.rejected import rejected
+    from ..evaluation.advice import advice, rejected
     from ..evaluation.summary import recovery_figures, verdict_figures
     from ..io.result.usable import usable
 
@@ -248,7 +247,7 @@ def print_found(found: ArmEstimates) -> None:
 
 def print_rejected(recovery: Recovery) -> None:
     """Print what was rejected of the camera's samples, a row a reason."""
-    from ..evaluation.rejected import rejected
+    from ..evaluation.advice import rejected
     from .output import print_table
 
     rows = rejected(recovery)

@@ -218,7 +218,7 @@ def _print_gaps(validation: Validation) -> None:
 
 
 def _print_angles(validation: Validation) -> None:
-    from ..evaluation.angle_figures import WORDS
+    from ..evaluation.agreement import WORDS
 
     rows = [
         (WORDS[name], part, *_agreement_cells(each))

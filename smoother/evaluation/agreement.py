@@ -1,7 +1,9 @@
-"""How well two measurements of the same agree: bias, limits of agreement, ICC(A,1).
+"""How well two measurements of the same agree: bias, limits of agreement, ICC, detectable change, angles.
 
-Sources: Bland and Altman, Lancet 327:307-310 (1986); McGraw and Wong, Psychological Methods 1:30-46
-(1996), ICC(A,1) of their tables 4 and 7: two-way, absolute agreement, single measurement.
+Sources: Bland and Altman, Lancet 327:307-310 (1986), limits of agreement; McGraw and Wong, Psychological
+Methods 1:30-46 (1996), ICC(A,1) of their tables 4 and 7: two-way, absolute agreement, single measurement,
+which is ICC(2,1) of Shrout and Fleiss, Psychological Bulletin 86:420-428 (1979); Weir, Journal of Strength
+and Conditioning Research 19:231-240 (2005), SEM and minimal difference.
 """
 
 from __future__ import annotations
@@ -10,8 +12,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..array_types import FloatArray
-from ..joint_angles import wrapped_deg
+from ..array_types import BoolArray, FloatArray
+from ..joint_angles import ANGLES, arm_angles, defined, forearm_axes, recovery_angles, wrapped_deg
+from ..linalg import unit
+from ..recording import Truth
+from ..result import Recovery
+from .align import position_at
 
 #: Half width of the limits of agreement in standard deviations.
 LIMITS = 1.96
@@ -155,3 +161,240 @@ def icc_a1(
 def _icc(rows: float, columns: float, error: float, n: int, k: int) -> float | None:
     whole = rows + (k - 1) * error + k / n * (columns - error)
     return float((rows - error) / whole) if whole > 0 else None
+
+
+#: Fewer pairs have a mean difference and nothing else.
+FEWEST_PAIRS = 3
+
+
+@dataclass(frozen=True)
+class PairAgreement:
+    """Agreement of pairs of values, in their unit; None where there are too few pairs.
+
+    Attributes
+    ----------
+    pairs : int
+        How many were compared.
+    bias : float or None
+        Mean of answer minus reference.
+    limits_low, limits_high : float or None
+        Limits of agreement, bias -+ 1.96 standard deviations.
+    icc, icc_low, icc_high : float or None
+        ICC(2,1) with its 95 % interval.
+    sem : float or None
+        Standard error of measurement of the answer: the standard deviation of the differences, since the
+        reference counts as free of error.
+    mdc95 : float or None
+        Minimal detectable change, 1.96 sqrt(2) SEM: of two sessions without any change 95 % differ by less.
+    mdc95_low, mdc95_high : float or None
+        The 95 % interval of it: few pairs say little about a standard deviation.
+    """
+
+    pairs: int
+    bias: float | None = None
+    limits_low: float | None = None
+    limits_high: float | None = None
+    icc: float | None = None
+    icc_low: float | None = None
+    icc_high: float | None = None
+    sem: float | None = None
+    mdc95: float | None = None
+    mdc95_low: float | None = None
+    mdc95_high: float | None = None
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name, as `--json` writes them."""
+        return asdict(self)
+
+
+def pair_agreement(answer: FloatArray, reference: FloatArray) -> PairAgreement:
+    """Agreement of pairs; one with nan is left out.
+
+    Parameters
+    ----------
+    answer, reference : ndarray, shape (n,)
+        A pair a recording or movement.
+
+    Returns
+    -------
+    PairAgreement
+    """
+    good = np.isfinite(answer) & np.isfinite(reference)
+    answer, reference = answer[good], reference[good]
+    count, difference = len(answer), answer - reference
+    if count < FEWEST_PAIRS:
+        return PairAgreement(count, float(difference.mean()) if count else None)
+    bias, spread = float(difference.mean()), float(difference.std(ddof=1))
+    icc, icc_low, icc_high = icc_a1(np.column_stack([answer, reference]))
+    low, high = _sigma_interval(spread, count)
+    return PairAgreement(
+        pairs=count,
+        bias=bias,
+        limits_low=bias - LIMITS * spread,
+        limits_high=bias + LIMITS * spread,
+        icc=icc,
+        icc_low=icc_low,
+        icc_high=icc_high,
+        sem=spread,
+        mdc95=detectable_change(spread),
+        mdc95_low=detectable_change(low),
+        mdc95_high=detectable_change(high),
+    )
+
+
+def measurement_error(ratings: FloatArray) -> float:
+    """Standard error of measurement of alike trials or raters: sqrt of the error's mean square (Weir 2005).
+
+    Parameters
+    ----------
+    ratings : ndarray, shape (n, k)
+        n subjects by k trials.
+
+    Returns
+    -------
+    sem : float
+        In the unit of the ratings; systematic differences between trials are not in it.
+    """
+    n, k = ratings.shape
+    rows, columns = ratings.mean(axis=1), ratings.mean(axis=0)
+    residual = ratings - rows[:, None] - columns + ratings.mean()
+    return float(np.sqrt((residual**2).sum() / ((n - 1) * (k - 1))))
+
+
+def detectable_change(sem: float) -> float:
+    """The minimal detectable change of two values that each have this standard error, 95 % (Weir 2005)."""
+    return LIMITS * float(np.sqrt(2.0)) * sem
+
+
+def _sigma_interval(sigma: float, count: int) -> tuple[float, float]:
+    """95 % interval of a standard deviation of normal values (chi-square)."""
+    from scipy.stats import chi2
+
+    tail, freedom = 0.5 * (1 - CONFIDENCE), count - 1
+    low, high = (sigma * np.sqrt(freedom / chi2.ppf(p, freedom)) for p in (1 - tail, tail))
+    return float(low), float(high)
+
+
+#: Names for people.
+WORDS = {
+    "elbow_flexion": "elbow flexion",
+    "carrying": "carrying angle",
+    "pronation": "forearm pronation",
+    "shoulder_plane": "shoulder plane of elevation",
+    "shoulder_elevation": "shoulder elevation",
+    "shoulder_rotation": "shoulder axial rotation",
+}
+
+
+@dataclass(frozen=True)
+class AngleComparison:
+    """Angles of answer and truth at the answer's times, degrees; nan where not known or not defined.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (n,), s
+        Times.
+    answer, truth : dict[str, ndarray], shape (n,)
+        By the names of `smoother.joint_angles.ANGLES`.
+    carrying_truth_deg : float, degrees, or None
+        Median of the truth's carrying angle, None without markers on the epicondyles.
+    notes : tuple of str
+        What to know of the comparison, one sentence each.
+    """
+
+    t_s: FloatArray
+    answer: dict[str, FloatArray]
+    truth: dict[str, FloatArray]
+    carrying_truth_deg: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Angles that both have."""
+        return tuple(
+            name for name in ANGLES if (np.isfinite(self.answer[name]) & np.isfinite(self.truth[name])).any()
+        )
+
+    def figures(self, chosen: BoolArray) -> dict[str, Agreement]:
+        """Agreement over the chosen samples (N,), by angle."""
+        return {
+            name: agreement(self.answer[name][chosen], self.truth[name][chosen], degrees=True)
+            for name in self.compared
+        }
+
+
+def compare_angles(
+    recovery: Recovery,
+    reference: Truth,
+    landmarks: dict[str, FloatArray] | None = None,
+    landmark_t_s: FloatArray | None = None,
+) -> AngleComparison | None:
+    """Angles of a recovery beside those of a truth; None where they share none.
+
+    Both have the humerus of ISB's second definition, the same direction of gravity (the answer's) and the
+    same forearm axes in the IMU. Samples near a singular posture, in the truth or the answer, are left out.
+
+    Parameters
+    ----------
+    reference : Truth
+        The truth at the recovery's times, with joints.
+    landmarks : dict[str, ndarray], shape (m, 3), m, optional
+        Positions of markers on the bones, in {K}. The styloids give the truth's forearm its own axes, the
+        epicondyles its carrying angle.
+    landmark_t_s : ndarray, shape (m,), s, optional
+        Their times.
+    """
+    count = len(recovery)
+    joints = {
+        name: np.where(reference.score[:, None], place, np.nan) for name, place in reference.joints.items()
+    }
+    if not {"shoulder", "elbow"} <= joints.keys() or not {"shoulder", "elbow"} <= recovery.joints.keys():
+        return None
+    landmarks = landmarks or {}
+    at = {
+        name: position_at(landmark_t_s, place, recovery.t_s)
+        for name, place in landmarks.items()
+        if landmark_t_s is not None
+    }
+    R_K_F, notes = _true_forearm(recovery, reference, joints, at)
+    answer = recovery_angles(recovery)
+    truth = arm_angles(joints, count, R_K_F, recovery.side, recovery.gravity_direction)
+    good_answer, good_truth = defined(answer), defined(truth)
+    masked = [
+        {name: np.where(good_answer[name] & good_truth[name], angles[name], np.nan) for name in ANGLES}
+        for angles in (answer, truth)
+    ]
+    carrying = None
+    if {"medial_epicondyle", "lateral_epicondyle"} <= at.keys():
+        axis = at["lateral_epicondyle"] - at["medial_epicondyle"]
+        own = arm_angles(joints, count, None, recovery.side, recovery.gravity_direction, flexion_axis=axis)
+        known = own["carrying"][np.isfinite(own["carrying"])]
+        carrying = float(np.median(known)) if len(known) else None
+    found = AngleComparison(recovery.t_s, masked[0], masked[1], carrying, tuple(notes))
+    return found if found.compared else None
+
+
+def _true_forearm(
+    recovery: Recovery, reference: Truth, joints: dict[str, FloatArray], at: dict[str, FloatArray]
+) -> tuple[FloatArray | None, list[str]]:
+    """The truth's `R_K_F` (N, 3, 3), and what to say of it and of the other angles."""
+    notes = [
+        "Angles are in ISB order; the thorax is not seen, so shoulder angles are relative to gravity and to a"
+        " person who faces the camera.",
+        "The carrying angle needs the humerus' own axis (epicondyles), which a skeleton does not have: it is"
+        " not compared.",
+    ]
+    if {"radial_styloid", "ulnar_styloid", "elbow", "wrist"} <= at.keys() | joints.keys():
+        y = unit(joints["wrist"] - joints["elbow"])
+        thumb = (at["radial_styloid"] - at["ulnar_styloid"]) * (-1.0 if recovery.side == "left" else 1.0)
+        x = unit(np.cross(y, thumb))
+        notes.append("The truth's pronation is that of the styloids' markers.")
+        return np.stack([x, y, np.cross(x, y)], axis=2), notes
+    mounting = None if recovery.calibration is None else recovery.calibration.R_F_A
+    if mounting is None:
+        notes.append("The forearm's axes in the IMU (R_F_A) are not known: pronation is not compared.")
+        return None, notes
+    notes.append(
+        "Pronation of truth and answer share the forearm's axes in the IMU: its error is not in the figure."
+    )
+    return forearm_axes(reference.quaternion, mounting), notes

@@ -15,12 +15,11 @@ from ..measurements.visibility import Gap
 from ..recording import Recording, Truth
 from ..result import Recovery
 from ..runtime.pool import Pool
-from .align import truth_at
+from .align import lag_s, truth_at
 from .gaps import Method, Progress
-from .lag import lag_s
 from .metrics import Figures
 from .reference import ReferenceAlignment
-from .truth_check import truth_notes
+from .truth import truth_notes
 from .validate import Validation, validate
 
 #: The point that is compared where the truth has it; joints where it has no IMU.

@@ -1,20 +1,189 @@
-"""How well the measures of results agree with those of their references, over recordings and movements."""
+"""How well the measures of results agree with those of their references, pair by pair."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..measures import Measures
+from ..array_types import FloatArray
+from ..errors import UnoccludeError
+from ..measures import Measure, Measures, Movement
+from ..measures.definitions import definitions, is_measure
 from ..recording import Truth
 from ..result import Recovery
-from .detectable import PairAgreement, pair_agreement
-from .main_measures import is_main
-from .measure_pairs import MeasurePair, is_measurable, pairs_of, same_movements, same_samples, unique_pairs
-from .quantity import interval, quantity
+from ..runtime.inputs import read_toml
+from .agreement import PairAgreement, pair_agreement
+from .quantity import interval, is_main, quantity
+
+#: A movement of the answer and one of the reference are the same where they share more of their time.
+SAME_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class MeasurePair:
+    """A measure of the answer and of the reference.
+
+    Attributes
+    ----------
+    recording : str
+        What it was measured on.
+    side : str
+        The arm.
+    scope : str
+        "session", "movement" or "repetition".
+    movement : int or None
+        Of the answer; None for the session.
+    key, name, unit : str
+        As a `Measure` has them.
+    value, low, high : float
+        Of the answer; nan without an interval.
+    reference : float
+        Of the reference.
+    recovered_share : float, 0 to 1
+        How much of the answer's value rests on recovered samples.
+    """
+
+    recording: str
+    side: str
+    scope: str
+    movement: int | None
+    key: str
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    reference: float
+    recovered_share: float
+
+    @property
+    def difference(self) -> float:
+        """Answer minus reference."""
+        return self.value - self.reference
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the interval holds the reference; None without one."""
+        if not math.isfinite(self.low) or not math.isfinite(self.high):
+            return None
+        return self.low <= self.reference <= self.high
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """The same for a pair that was written and read again."""
+        numbers = (f"{self.value:.9g}", f"{self.reference:.9g}")
+        return (self.recording, self.side, self.scope, self.movement, self.key, *numbers)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name, as `--json` writes them."""
+        return asdict(self) | {"difference": self.difference, "inside": self.inside}
+
+
+def unique_pairs(pairs: Iterable[MeasurePair]) -> list[MeasurePair]:
+    """The pairs without those that come again: files that were pooled hold what was pooled before."""
+    return list({pair.identity: pair for pair in pairs}.values())
+
+
+def same_samples(recovery: Recovery, reference: Truth) -> tuple[Recovery, Recovery]:
+    """Answer and reference as recoveries, each without what the other does not have.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        The answer.
+    reference : Truth
+        At its times.
+
+    Returns
+    -------
+    answer, motion : Recovery
+        Joints are nan where the reference has none; the reference has neither draws nor covariance.
+    """
+    score = reference.score[:, None]
+    position = np.where(score, reference.position, np.nan)
+    has_pose = bool(np.isfinite(position).any())
+    joints = {
+        name: np.where(score, place, np.nan)
+        for name, place in reference.joints.items()
+        if name in recovery.joints and np.isfinite(place).any()
+    }
+    known = {name: np.isfinite(place).all(axis=1, keepdims=True) for name, place in joints.items()}
+    quaternion = np.where(score, reference.quaternion, np.nan)
+    motion = replace(
+        recovery,
+        method="reference",
+        position=position if has_pose else recovery.position,
+        quaternion=quaternion,
+        velocity=_speed(recovery.t_s, position if has_pose else recovery.position),
+        joints=joints,
+        joint_covariance={name: np.zeros((len(recovery), 3, 3)) for name in joints},
+        upper=None,
+        draws=None,
+    )
+    answer = replace(
+        recovery,
+        joints={name: np.where(known[name], recovery.joints[name], np.nan) for name in joints},
+        joint_covariance={name: each for name, each in recovery.joint_covariance.items() if name in joints},
+    )
+    return answer, motion
+
+
+def _speed(t_s: FloatArray, position: FloatArray) -> FloatArray:
+    return np.gradient(position, t_s, axis=0) if len(t_s) > 1 else np.zeros_like(position)
+
+
+def is_measurable(motion: Recovery) -> bool:
+    """Whether any joint is known for longer than a sample."""
+    return any(np.isfinite(place).all(axis=1).sum() > 1 for place in motion.joints.values())
+
+
+def pairs_of(mine: Measures, theirs: Measures, recording: str) -> list[MeasurePair]:
+    """The measures that answer and reference both have, by session, movement and repetition."""
+    places: list[tuple[Mapping[str, Measure], Mapping[str, Measure]]] = [(mine.by_key, theirs.by_key)]
+    for scope, ours, others in (
+        ("movement", mine.movements, theirs.movements),
+        ("repetition", mine.repetitions, theirs.repetitions),
+    ):
+        for here, there in same_movements(ours, others):
+            places.append((mine.of(scope, here), theirs.of(scope, there)))  # type: ignore[arg-type]
+    return [
+        MeasurePair(
+            recording=recording,
+            side=mine.side,
+            scope=row.scope,
+            movement=row.movement,
+            key=key,
+            name=row.name,
+            unit=row.unit,
+            value=row.value,
+            low=row.low,
+            high=row.high,
+            reference=others[key].value,
+            recovered_share=row.recovered_share,
+        )
+        for rows, others in places
+        for key, row in rows.items()
+        if key in others and row.is_known and others[key].is_known
+    ]
+
+
+def same_movements(ours: Sequence[Movement], others: Sequence[Movement]) -> list[tuple[int, int]]:
+    """Movements of two lists that share more than half of the time that either takes, by their numbers."""
+    matches = []
+    for here, mine in enumerate(ours):
+        for there, other in enumerate(others):
+            shared = min(mine.end_s, other.end_s) - max(mine.start_s, other.start_s)
+            either = max(mine.end_s, other.end_s) - min(mine.start_s, other.start_s)
+            if shared > SAME_SHARE * either:  # more than half: at most one matches
+                matches.append((here, there))
+    return matches
 
 
 @dataclass(frozen=True)
@@ -215,3 +384,110 @@ def agreement_cells(comparison: MeasureComparison) -> tuple[Sequence[str], Seque
         "MDC95",
         "inside",
     ), rows
+
+
+def read_pairs(path: Path) -> list[MeasurePair]:
+    """The pairs of an earlier validation's `--json`.
+
+    Raises
+    ------
+    UnoccludeError
+        The file is none, or holds no measures.
+    """
+    figures = _figures(path)
+    pairs = [pair for arm in figures for pair in arm.get("measures", {}).get("pairs", [])]
+    names = set(MeasurePair.__dataclass_fields__)
+    try:
+        read = [_pair({name: pair[name] for name in names}) for pair in pairs]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnoccludeError(
+            f"{path}: its measures cannot be read; run `unocclude validate` again"
+        ) from error
+    if not read:
+        raise UnoccludeError(f"{path} holds no measures; name what `unocclude validate --json` wrote")
+    return read
+
+
+def read_detectable(path: Path) -> dict[str, float]:
+    """Minimal detectable changes by the measures' keys.
+
+    Parameters
+    ----------
+    path : Path
+        What `validate --json` wrote (those of sessions), or a TOML with a table `[mdc95]` of numbers, each in
+        the unit of its measure.
+
+    Raises
+    ------
+    UnoccludeError
+        The file cannot be read, holds none, or one of a measure that does not exist.
+    """
+    if path.suffix.lower() == ".toml":
+        return _detectable_of_user(path)
+    found: dict[str, float] = {}
+    pairs: dict[str, int] = {}
+    for arm in _figures(path):
+        for key, figures in arm.get("measures", {}).get("agreement", {}).get("session", {}).items():
+            value, count = figures.get("mdc95"), figures.get("pairs", 0)
+            if isinstance(value, int | float) and value > 0 and count > pairs.get(key, 0):
+                found[key], pairs[key] = float(value), count
+    if not found:
+        raise UnoccludeError(
+            f"{path} holds no minimal detectable change of a session; it takes three recordings with motion"
+            " capture, each validated with --pool and the JSON of those before"
+        )
+    return found
+
+
+def _figures(path: Path) -> list[dict[str, Any]]:
+    """What `validate --json` wrote, an entry an arm."""
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise UnoccludeError(f"{path} is no JSON; name what `unocclude validate --json` wrote") from error
+    arms = figures.get("arms", [figures]) if isinstance(figures, dict) else []
+    if not arms or not all(isinstance(arm, dict) and isinstance(arm.get("measures"), dict) for arm in arms):
+        raise UnoccludeError(f"{path} holds no measures; name what `unocclude validate --json` wrote")
+    return arms
+
+
+def _pair(values: Mapping[str, Any]) -> MeasurePair:
+    numbers = ("value", "low", "high", "reference", "recovered_share")
+    texts = ("recording", "side", "scope", "key", "name", "unit")
+    if not all(isinstance(values[name], str) for name in texts):
+        raise TypeError("text expected")
+    if values["scope"] not in ("session", "movement", "repetition"):
+        raise ValueError(values["scope"])
+    finite = {name: math.nan if values[name] is None else float(values[name]) for name in numbers}
+    return MeasurePair(**{**values, **finite})
+
+
+def _detectable_of_user(path: Path) -> dict[str, float]:
+    try:
+        tables = read_toml(path)
+    except OSError as error:
+        raise UnoccludeError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnoccludeError(f"{path} is no TOML: {error}") from error
+    table = tables.get("mdc95")
+    if not isinstance(table, dict) or not table:
+        raise UnoccludeError(
+            f"{path} has no table [mdc95]; write one with a line a measure: elbow_flexion_range_deg = 5.0"
+        )
+    for key, value in table.items():
+        _check_key(key, path)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise UnoccludeError(f"{path}: mdc95 of {key} is {value!r}; it must be a number above 0")
+    return {key: float(value) for key, value in table.items()}
+
+
+def _check_key(key: str, path: Path) -> None:
+    """Refuse a key that no measure has, with the nearest that one has."""
+    if is_measure(key):
+        return
+    near = get_close_matches(key, definitions(), n=1, cutoff=0.0)
+    raise UnoccludeError(
+        f"{path}: there is no measure {key}, so its mdc95 would count for nothing; the nearest is {near[0]}"
+    )

@@ -22,9 +22,9 @@ from .mocap.frame import (
     solve_plate_place,
     stated_frame,
 )
-from .mocap.marker_map import map_by_names, read_marker_map
+from .mocap.markers import map_by_names, read_marker_map
 from .mocap.motion import MocapMotion, motion_of_markers, motion_of_truth
-from .truth_file import read_truth
+from .truth import read_truth
 
 #: Mocap kept beyond the ends of the result, s.
 MARGIN_S = 1.0

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from .measure import Measure, Scope
-from .measures import Measures
+from .measure import Measure, Measures, Movement, Scope
 from .measuring import measure
-from .movement import Movement
 from .settings import MeasureSettings
 from .symmetry import BothArms, measure_both
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import wrapped_deg
 from ..linalg import runs
-from .figure import UNKNOWN, Figure, share_of
+from .measure import UNKNOWN, Figure, share_of
 
 #: Width of a zone, degrees (Kee and Karwowski's and RULA's tables are coarser; studies differ).
 ZONE_DEG = 10

@@ -13,17 +13,21 @@ import numpy as np
 from ..array_types import BoolArray, FloatArray
 from .angles import ZONE_DEG, angle_figures, centre_of, centred, zone_figures
 from .definitions import zone_key
-from .figure import UNKNOWN, Figure, share_of
-from .hand import straightness_figures, way_figures
-from .measure import Scope
+from .hand import (
+    bone_lengths,
+    log_dimensionless_jerk,
+    reach_figures,
+    spectral_arc_length,
+    straightness_figures,
+    velocity_peaks,
+    voxel_means,
+    way_figures,
+    zone_figures_of,
+)
+from .measure import UNKNOWN, Figure, Movement, Scope, share_of
 from .motion import Motion
-from .movement import Movement
-from .movements import as_movements, find_movements
-from .reach import reach_figures, voxel_means
-from .repetitions import find_repetitions
+from .movements import as_movements, find_movements, find_repetitions
 from .settings import MeasureSettings
-from .smoothness import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
-from .zones import bone_lengths, zone_figures_of
 
 #: A scope and the number in it.
 Place = tuple[Scope, int | None]

@@ -1,17 +1,186 @@
-"""What is measured of a recovery, as arrays: hand, shoulder, angles, the trunk's axes."""
+"""What is measured of a recovery, as arrays on an even grid: hand, shoulder, angles, the trunk's axes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..joint_angles import defined, elbow_bend, recovery_angles, torso_axes
+from ..linalg import interpolate, median_rate_hz, runs
 from ..result import Recovery
 from ..shoulder_angles import shoulder_angles, trunk_angles
-from .low_pass import TimeGrid, on_grid, slope
+from .settings import Smoothing
+
+#: Samples further apart than this, in periods, do not belong to one run.
+APART_PERIODS = 4.0
+#: A run shorter than this is not measured: a filter of 6 Hz needs a few periods, s.
+SHORTEST_RUN_S = 0.5
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Even times in runs that have an answer throughout.
+
+    Attributes
+    ----------
+    t_s : ndarray, shape (n,), s
+        Increasing; even within a run.
+    rate_hz : float, Hz
+        Of the grid.
+    runs : tuple of slice
+        Rows without a pause between them.
+    """
+
+    t_s: FloatArray
+    rate_hz: float
+    runs: tuple[slice, ...]
+
+
+def grid_of(recovery: Recovery, settings: Smoothing) -> TimeGrid:
+    """The even times at which a recovery is measured.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Of N samples.
+    settings : Smoothing
+        Decides the rate where the recording is faster.
+
+    Returns
+    -------
+    grid : TimeGrid
+        Empty where there is no answer.
+    """
+    rate = min(median_rate_hz(recovery.t_s), settings.most_rate_hz)
+    known = recovery.answered
+    times, places, count = [], [], 0
+    if len(recovery) > 1 and known.any():
+        rows = np.flatnonzero(known)
+        apart = np.diff(recovery.t_s[rows]) > APART_PERIODS / median_rate_hz(recovery.t_s)
+        for some in np.split(rows, np.flatnonzero(apart) + 1):
+            start, end = recovery.t_s[some[0]], recovery.t_s[some[-1]]
+            if end - start < SHORTEST_RUN_S:
+                continue
+            times.append(start + np.arange(int((end - start) * rate) + 1) / rate)
+            places.append(slice(count, count + len(times[-1])))
+            count += len(times[-1])
+    return TimeGrid(np.concatenate(times) if times else np.empty(0), rate, tuple(places))
+
+
+def on_grid(recovery: Recovery, grid: TimeGrid, cutoff_hz: float) -> Recovery:
+    """The recovery at a grid's times, low-passed; its covariances are left out.
+
+    A second-order Butterworth filter run forth and back, so without delay (Winter, Biomechanics and Motor
+    Control of Human Movement, 2009, section 2.2.4.4). Quaternions are filtered by component, with one sign
+    all along, and brought back to length one.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        Of N samples.
+    grid : TimeGrid
+        Of n times.
+    cutoff_hz : float, Hz
+        Where a single run of the filter lets half the power through.
+
+    Returns
+    -------
+    recovery : Recovery
+        Of n samples.
+    """
+
+    def filtered(values: FloatArray) -> FloatArray:
+        return low_passed(interpolate(recovery.t_s, values, grid.t_s), grid, cutoff_hz)
+
+    def turned(quaternion: FloatArray) -> FloatArray:
+        even = filtered(one_sign(quaternion))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(even / np.linalg.norm(even, axis=1, keepdims=True))
+
+    n = len(grid.t_s)
+    occluded = recovery.occluded[nearest_rows(recovery.t_s, grid.t_s)]
+    upper, trunk = recovery.upper, recovery.trunk
+    if upper is not None:
+        upper = replace(
+            upper,
+            position=filtered(upper.position),
+            quaternion=turned(upper.quaternion),
+            pose_covariance=_zeros(n, 6, 6),
+        )
+    if trunk is not None:
+        trunk = replace(trunk, quaternion=turned(trunk.quaternion), covariance=_zeros(n, 3, 3))
+    return replace(
+        recovery,
+        t_s=grid.t_s,
+        occluded=occluded,
+        position=filtered(recovery.position),
+        quaternion=turned(recovery.quaternion),
+        velocity=interpolate(recovery.t_s, recovery.velocity, grid.t_s),
+        pose_covariance=_zeros(n, 6, 6),
+        velocity_covariance=_zeros(n, 3, 3),
+        joints={joint: filtered(position) for joint, position in recovery.joints.items()},
+        joint_covariance={joint: _zeros(n, 3, 3) for joint in recovery.joint_covariance},
+        upper=upper,
+        trunk=trunk,
+        draws=None,
+    )
+
+
+def low_passed(values: FloatArray, grid: TimeGrid, cutoff_hz: float) -> FloatArray:
+    """Values (n, k) on a grid without what is faster than the cut-off; runs that are too short stay."""
+    from scipy.signal import butter, sosfiltfilt
+
+    smooth = values.copy()
+    if cutoff_hz >= 0.45 * grid.rate_hz:
+        return smooth
+    sections = butter(2, cutoff_hz, fs=grid.rate_hz, output="sos")
+    pad = round(grid.rate_hz / cutoff_hz)
+    for run in grid.runs:
+        known = np.asarray(np.isfinite(values[run]).all(axis=1))
+        for inner in runs(known):
+            rows = slice(run.start + inner.start, run.start + inner.stop)
+            if inner.stop - inner.start > 2 * pad:
+                smooth[rows] = sosfiltfilt(sections, values[rows], axis=0, padlen=pad)
+    return smooth
+
+
+def slope(values: FloatArray, grid: TimeGrid) -> FloatArray:
+    """Derivative by time of values (n, ...) on a grid, by central differences within each run."""
+    change = np.full_like(values, np.nan)
+    for run in grid.runs:
+        if run.stop - run.start > 1:
+            change[run] = np.gradient(values[run], 1.0 / grid.rate_hz, axis=0)
+    return change
+
+
+def one_sign(quaternion: FloatArray) -> FloatArray:
+    """Quaternions (n, 4) that do not jump to their negative; nan where there is none."""
+    even = quaternion.copy()
+    known = np.flatnonzero(np.isfinite(quaternion).all(axis=1))
+    turns = np.where((even[known][1:] * even[known][:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    even[known[1:]] *= np.cumprod(turns)[:, None]
+    return even
+
+
+def nearest_rows(t_s: FloatArray, at: FloatArray) -> np.ndarray:
+    """Index (k,) of the sample nearest to each time."""
+    right = np.clip(np.searchsorted(t_s, at), 1, max(len(t_s) - 1, 1))
+    return np.where(at - t_s[right - 1] <= t_s[np.minimum(right, len(t_s) - 1)] - at, right - 1, right)
+
+
+def is_within(t_s: FloatArray, start_s: float, end_s: float) -> BoolArray:
+    """(n,) whether times lie between two others, both included."""
+    return np.asarray((t_s >= start_s) & (t_s <= end_s))
+
+
+def _zeros(*shape: int) -> FloatArray:
+    """Zeros of that shape, which take no memory."""
+    return np.broadcast_to(np.zeros(()), shape)
+
 
 #: The angles that are measured, in the order of the tables.
 MEASURED_ANGLES = (
@@ -172,3 +341,111 @@ def _thorax(recovery: Recovery) -> FloatArray | None:
     if not np.isfinite(recovery.gravity_direction).all():
         return None
     return torso_axes(recovery.gravity_direction)
+
+
+#: Stated variances of the error are good to this factor (one standard deviation of its logarithm).
+VARIANCE_FACTOR = 2.0
+#: Parts of the bend that may be left, densely where hardly anything is taken.
+_LEFT = np.concatenate([np.linspace(0.002, 0.5, 100), 1.0 - np.geomspace(0.495, 1e-7, 300)])
+_STEP = np.gradient(_LEFT)
+
+
+# Flexion is the length of a vector, the bend, and errors of that vector make it longer: a straight arm
+# known to 3 degrees an axis is 4 degrees bent on average and 12 at some time, and drawn motions, which have
+# that error twice, are bent still more. Squares of sines add up: from the answer's mean square the stated
+# variance of the error is taken, and all flexion is made smaller by the factor that this leaves. (The bias
+# is that of the magnitude of noisy complex images: Koay and Basser, J Magn Reson 179:317-322, 2006; to
+# match the second moment rather than each sample leaves extremes without bias: Louis, J Am Stat Assoc
+# 79:393-398, 1984.) An elbow that bends by tens of degrees loses some tenths of a degree.
+#
+# How large the error is is itself only stated to a factor: each drawn motion is given another one that the
+# answer allows, so that an interval reaches down to what the recording does not exclude.
+@dataclass(frozen=True)
+class ElbowBend:
+    """How far the elbow is bent in an answer, and the error of that.
+
+    Attributes
+    ----------
+    square : float
+        Mean square of the sine of the answer's flexion.
+    variance : float, rad^2
+        Of the error of the bend, by the draws, along each of its two axes.
+    """
+
+    square: float
+    variance: float
+
+    @classmethod
+    def of(cls, answer: Motion, drawn: Iterable[Motion]) -> ElbowBend | None:
+        """By an answer and some of its draws; None where the bend is not known."""
+        if answer.bend is None or not np.isfinite(answer.bend).any():
+            return None
+        errors = [
+            float(np.nanmean(((motion.bend - answer.bend) ** 2).sum(axis=1)))
+            for motion in drawn
+            if motion.bend is not None
+        ]
+        square = float(np.nanmean(np.sin(np.linalg.norm(answer.bend, axis=1)) ** 2))
+        return cls(square, 0.5 * float(np.mean(errors))) if errors and square > 0.0 else None
+
+    @property
+    def of_draws(self) -> float:
+        """What is left of a drawn motion's bend when the second error is taken from it, 0 to 1."""
+        return float(1.0 / np.sqrt(1.0 + 2.0 * self.variance / self.square))
+
+    def left(self, quantile: float) -> float:
+        """What is left of the bend without the error's part, 0 to 1.
+
+        Parameters
+        ----------
+        quantile : float, 0 to 1
+            Of what the true bend may be: beforehand of any size up to the answer's, and the error's variance
+            as stated to within a factor of two. 0.5 is the estimate.
+        """
+        if not self.variance > 0.0:
+            return 1.0
+        # An error across the bend lengthens it; one along it only where there is hardly a bend.
+        axes = 2.0 - _LEFT**2
+        factor = self.square * (1.0 - _LEFT**2) / (axes * self.variance)
+        weight = np.exp(-0.5 * (np.log(factor) / np.log(VARIANCE_FACTOR)) ** 2) / factor * _STEP
+        below = np.cumsum(weight)
+        if not below[-1] > 0.0:  # the error is far too small to be seen
+            return 1.0
+        return float(np.interp(quantile * below[-1], below, _LEFT))
+
+    def corrected(self, answer: Motion) -> Motion:
+        """An answer with the flexion that is left."""
+        return _lessened(answer, self.left(0.5))
+
+    def corrected_draw(self, drawn: Motion, quantile: float) -> Motion:
+        """A drawn motion with the flexion that is left; it has the error twice.
+
+        Parameters
+        ----------
+        drawn : Motion
+            The answer and another error.
+        quantile : float, 0 to 1
+            See `left`; another one for each draw.
+        """
+        return _lessened(drawn, self.left(quantile) * self.of_draws)
+
+    def lower(self, low_deg: float) -> float:
+        """The lower end of an angle's interval, where an error across the bend may have lengthened it."""
+        cosine = np.cos(np.radians(max(low_deg, 0.0))) / np.cos(min(np.sqrt(self.variance), 1.5))
+        return min(low_deg, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def lessened(flexion: FloatArray, left: float) -> FloatArray:
+    """Flexion (n,), degrees, of which a part is left: that part near straight, all of it from 90 degrees on.
+
+    An error across the bend adds half its square times the cotangent of the angle: at a right angle it turns
+    the plane of the arm and nothing else.
+    """
+    angle = np.radians(flexion)
+    return np.asarray(np.degrees(angle - (1.0 - left) * 0.5 * np.maximum(np.sin(2.0 * angle), 0.0)))
+
+
+def _lessened(motion: Motion, left: float) -> Motion:
+    return replace(
+        motion, angles=motion.angles | {"elbow_flexion": lessened(motion.angles["elbow_flexion"], left)}
+    )

@@ -1,14 +1,77 @@
-"""Movements of the hand, by thresholds of its speed."""
+"""Movements of the hand by thresholds of its speed, and repetitions of an exercise."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..array_types import FloatArray
-from ..linalg import runs
-from .low_pass import TimeGrid
-from .movement import Movement
-from .settings import SegmentingMovements
+from ..array_types import FloatArray, IntArray
+from ..linalg import masked_correlation, runs
+from .measure import Movement
+from .motion import Motion, TimeGrid
+from .settings import MatchingRepetitions, SegmentingMovements
+
+
+# Dynamic time warping with bounded tempo. Own and minimal. Looked at: stumpy (matrix profiles) compares
+# windows of one fixed length, so a round done half as fast does not match, and brings numba and LLVM (some
+# 150 MB); dtaidistance aligns whole series and has the subsequence search in compiled extras; both would
+# outweigh the forty lines below.
+def match_cost(pattern: FloatArray, series: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Least mean distance of the pattern to a part of the series that ends at each sample.
+
+    Sakoe and Chiba, IEEE Trans Acoust Speech Signal Process 26:43-49 (1978), symmetric form with slope
+    constraint P = 1 (tempo between half and double); the series' start is free (Mueller, Information
+    Retrieval for Music and Motion, 2007, section 4.4). Steps: one sample of both; two of the series for one
+    of the pattern; one of the series for two of the pattern.
+
+    Parameters
+    ----------
+    pattern : ndarray, shape (m, k)
+        What to look for.
+    series : ndarray, shape (n, k)
+        Where; nan where there is none.
+
+    Returns
+    -------
+    cost : ndarray, shape (n,)
+        Sum of the distances by their weight over the sum of the weights; inf where nothing can end.
+    start : ndarray of int, shape (n,)
+        Where that part begins.
+    """
+    n, columns = len(series), np.arange(len(series))
+    distance = [np.nan_to_num(np.linalg.norm(series - row, axis=1), nan=np.inf) for row in pattern]
+    # total cost, weight and start of the best path that ends at (row, column); two rows before are enough
+    nowhere = (np.full(n, np.inf), np.ones(n), columns)
+    before, last = nowhere, (distance[0], np.ones(n), columns)
+    for i in range(1, len(pattern)):
+        here, above = distance[i], distance[i - 1]
+        diagonal, wide, tall = _moved(last, 1), _moved(last, 2), _moved(before, 1)
+        totals = np.stack(
+            [
+                diagonal[0] + 2.0 * here,
+                wide[0] + 2.0 * np.concatenate([[np.inf], here[:-1]]) + here,
+                tall[0] + 2.0 * above + here,
+            ]
+        )
+        weights = np.stack([diagonal[1] + 2.0, wide[1] + 3.0, tall[1] + 3.0])
+        starts = np.stack([diagonal[2], wide[2], tall[2]])
+        choice = np.argmin(totals / weights, axis=0)
+        before, last = last, (totals[choice, columns], weights[choice, columns], starts[choice, columns])
+    return last[0] / last[1], last[2].astype(np.int64)
+
+
+def _moved(path: tuple[FloatArray, FloatArray, IntArray], by: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """The entries of so many columns before; where there are none no path ends."""
+    total, weight, start = (_later(part, by) for part in path)
+    total[:by] = np.inf
+    return total, weight, start
+
+
+def _later(row: NDArray, by: int) -> NDArray:
+    """A row whose entry j is the one of j - by; the first ones stay."""
+    moved = row.copy()
+    moved[by:] = row[:-by]
+    return moved
 
 
 def find_movements(speed: FloatArray, grid: TimeGrid, settings: SegmentingMovements) -> list[slice]:
@@ -54,3 +117,103 @@ def as_movements(places: list[slice], grid: TimeGrid) -> tuple[Movement, ...]:
         Movement(float(grid.t_s[place.start]), float(grid.t_s[place.stop - 1]), "movement")
         for place in places
     )
+
+
+#: Postures are compared at this rate, Hz: an exercise is slower than 2 Hz.
+RATE_HZ = 10.0
+#: A recording whose posture does not correlate with itself this well after a round has no rounds.
+LEAST_CORRELATION = 0.5
+#: Two rounds may share this part of their time at most.
+OVERLAP = 0.2
+
+
+def find_repetitions(motion: Motion, settings: MatchingRepetitions) -> tuple[Movement, ...]:
+    """Rounds of an exercise, in the order of time.
+
+    The length of a round is where the posture (hand from shoulder in {K}, each axis by its standard
+    deviation) correlates with itself best after a shift; the round to match is the part of that length whose
+    second occurrence is most like it. It is then looked for throughout by dynamic time warping
+    (`time_warping.match_cost`), the best first, without overlaps, until the mean distance is more than
+    `likeness` standard deviations of the motion.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the hand and, where it is known, the shoulder.
+    settings : MatchingRepetitions
+        Where the first round lies, if that is known; lengths and likeness.
+
+    Returns
+    -------
+    repetitions : tuple of Movement
+        Empty where nothing comes again.
+    """
+    t, posture = _posture(motion)
+    if len(t) < 2 * settings.shortest_s * RATE_HZ:
+        return ()
+    pattern = _given(t, settings) or _round(posture, settings)
+    if pattern is None or pattern.stop - pattern.start < settings.shortest_s * RATE_HZ:
+        return ()
+    cost, start = match_cost(posture[pattern], posture)
+    limit = settings.likeness * np.sqrt(posture.shape[1])
+    places: list[slice] = []
+    for end in np.argsort(cost, kind="stable"):
+        if cost[end] > limit:
+            break
+        place = slice(int(start[end]), int(end) + 1)
+        if place.stop - place.start >= 2 and not any(_overlap(place, other) > OVERLAP for other in places):
+            places.append(place)
+    if len(places) < 2:
+        return ()
+    places.sort(key=lambda place: place.start)
+    return tuple(Movement(float(t[place.start]), float(t[place.stop - 1]), "repetition") for place in places)
+
+
+def _posture(motion: Motion) -> tuple[FloatArray, FloatArray]:
+    """Even times (m,), and the hand's place from the shoulder (m, 3) in standard deviations."""
+    grid = motion.grid
+    if len(grid.t_s) < 2:
+        return np.empty(0), np.empty((0, 3))
+    hand = motion.hand - motion.joints["shoulder"] if "shoulder" in motion.joints else motion.hand
+    t = np.arange(grid.t_s[0], grid.t_s[-1], 1.0 / RATE_HZ)
+    nearest = np.clip(np.searchsorted(grid.t_s, t), 0, len(grid.t_s) - 1)
+    posture = hand[nearest].copy()
+    posture[np.abs(grid.t_s[nearest] - t) > 1.0 / RATE_HZ] = np.nan  # a pause of the IMU
+    spread = float(np.sqrt(np.nansum(np.nanvar(posture, axis=0)) / 3.0))
+    return t, (posture - np.nanmean(posture, axis=0)) / max(spread, 1e-9)
+
+
+def _given(t: FloatArray, settings: MatchingRepetitions) -> slice | None:
+    if settings.start_s is None or settings.end_s is None:
+        return None
+    first, last = np.searchsorted(t, [settings.start_s, settings.end_s])
+    return slice(int(first), int(last))
+
+
+def _round(posture: FloatArray, settings: MatchingRepetitions) -> slice | None:
+    """The part of the series that comes again most alike; None where nothing does."""
+    n = len(posture)
+    correlations = [masked_correlation(axis, axis, 1e-6)[0] for axis in posture.T]
+    weights = np.nanvar(posture, axis=0)
+    by_lag = np.average(correlations, axis=0, weights=weights)[n - 1 :]
+    shortest = round(settings.shortest_s * RATE_HZ)
+    longest = min(round(settings.longest_s * RATE_HZ), n // 2 + 1, n - 1)
+    if longest <= shortest:
+        return None
+    inside = by_lag[shortest : longest + 1]
+    peaks = np.flatnonzero((inside[1:-1] >= inside[:-2]) & (inside[1:-1] >= inside[2:])) + 1
+    if not len(peaks) or inside[peaks].max() < LEAST_CORRELATION:
+        return None
+    # of shifts that are nearly as good the shortest: twice a round is a round as well
+    good = peaks[inside[peaks] >= inside[peaks].max() - 0.1]
+    length = shortest + int(good[0])
+    apart = np.linalg.norm(posture[length:] - posture[:-length], axis=1)
+    mean = np.convolve(np.nan_to_num(apart, nan=1e3), np.ones(length) / length, mode="valid")
+    begin = int(np.argmin(mean)) if len(mean) else 0
+    return slice(begin, begin + length)
+
+
+def _overlap(a: slice, b: slice) -> float:
+    """The time that two share, as a part of the shorter one."""
+    shared = min(a.stop, b.stop) - max(a.start, b.start)
+    return max(shared, 0) / min(a.stop - a.start, b.stop - b.start)

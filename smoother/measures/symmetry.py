@@ -10,11 +10,9 @@ import numpy as np
 from ..array_types import FloatArray
 from ..errors import UnoccludeError
 from ..result import Recovery
-from .definitions import definition_of
-from .intervals import interval
+from .definitions import definition_of, interval
 from .layout import SESSION
-from .measure import Measure
-from .measures import Measures
+from .measure import Measure, Measures
 from .measuring import Measuring, measures_of
 from .settings import MeasureSettings
 

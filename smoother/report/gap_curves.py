@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from ..evaluation.gap_spread import GapSpread, spread_by_length
-from ..evaluation.gap_table import GapTable
+from ..evaluation.gap_table import GapSpread, GapTable, spread_by_length
 from .method_styles import PLAIN, STYLES, faint, line_of
 from .sheet import figure, in_cm, label, listing, tabulated, write_sheet
 from .style import dress

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from ..evaluation.change import SessionValue, change_between
+from ..evaluation.progress import SessionValue, change_between
 from ..evaluation.quantity import interval, number, quantity, shown_unit
 from ..measures import Measure, Measures
 from .chart import Mark, badge

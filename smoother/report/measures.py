@@ -7,8 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from ..evaluation.main_measures import first_of, is_main
-from ..evaluation.quantity import quantity
+from ..evaluation.quantity import first_of, is_main, quantity
 from ..measures import BothArms, Measures
 from .chart import Mark, Strip, badge, bars, charted, sessions, strips
 from .measure_words import (

@@ -7,10 +7,8 @@ import os
 from collections.abc import Iterator, Sequence
 from html import escape
 
-from ..evaluation.change import LESS, MORE, UNCLEAR, UNKNOWN, Change, SessionValue
-from ..evaluation.main_measures import first_of
-from ..evaluation.quantity import interval, number, quantity, shown_unit, worded
-from ..evaluation.series import PersonProgress, Series
+from ..evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, Change, PersonProgress, Series, SessionValue
+from ..evaluation.quantity import first_of, interval, number, quantity, shown_unit, worded
 from .chart import Mark, badge, sessions
 from .sheet import Html, bullets, headed, tabulated, write_sheet
 from .terms import NO_DIAGNOSIS, explained, terms_of

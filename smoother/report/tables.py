@@ -10,8 +10,8 @@ import numpy as np
 from calib.motion.motion_calibration import ArmEstimates
 
 from ..calibration import ArmCalibration
+from ..evaluation.advice import rejected
 from ..evaluation.measure_agreement import agreement_cells, pair_cells
-from ..evaluation.rejected import rejected
 from ..evaluation.summary import GapSummary, gap_summaries, recovery_figures, sigma_figures
 from ..evaluation.validate import Validation
 from ..io.result.usable import certain

@@ -6,9 +6,9 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from ..evaluation.advice import rejected
 from ..evaluation.align import truth_at
 from ..evaluation.coverage import LEVELS, StatedAndActual, stated_and_actual
-from ..evaluation.rejected import rejected
 from ..measurements.visibility import Reason
 from ..recording import JOINTS, Truth
 from ..result import Recovery

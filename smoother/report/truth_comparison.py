@@ -9,8 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..array_types import FloatArray
-from ..evaluation.agreement import Agreement, unwound_deg
-from ..evaluation.angle_figures import WORDS, AngleComparison
+from ..evaluation.agreement import WORDS, Agreement, AngleComparison, unwound_deg
 from ..evaluation.validate import Validation, sample_errors
 from ..recording import Truth
 from ..result import Recovery

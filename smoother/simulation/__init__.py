@@ -1,11 +1,9 @@
 """Recordings of our own making: a simulated arm or point with a depth camera, an IMU and truth."""
 
-from .arm import SimulatedArm, simulate_arm
-from .both_arms import simulate_both_arms
+from .arm import SimulatedArm, simulate_arm, simulate_both_arms, simulate_point
 from .config import ArmSimulation, PointSimulation, Preset, SensorErrors
 from .mocap import MarkerCapture, MocapSimulation, capture
 from .people import PeopleSimulation, SimulatedPeople, simulate_people
-from .point import simulate_point
 
 __all__ = [
     "ArmSimulation",

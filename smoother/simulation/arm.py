@@ -1,27 +1,46 @@
-"""A simulated arm before a depth camera, with truth: `simulate_arm`."""
+"""A simulated arm, both arms of a person, or a point, before a depth camera, with truth."""
 
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..array_types import BoolArray, FloatArray
 from ..calibration import ArmCalibration, Length, LeverArm
-from ..recording import ImuStream, Recording, TrunkSensors, Truth
+from ..recording import CameraFrame, ImuStream, JointState, Recording, TrunkSensors, Truth
+from ..units import GRAVITY
 from .body import BodyMeasures, draw_measures
-from .camera import add_noise, add_outliers, deliver, exposures, film
-from .config import ArmSimulation
-from .gaps import add_false_tracks, debounce, degrade_before_trunk, lose_forearm, random_gaps
-from .inertial import ideal_imu, measure
-from .motion import ArmMotion, MotionModel, Stage, draw_stage, draw_wobble
-from .protocol import Performance, perform
-from .trunk import TrunkTurn
-from .trunk_imu import TrunkImuMotion, draw_trunk_axes, measure_trunk
-from .upper_arm import UpperArmMotion, draw_upper_mount, measure_upper_arm
+from .camera import (
+    add_false_tracks,
+    add_noise,
+    add_outliers,
+    debounce,
+    degrade_before_trunk,
+    deliver,
+    exposures,
+    film,
+    lose_forearm,
+    random_gaps,
+)
+from .config import ArmSimulation, PointSimulation
+from .inertial import (
+    TrunkImuMotion,
+    UpperArmMotion,
+    draw_trunk_axes,
+    draw_upper_mount,
+    ideal_imu,
+    measure,
+    measure_trunk,
+    measure_upper_arm,
+)
+from .motion import ArmMotion, MotionModel, Stage, TrunkTurn, draw_stage, draw_wobble, tilt_rotation
+from .people import mounted_anew, varied
+from .protocol import PAD_S, Performance, knot_times, perform, wander
 
 #: What the true calibration claims to be good to, m.
 LEVER_ARM_SIGMA_M = 0.002
@@ -227,3 +246,131 @@ def record_arm(
     return SimulatedArm(
         recording, calibration, parameters, ideal, hidden[delivered], motion, upper_motion, trunk_motion
     )
+
+
+def simulate_both_arms(
+    config: ArmSimulation | None = None, seed: int = 0
+) -> tuple[SimulatedArm, SimulatedArm]:
+    """Simulate an arm as `simulate_arm` does, and the same person's other arm beside it.
+
+    The first is the arm that `simulate_arm` gives, but for the names. The other moves by itself in `random`
+    and follows the first, in its own way, in `behind`; both sway with one trunk, have one camera's frames
+    and the same gravity. Every IMU has its own errors.
+
+    Parameters
+    ----------
+    config : ArmSimulation, optional
+        As for the first arm; `side` is its side.
+    seed : int
+        Non-negative.
+
+    Returns
+    -------
+    first, other : SimulatedArm
+        Their recordings can be written to one file.
+    """
+    config = config or ArmSimulation()
+    first = simulate_arm(config, seed)
+    other_config = config.model_copy(update={"side": "left" if config.side == "right" else "right"})
+    # what both share is drawn again from the first arm's streams: the person, the camera, its frames
+    body_rng, *streams_of_first = random_streams(seed)
+    measures = draw_measures(body_rng)
+    stage = draw_stage(config.distance_m, config.camera_frame, body_rng)
+    performance = perform(config, body_rng)
+    own_rng, *streams = random_streams([seed, 1])
+    streams[3] = streams_of_first[3]  # one camera: the same frames
+    if config.protocol == "random" and not config.still_all:
+        own = perform(other_config, own_rng)
+        posture = own.posture[: len(performance.posture)]
+    else:
+        posture = performance.posture
+        if config.protocol == "behind":
+            posture = varied(posture, performance.t_s, own_rng)
+    performance = replace(performance, posture=posture, sway=performance.sway * np.array([-1.0, 1.0, 1.0]))
+    other = record_arm(
+        other_config,
+        first.recording.name,
+        mounted_anew(measures, own_rng),
+        stage,
+        performance,
+        streams,
+    )
+    return _named(first), _named(other)
+
+
+def _named(arm: SimulatedArm) -> SimulatedArm:
+    """Its IMU named after its side."""
+    recording = arm.recording
+    imu = replace(recording.imu, name=f"/imu/forearm_{recording.side}")
+    return replace(arm, recording=replace(recording, imu=imu))
+
+
+class PointMotion:
+    """A body that moves and turns about at random, its IMU being the tracked point."""
+
+    def __init__(self, duration_s: float, speed: float, rng: np.random.Generator) -> None:
+        count = int(np.ceil((duration_s + 2 * PAD_S) / 0.4 * speed)) + 3
+        times = np.cumsum(rng.uniform(0.4, 0.9, count)) / speed
+        times -= times[0] + PAD_S
+        # Positions in a box of 0.5 m about a metre over the floor, rotations within about 100 degrees.
+        points = np.hstack([rng.uniform(-0.25, 0.25, (count, 3)), rng.normal(0, 0.6, (count, 3))])
+        used = int(np.searchsorted(times, duration_s + PAD_S)) + 1
+        t_s = knot_times(duration_s)
+        table = wander(times[:used], points[:used])(t_s)
+        table[:, :3] += [0.0, 0.0, 1.0]
+        self._start = Rotation.from_quat(rng.normal(size=4))
+        self._spline: BSpline = make_interp_spline(t_s, table, k=5)
+
+    def imu_pose(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `MotionModel.imu_pose`."""
+        table = self._spline(t_s)
+        return (self._start * Rotation.from_rotvec(table[:, 3:])).as_matrix(), table[:, :3]
+
+    def joints(self, t_s: FloatArray) -> dict[str, FloatArray]:
+        """See `MotionModel.joints`."""
+        return {"strap": self._spline(t_s)[:, :3]}
+
+
+def simulate_point(config: PointSimulation | None = None, seed: int = 0) -> SimulatedArm:
+    """Simulate a tracked point with an IMU in it, in a frame with z up; `strap` is the only joint.
+
+    Clocks, truth and determinism are those of `simulate_arm`; the calibration is empty, since the lever arm
+    of the strap is zero.
+
+    Parameters
+    ----------
+    config : PointSimulation, optional
+        What to simulate; None for the defaults (preset `white`).
+    seed : int
+        Non-negative.
+
+    Returns
+    -------
+    simulated : SimulatedArm
+    """
+    config = config or PointSimulation()
+    body_rng, imu_rng, noise_rng, gap_rng, stamp_rng = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
+    )
+    motion = PointMotion(config.duration_s, config.speed, body_rng)
+    tilt = tilt_rotation(config.tilt_deg, body_rng.uniform(-np.pi, np.pi), np.array([0.0, 0.0, 1.0]))
+    gravity = tilt.apply([0.0, 0.0, -GRAVITY])
+
+    ideal = ideal_imu(motion, config.duration_s, config.imu_rate_hz, gravity)
+    imu, parameters = measure(ideal, config, imu_rng)
+    times = exposures(config.duration_s, config.frame_rate_hz, stamp_rng)
+    footage = film(times, motion.joints(times))
+    parameters |= add_noise(footage, config, noise_rng)
+    hidden = random_gaps(times, config.occlusion_lengths_s, config.occlusion_every_s, 0.0, gap_rng)
+    footage.state[hidden] = JointState.NOT_TRACKED
+    parameters["outliers"] = int(add_outliers(footage, config, noise_rng).sum())
+    tracks, delivered = deliver(footage, "simulated", config, stamp_rng)
+    parameters |= {"gravity": gravity, "clock_offset_s": -config.latency_s}
+    recording = Recording(
+        imu=imu,
+        arm=tracks,
+        camera_frame=CameraFrame.ZUP,
+        truth=true_motion(motion, imu.t_s),
+        name=f"simulated point, seed {seed}",
+    )
+    return SimulatedArm(recording, ArmCalibration(), parameters, ideal, hidden[delivered], motion)

@@ -17,7 +17,7 @@ from ..linalg import unit
 from ..recording import CameraFrame
 from .arm import SimulatedArm
 from .motion import LEVEL_FROM_KINECT, ArmMotion
-from .path import PAD_S
+from .protocol import PAD_S
 
 #: Markers of a joint: the mean of their positions is the joint's centre.
 JOINT_MARKERS = {

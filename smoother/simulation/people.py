@@ -19,13 +19,11 @@ from ..array_types import FloatArray
 from ..linalg import unit
 from ..recording import CameraFrame, ImuStream, JointTracks
 from .body import BodyMeasures, draw_measures
-from .camera import add_noise, add_outliers, deliver, exposures, film
+from .camera import add_noise, add_outliers, debounce, deliver, exposures, film, lose_forearm
 from .config import ArmSimulation
-from .gaps import debounce, lose_forearm
 from .inertial import ideal_imu, measure
 from .motion import ArmMotion, Stage, draw_stage, draw_wobble
-from .path import band_noise
-from .protocol import perform
+from .protocol import band_noise, perform
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

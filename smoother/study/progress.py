@@ -9,9 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UnoccludeError
-from ..evaluation.change import SessionValue, change_between, together, without_like_movements
-from ..evaluation.main_measures import BY_MOVEMENT, is_main
-from ..evaluation.series import PersonProgress, Series
+from ..evaluation.progress import (
+    PersonProgress,
+    Series,
+    SessionValue,
+    change_between,
+    together,
+    without_like_movements,
+)
+from ..evaluation.quantity import BY_MOVEMENT, is_main
 from .columns import DONE, Row
 from .folder import StudyFolder
 from .privacy import hashed_name

@@ -10,9 +10,15 @@ from scipy.stats import multivariate_normal
 from simulated_scenes import NO_GAPS, arm, errors, rms, scene_of
 
 from smoother.array_types import FloatArray
-from smoother.baselines.gaussian_process import borders, gaussian_process, likeliest, measurements
-from smoother.baselines.kernel import Posterior, predict
-from smoother.evaluation.lag import lag_s
+from smoother.baselines.gaussian_process import (
+    Posterior,
+    borders,
+    gaussian_process,
+    likeliest,
+    measurements,
+    predict,
+)
+from smoother.evaluation.align import lag_s
 from smoother.measurements.position_process import (
     PUBLISHED,
     STEP_S,

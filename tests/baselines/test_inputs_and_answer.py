@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from solved_arms import ALONE, SolvedArm, solved_arm, without_gaps
 
-from smoother.baselines.answer import recovery_of
-from smoother.baselines.inputs import scenes_of
+from smoother.baselines.adapter import recovery_of, scenes_of
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Path, Scene
 from smoother.errors import SolveError, UnoccludeError

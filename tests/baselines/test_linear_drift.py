@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from solved_arms import SolvedArm, solved_arm
 
 from smoother.array_types import FloatArray
-from smoother.baselines.inputs import scenes_of
+from smoother.baselines.adapter import scenes_of
 from smoother.baselines.linear_drift import boundary, integrated, linear_drift
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Scene

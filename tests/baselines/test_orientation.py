@@ -10,18 +10,25 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from smoother.array_types import FloatArray
-from smoother.baselines.orientation import EvenSamples, attitude_by, orientation_filter
-from smoother.baselines.orientation.comotti import (
+from smoother.baselines.orientation import (
+    ALPHA,
     DIRECTION_SIGMA_RAD,
     GATE,
     GYROSCOPE_DENSITY,
+    MU,
+    RATE_HZ,
     START_SIGMA_RAD,
+    EvenSamples,
+    attitude_by,
+    even_samples,
+    level_axes,
     observed,
+    orientation_filter,
     product,
     quaternion_of,
+    start_attitude,
+    tilted,
 )
-from smoother.baselines.orientation.complementary import ALPHA, MU, RATE_HZ, level_axes
-from smoother.baselines.orientation.samples import even_samples, start_attitude, tilted
 from smoother.baselines.registry import ORIENTATIONS
 from smoother.measurements.inertial import InertialSignal
 from smoother.recording import ImuStream

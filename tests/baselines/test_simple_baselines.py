@@ -10,12 +10,10 @@ from scipy.interpolate import PchipInterpolator
 from solved_arms import SolvedArm, solved_arm, without_gaps
 
 from smoother.array_types import FloatArray
-from smoother.baselines.camera_only import camera_only
-from smoother.baselines.hold import hold
-from smoother.baselines.inputs import scenes_of
-from smoother.baselines.pchip import pchip
+from smoother.baselines.adapter import scenes_of
 from smoother.baselines.registry import recover
 from smoother.baselines.scene import Scene, between
+from smoother.baselines.simple import camera_only, hold, pchip
 from smoother.recording import JOINTS
 
 FRAME_S = 1.0 / 30.0

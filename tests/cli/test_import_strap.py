@@ -14,7 +14,7 @@ from smoother.cli.run import run
 from smoother.io import read_recording, write_recording
 from smoother.recording import JointState
 from smoother.simulation import ArmSimulation, simulate_arm
-from smoother.simulation.strap_session import strap_radius_m
+from smoother.simulation.strap import strap_radius_m
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.evaluation.change import (
+from smoother.evaluation.progress import (
     LESS,
     MORE,
     UNCLEAR,

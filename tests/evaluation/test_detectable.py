@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.evaluation.agreement import icc_a1
-from smoother.evaluation.detectable import detectable_change, measurement_error, pair_agreement
+from smoother.evaluation.agreement import detectable_change, icc_a1, measurement_error, pair_agreement
 
 #: Bland and Altman, Lancet 1986, table 1: first readings, l/min, of a Wright and a mini Wright meter.
 WRIGHT = np.array(

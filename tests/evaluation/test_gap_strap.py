@@ -8,8 +8,7 @@ import numpy as np
 from arms import make_recording, make_recovery, turn
 
 from smoother.calibration import LeverArm
-from smoother.evaluation.gap_score import score_gap, strap_position
-from smoother.evaluation.placement import HiddenGap
+from smoother.evaluation.hidden_gaps import HiddenGap, score_gap, strap_position
 from smoother.recording import JOINTS, JointState
 
 LEVER = np.array([0.01, -0.02, 0.03])

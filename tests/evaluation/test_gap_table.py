@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.evaluation.gap_score import GapErrors
 from smoother.evaluation.gap_table import GapRow, GapTable, pooled, table_of
-from smoother.evaluation.placement import HiddenGap
+from smoother.evaluation.hidden_gaps import GapErrors, HiddenGap
 from smoother.evaluation.sigma_factor import LEVELS
 
 

@@ -11,7 +11,7 @@ from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import RecordingError, SolveError
 from smoother.evaluation.gaps import evaluate_gaps, hide
-from smoother.evaluation.placement import place_gaps, visible_runs
+from smoother.evaluation.hidden_gaps import place_gaps, visible_runs
 from smoother.recording import FOREARM_JOINTS, JOINTS, JointState, Recording
 
 

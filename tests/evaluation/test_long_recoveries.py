@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.motion.motion_calibration import found_in
 from calib.motion.motion_summary import AXIAL_S, _turn_between, gather_from
-from smoother.evaluation.advice import advice
-from smoother.evaluation.rejected import rejected
+from smoother.evaluation.advice import advice, rejected
 from smoother.evaluation.summary import gap_summaries, recovery_figures
 from smoother.io.result.usable import usable
 from smoother.measurements.visibility import REASONS, Gap, Reason

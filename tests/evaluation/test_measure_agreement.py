@@ -13,10 +13,15 @@ from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 
 from smoother.cli.run import run
 from smoother.errors import UnoccludeError
-from smoother.evaluation.detectable import detectable_change
-from smoother.evaluation.measure_agreement import MeasureComparison
-from smoother.evaluation.measure_files import read_detectable, read_pairs
-from smoother.evaluation.measure_pairs import MeasurePair, same_movements, unique_pairs
+from smoother.evaluation.agreement import detectable_change
+from smoother.evaluation.measure_agreement import (
+    MeasureComparison,
+    MeasurePair,
+    read_detectable,
+    read_pairs,
+    same_movements,
+    unique_pairs,
+)
 from smoother.evaluation.validate import validate
 from smoother.measures import Movement
 from smoother.measures.definitions import zone_key

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import CalibrationError, RecordingError
 from smoother.evaluation.mocap.frame import stated_frame
-from smoother.evaluation.mocap.rigid import plate_axes
+from smoother.evaluation.mocap.markers import plate_axes
 from smoother.evaluation.reference import read_reference
 from smoother.evaluation.validate import validate
 from smoother.io.export.markers import write_trc

@@ -12,7 +12,7 @@ from test_mocap import MAP, NAMES, captured
 
 from smoother.errors import RecordingError
 from smoother.evaluation.reference import read_reference
-from smoother.evaluation.truth_file import read_truth
+from smoother.evaluation.truth import read_truth
 from smoother.evaluation.validate import validate
 from smoother.io.export.markers import C3dContent, write_c3d, write_trc
 from smoother.io.markers.files import read_markers

@@ -10,10 +10,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from smoother.errors import RecordingError
-from smoother.evaluation.mocap.fill import fill_on_plate
-from smoother.evaluation.mocap.marker_map import find_markers, map_by_names, read_marker_map
+from smoother.evaluation.mocap.markers import (
+    fill_on_plate,
+    find_markers,
+    find_shape,
+    fit_poses,
+    follow,
+    map_by_names,
+    read_marker_map,
+)
 from smoother.evaluation.mocap.motion import smoothed
-from smoother.evaluation.mocap.rigid import find_shape, fit_poses, follow
 
 PLATE = np.array(
     [

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.evaluation.compare import compare
 from smoother.evaluation.mocap.motion import _exchanged
-from smoother.evaluation.truth_check import truth_notes
+from smoother.evaluation.truth import truth_notes
 from smoother.evaluation.validate import validate
 from smoother.recording import Truth
 

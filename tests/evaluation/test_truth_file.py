@@ -9,7 +9,7 @@ import pytest
 from arms import make_recording, make_recovery, make_truth
 
 from smoother.errors import RecordingError
-from smoother.evaluation.truth_file import read_truth
+from smoother.evaluation.truth import read_truth
 from smoother.evaluation.validate import validate
 
 

@@ -18,7 +18,7 @@ from smoother.recording import ImuStream
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.clocks import beep, broadcast
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
-from smoother.simulation.strap_session import strap_radius_m
+from smoother.simulation.strap import strap_radius_m
 
 
 def command(*arguments: object, ends: tuple[int, ...] = (0,)) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from smoother.io.media.strap import write_strap_recording
 from smoother.simulation.arm import SimulatedArm
-from smoother.simulation.strap_session import COLOUR, DEPTH, DEPTH_LATER_S, strap_images
+from smoother.simulation.strap import COLOUR, DEPTH, DEPTH_LATER_S, strap_images
 
 
 def with_images(simulated: SimulatedArm, path: Path, every: int = 3, seed: int = 0) -> None:

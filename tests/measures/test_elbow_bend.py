@@ -8,9 +8,8 @@ from measured_arms import recovery_of, with_draws
 
 from smoother.joint_angles import elbow_bend, recovery_angles
 from smoother.measures import measure
-from smoother.measures.definitions import MeasureDefinition
-from smoother.measures.elbow_bend import ElbowBend, lessened
-from smoother.measures.intervals import interval
+from smoother.measures.definitions import MeasureDefinition, interval
+from smoother.measures.motion import ElbowBend, lessened
 
 T = np.arange(0.0, 20.0, 0.1)
 WHATS = {"max": np.max, "min": np.min, "median": np.median, "range": np.ptp}

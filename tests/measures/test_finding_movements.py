@@ -9,12 +9,9 @@ import pytest
 from measured_arms import minimum_jerk, recovery_of, simulated
 
 from smoother.measures import MeasureSettings, measure
-from smoother.measures.low_pass import grid_of
-from smoother.measures.motion import motion_of
-from smoother.measures.movements import find_movements
-from smoother.measures.repetitions import find_repetitions
+from smoother.measures.motion import grid_of, motion_of
+from smoother.measures.movements import find_movements, find_repetitions, match_cost
 from smoother.measures.settings import MatchingRepetitions, SegmentingMovements
-from smoother.measures.time_warping import match_cost
 from smoother.result import Recovery
 
 T = np.arange(0.0, 20.0, 0.01)

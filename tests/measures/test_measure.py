@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.errors import UnoccludeError
 from smoother.measures import Measures, MeasureSettings, measure, measure_both
-from smoother.measures.definitions import MeasureDefinition, definition_of
-from smoother.measures.intervals import interval
+from smoother.measures.definitions import MeasureDefinition, definition_of, interval
 from smoother.measures.symmetry import symmetry_index
 from smoother.result import Estimates, Recovery
 from smoother.result.upper_motion import UpperMotion

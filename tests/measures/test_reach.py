@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smoother.measures.reach import alpha_volume, reach_figures, voxel_means
+from smoother.measures.hand import alpha_volume, reach_figures, voxel_means
 
 
 def ball(radius: float, count: int, seed: int = 0) -> np.ndarray:

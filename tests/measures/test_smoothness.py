@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from smoother.measures.smoothness import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
+from smoother.measures.hand import log_dimensionless_jerk, spectral_arc_length, velocity_peaks
 
 #: The worked example that the authors publish with their own program: a Gaussian speed profile at 100 Hz.
 BELL = np.exp(-5.0 * np.arange(-1.0, 1.0, 0.01) ** 2)

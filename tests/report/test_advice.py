@@ -12,9 +12,8 @@ from calib.forearm.forearm_frame import ForearmFrame, forearm_frame
 from calib.motion.motion_calibration import ArmEstimates, JointError, found_in
 from calib.motion.motion_summary import ClockOffset, Evidence, gather_from
 from smoother.calibration import ArmCalibration, Length, LeverArm
-from smoother.evaluation.advice import NOTHING, advice, towards_the_camera
+from smoother.evaluation.advice import NOTHING, advice, rejected, towards_the_camera
 from smoother.evaluation.coverage import LEVELS, camera_residuals, stated_and_actual
-from smoother.evaluation.rejected import rejected
 from smoother.measurements.visibility import Gap, Reason
 from smoother.recording import JOINTS
 from smoother.result import Estimates, Recovery

@@ -13,7 +13,7 @@ from browser import Browser, chromium
 from made_measures import ARM, made_measure, made_measures, study_row
 
 from smoother.errors import UnoccludeError
-from smoother.evaluation.series import PersonProgress
+from smoother.evaluation.progress import PersonProgress
 from smoother.measures import BothArms, Measure, Measures
 from smoother.measures.symmetry import COMPARED
 from smoother.report.measures import write_measures_page

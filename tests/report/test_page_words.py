@@ -11,7 +11,7 @@ import pytest
 from arms import LEVERS, make_recording, make_recovery, make_truth, path, turn
 from plotly.offline import get_plotlyjs
 
-from smoother.evaluation.gap_spread import GapSpread
+from smoother.evaluation.gap_table import GapSpread
 from smoother.evaluation.validate import validate
 from smoother.recording import CameraFrame
 from smoother.report import write_report

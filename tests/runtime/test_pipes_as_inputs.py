@@ -17,8 +17,8 @@ from calib.panel.images import read_view
 from smoother.cli import run as cli_run
 from smoother.cli.config_file import read_config
 from smoother.errors import UnoccludeError
-from smoother.evaluation.mocap.marker_map import read_marker_map
-from smoother.evaluation.truth_file import read_truth_csv
+from smoother.evaluation.mocap.markers import read_marker_map
+from smoother.evaluation.truth import read_truth_csv
 from smoother.io import (
     describe,
     import_csv,

@@ -15,7 +15,7 @@ from smoother.io.mcap.container import Container
 from smoother.io.recording.read import open_recording
 from smoother.io.wire.schemas import message_class
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
-from smoother.simulation.panel.inertial import FIELD_W
+from smoother.simulation.panel.simulate import FIELD_W
 
 SMALL = ["--width", "128", "--height", "106", "--focal-px", "91", "--distortion=0,0,0,0,0"]
 

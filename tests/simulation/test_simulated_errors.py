@@ -24,7 +24,7 @@ from smoother.simulation import (
     simulate_arm,
     simulate_point,
 )
-from smoother.simulation.gaps import runs
+from smoother.simulation.camera import runs
 
 SHOULDER, ELBOW, WRIST, HAND, STRAP = range(5)
 

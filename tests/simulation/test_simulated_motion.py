@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from smoother.recording import CameraFrame, JointState, Truth
 from smoother.simulation import ArmSimulation, PointSimulation, SimulatedArm, simulate_arm, simulate_point
-from smoother.simulation.gaps import runs
+from smoother.simulation.camera import runs
 
 SEEDS = range(25)
 

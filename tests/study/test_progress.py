@@ -11,8 +11,7 @@ import pytest
 from made_measures import made_measure, made_measures, study_row, write_study
 
 from smoother.errors import UnoccludeError
-from smoother.evaluation.change import LESS, MORE, UNCLEAR, UNKNOWN
-from smoother.evaluation.series import PersonProgress
+from smoother.evaluation.progress import LESS, MORE, UNCLEAR, UNKNOWN, PersonProgress
 from smoother.study.folder import StudyFolder
 from smoother.study.privacy import hashed_name
 from smoother.study.progress import progress_of, read_rows, sessions_of

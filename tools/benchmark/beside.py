@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.baselines.answer import recovery_of
-from smoother.baselines.inputs import scenes_of
+from smoother.baselines.adapter import recovery_of, scenes_of
 from smoother.baselines.registry import BASELINES
 from smoother.baselines.scene import Path as Answer
 from smoother.baselines.scene import Scene

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from smoother.evaluation.gap_spread import spread_of
+from smoother.evaluation.gap_table import spread_of
 
 from .jobs import TITLES, Job, run_job
 

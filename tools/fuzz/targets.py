@@ -125,7 +125,7 @@ def settings(data: bytes) -> None:
     """A file of settings, of markers, of a panel, of a lens: each reader has it."""
     from calib.panel.definition import read_intrinsics, read_panel
     from smoother.cli.config_file import read_config
-    from smoother.evaluation.mocap.marker_map import read_marker_map
+    from smoother.evaluation.mocap.markers import read_marker_map
 
     path = file_of(data, "b.toml")
     for read in (read_config, read_marker_map, read_panel, read_intrinsics):

@@ -19,7 +19,7 @@ from ...recording import CameraFrame
 from ...result import Recovery
 from ..align import orientation_at, position_at
 from .clock import MocapClock, summed_covariance
-from .marker_map import numbers
+from .markers import numbers
 from .motion import MocapMotion
 
 #: `R_K_C`: optical axes to those of a recording. `zup` is taken as ROS has it: x forward, y left, z up.

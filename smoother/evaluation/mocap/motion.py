@@ -13,9 +13,16 @@ from ...errors import RecordingError
 from ...io.markers.trajectories import Markers
 from ...recording import Truth
 from ..align import BRIDGED_S
-from .fill import LONGEST_S, fill_on_plate
-from .marker_map import MarkerMap, find_markers
-from .rigid import find_shape, fit_poses, follow, plate_axes
+from .markers import (
+    LONGEST_S,
+    MarkerMap,
+    fill_on_plate,
+    find_markers,
+    find_shape,
+    fit_poses,
+    follow,
+    plate_axes,
+)
 
 #: Joints whose markers are filled in the axes of the plate.
 ON_FOREARM = ("elbow", "wrist", "hand")
