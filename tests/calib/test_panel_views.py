@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
 from smoother.simulation.panel import PanelSimulation
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    """tools/panel_accuracy.py, which has the figures."""
-    path = Path(__file__).parents[2] / "tools" / "panel_accuracy.py"
-    spec = importlib.util.spec_from_file_location("panel_accuracy", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["panel_accuracy"] = module
-    spec.loader.exec_module(module)
-    return module
+from tools.accuracy import panel
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_pose(tool: ModuleType, seed: int):
-    row = tool.trial(PanelSimulation(poses=1), seed)
+def test_one_pose(seed: int):
+    row = panel.trial(PanelSimulation(poses=1), seed)
     degrees, mm = row["ours"]
     assert degrees < 0.20 and mm < 1.3  # mocap noise of 0.2 mm alone costs 0.10 and 0.45 (95 %)
     assert row["squared"].max() < 16
@@ -49,15 +38,15 @@ def test_one_pose(tool: ModuleType, seed: int):
         },
     ],
 )
-def test_other_markers_cameras_and_panels(tool: ModuleType, settings: dict):
-    row = tool.trial(PanelSimulation(poses=1, **settings), 11)
+def test_other_markers_cameras_and_panels(settings: dict):
+    row = panel.trial(PanelSimulation(poses=1, **settings), 11)
     degrees, mm = row["ours"]
     assert degrees < 0.25 and mm < 1.3
     assert row["squared"].max() < 16
 
 
-def test_eight_poses_with_a_wrong_depth_and_a_distractor(tool: ModuleType):
-    row = tool.trial(PanelSimulation(poses=8, depth_offset_m=0.005, distractors=1), 3)
+def test_eight_poses_with_a_wrong_depth_and_a_distractor():
+    row = panel.trial(PanelSimulation(poses=8, depth_offset_m=0.005, distractors=1), 3)
     degrees, mm = row["ours"]
     assert degrees < 0.06 and mm < 0.9
     assert row["offset"] == pytest.approx(0.005, abs=0.001)
@@ -66,11 +55,11 @@ def test_eight_poses_with_a_wrong_depth_and_a_distractor(tool: ModuleType):
 
 @pytest.mark.real
 @pytest.mark.parametrize("corrected", [False, True])
-def test_real_panel_against_its_published_calibration(tool: ModuleType, corrected: bool):
+def test_real_panel_against_its_published_calibration(corrected: bool):
     folder = Path(os.environ.get("UNOCCLUDE_DATASETS", "")) / "kinect_calib"
     if not os.environ.get("UNOCCLUDE_DATASETS") or not folder.is_dir():
         pytest.skip("UNOCCLUDE_DATASETS does not name a folder with kinect_calib")
-    table = np.abs(np.array(list(tool.real_planes(folder, corrected).values())))
+    table = np.abs(np.array(list(panel.real_planes(folder, corrected).values())))
     z, degrees, mm, sigma = table[:, 0], table[:, 1], table[:, 2], table[:, 3]
     near = z < 2.0
     assert len(table) >= 5 and near.sum() >= 3

@@ -1,4 +1,4 @@
-"""The program of the README's figures: its table of long gaps."""
+"""The runner of the documents' figures: its commands, its table of long gaps, what its checks count."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools import accuracy
-from tools.accuracy import GapErrors
+from tools.accuracy.__main__ import main, option_parser
+from tools.accuracy.recordings import GapErrors
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_a_gaps_errors_are_held_against_what_is_stated():
@@ -28,10 +30,9 @@ def test_a_gaps_errors_are_held_against_what_is_stated():
     assert "answered 67 %" in str(gap)
 
 
-def test_the_table_of_long_gaps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_table_of_long_gaps(capsys: pytest.CaptureFixture[str]):
     settings = "arm --preset azure --gap-s 3 4 --seeds 0:1 --each --set duration_s=30"
-    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
-    accuracy.main()
+    main(settings.split())
     printed = capsys.readouterr().out
     tables = re.findall(r"^([34]) s, (\d) gaps: rms (\S+) cm  worst gap (\S+) cm", printed, re.MULTILINE)
     assert [length for length, *_ in tables] == ["3", "4"]
@@ -44,10 +45,9 @@ def test_the_table_of_long_gaps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert len(re.findall(r"50 %: \d+ %   95 %: \d+ %", printed)) == 4  # position and orientation
 
 
-def test_short_gaps_with_one_imu_and_two(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_short_gaps_with_one_imu_and_two(capsys: pytest.CaptureFixture[str]):
     settings = "short --presets white --seeds 0:1 --set duration_s=16"
-    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
-    accuracy.main()
+    main(settings.split())
     printed = capsys.readouterr().out
     rows = re.findall(r"^  (\S+(?: s)?) +(\d+) +(\S+) +(\S+) +(\S+)   (\S+) (\S+)", printed, re.MULTILINE)
     (every,) = [row for row in rows if row[0] == "all"]
@@ -57,12 +57,24 @@ def test_short_gaps_with_one_imu_and_two(monkeypatch: pytest.MonkeyPatch, capsys
         assert ("two are worse" in printed) == any(float(row[4]) > 1.02 for row in rows)
 
 
-def test_angles_relative_to_the_trunk(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_angles_relative_to_the_trunk(capsys: pytest.CaptureFixture[str]):
     settings = "trunk --preset white --seeds 1:2 --set duration_s=20"
-    monkeypatch.setattr(sys, "argv", ["accuracy.py", *settings.split()])
-    accuracy.main()
+    main(settings.split())
     printed = capsys.readouterr().out
     pattern = r"shoulder_(\w+)_trunk +rms +(\S+) deg, without the trunk's IMU +(\S+) deg"
     found = {kind: (float(a), float(b)) for kind, a, b in re.findall(pattern, printed)}
     assert set(found) == {"plane", "elevation", "rotation"}
     assert found["elevation"][0] < 0.8 * found["elevation"][1]
+
+
+def test_every_command_of_the_documents_is_one_of_the_program():
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    found = [
+        command
+        for page in pages
+        for command in re.findall(r"`python -m tools\.accuracy( [^`]*)`", page.read_text(encoding="utf-8"))
+        if "NAME" not in command
+    ]
+    assert len(found) > 30
+    for command in found:
+        option_parser().parse_args(command.split())

@@ -12,11 +12,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from smoother.matching import ImuMatch, Limb
 from smoother.simulation import ArmSimulation, simulate_arm
-from tools import match_accuracy
-from tools.match_accuracy import Answer, print_answers
+from tools.accuracy.__main__ import main
+from tools.accuracy.match import Answer, answer_rows
 
 
-def test_rows_count_what_they_say(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_count_what_they_say() -> None:
     limb = Limb(simulate_arm(ArmSimulation(protocol="hang", duration_s=2.0), 0).recording.arm, "wrist")
     sure, doubtful = (ImuMatch("/imu/a", limb, True, p, 0.0) for p in (0.99, 0.7))
     unknown = ImuMatch("/imu/a", None, False, 0.4, 0.0)
@@ -26,15 +26,13 @@ def test_rows_count_what_they_say(capsys: pytest.CaptureFixture[str]) -> None:
         Answer(doubtful, False, True),
         Answer(unknown, False, False),
     ]
-    print_answers("Made", {"motion": rows})
-    printed = capsys.readouterr().out
+    printed = "\n".join(answer_rows("Made", {"motion": rows}))
     assert re.search(r"motion +25\.0% +25\.0% +2 +50\.0% +1 +75\.0%$", printed, re.MULTILINE)
     assert "0.990: 0.500 of 2" in printed and "0.700: 0.000 of 1" in printed
 
 
-def test_scenes_are_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["match_accuracy.py", "scenes", "--seeds", "2", "--methods", "motion"])
-    match_accuracy.main()
+def test_scenes_are_run(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["match", "scenes", "--seeds", "2", "--methods", "motion"])
     printed = capsys.readouterr().out
     assert "Scenes, seeds 0 to 1, 8 IMUs" in printed
     assert re.search(r"motion .* 0 +[\d.]+%$", printed, re.MULTILINE)  # none that is sure is wrong

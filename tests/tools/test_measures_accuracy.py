@@ -10,8 +10,8 @@ import pytest
 
 from smoother.simulation import ArmSimulation, simulate_arm
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-from measures_accuracy import NEAR_DEG, Sample, coverage_table, hidden_extremes, markdown
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tools.accuracy.measures import NEAR_DEG, Sample, coverage_table, hidden_extremes, markdown
 
 
 def sample(value: float, truth: float, scope: str = "session", key: str = "hand_path_length_m") -> Sample:

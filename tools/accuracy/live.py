@@ -1,4 +1,4 @@
-"""The figures of the live smoother: `python tools/live_accuracy.py [--seeds 10] [--gap-s 1]`.
+"""The figures of the live smoother: `live [--gap-s 1]`.
 
 Simulated arms (preset `realistic`, 100 Hz IMU, 30 Hz camera that is 0.1 s late) are played into the live
 smoother on a simulated clock, as fast as it goes: it takes its times from the data, so the answers are those
@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import argparse
 import resource
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from shared import rms
 
 from smoother.evaluation.align import lag_s
 from smoother.evaluation.live_methods import arrivals
@@ -23,6 +23,7 @@ from smoother.live.calibrations import InlineCalibrator
 from smoother.live.estimate import LiveOutput, LiveState
 from smoother.live.smoother import LiveSmoother
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
+from tools.accuracy.check import Check, option, rms, seeds_option
 
 LATENCY_S, OFFSET_S = 0.1, -0.02
 #: Borders of the time since the last frame, s.
@@ -57,26 +58,26 @@ class Errors:
                     self.lags_s.append(lag)
         self.step_ms += [output.step_ms for output in outputs if output.now is not None]
 
-    def show(self) -> None:
+    def show(self) -> Iterator[str]:
         """Print the table."""
         for kind, rows in (("now", np.array(self.now)), ("settled", np.array(self.settled))):
             visible = rows[:, 0] == 0.0
-            print(
+            yield (
                 f"{kind}, visible: {100 * rms(rows[visible, 1]):.2f} cm, NEES {rows[visible, 2].mean():.2f}"
             )
             for first, last in pairwise(BORDERS_S):
                 part = ~visible & (rows[:, 0] >= first) & (rows[:, 0] < last)
                 if part.any():
-                    print(
+                    yield (
                         f"  gap since {first:g} to {last:g} s: {100 * rms(rows[part, 1]):.2f} cm,"
                         f" NEES {rows[part, 2].mean():.2f}, {part.sum()} answers"
                     )
             hidden = ~visible
             if hidden.any():
-                print(f"  all gaps: {100 * rms(rows[hidden, 1]):.2f} cm, NEES {rows[hidden, 2].mean():.2f}")
+                yield (f"  all gaps: {100 * rms(rows[hidden, 1]):.2f} cm, NEES {rows[hidden, 2].mean():.2f}")
         ms = np.array(self.step_ms)
-        print(f"lag left while visible, by arm: {np.round(1e3 * np.array(self.lags_s), 1)} ms")
-        print(
+        yield (f"lag left while visible, by arm: {np.round(1e3 * np.array(self.lags_s), 1)} ms")
+        yield (
             f"processor time a step: mean {ms.mean():.1f}, 99 % {np.percentile(ms, 99):.1f}, longest"
             f" {ms.max():.1f} ms; load {3 * ms.mean():.0f} % of a core at 30 Hz"
         )
@@ -97,7 +98,7 @@ def play(simulation: SimulatedArm, lag_s_: float = 0.2) -> list[LiveOutput]:
     return outputs
 
 
-def memory(simulation: SimulatedArm, hours: float) -> None:
+def memory(simulation: SimulatedArm, hours: float) -> Iterator[str]:
     """Play the arm over and over and print the memory that is in use."""
     recording, at_s = simulation.recording, 0.0
     length_s = float(recording.imu.t_s[-1]) + 0.01
@@ -114,18 +115,11 @@ def memory(simulation: SimulatedArm, hours: float) -> None:
             at_s += length_s
             with open("/proc/self/statm") as file:
                 used = int(file.read().split()[1]) * resource.getpagesize() / 1e6
-            print(f"{at_s / 60:.0f} min: {used:.1f} MB", flush=True)
+            yield (f"{at_s / 60:.0f} min: {used:.1f} MB")
 
 
-def main() -> None:
-    """Parse the options and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--gap-s", type=float, nargs="+", default=[1.0])
-    parser.add_argument("--duration-s", type=float, default=60.0)
-    parser.add_argument("--hours", type=float, default=0.0)
-    options = parser.parse_args()
+def live(options: argparse.Namespace) -> Iterator[str]:
+    """Errors of what is shown now and a lag ago, by the time since the last frame; lag and processor time."""
     config = ArmSimulation.preset(
         "realistic",
         protocol="random",
@@ -134,15 +128,27 @@ def main() -> None:
         occlusion_lengths_s=tuple(options.gap_s),
     )
     if options.hours:
-        memory(simulate_arm(config, options.first), options.hours)
+        yield from memory(simulate_arm(config, options.seeds.start), options.hours)
         return
     errors = Errors()
-    for seed in range(options.first, options.first + options.seeds):
+    for seed in options.seeds:
         simulation = simulate_arm(config, seed)
         errors.add(simulation, play(simulation))
-        print(f"seed {seed} done", flush=True)
-    errors.show()
+        yield f"seed {seed} done"
+    yield from errors.show()
 
 
-if __name__ == "__main__":
-    main()
+CHECKS = (
+    Check(
+        "live",
+        live,
+        (
+            seeds_option("1:11"),
+            option("--gap-s", type=float, nargs="+", default=[1.0]),
+            option("--duration-s", type=float, default=60.0),
+            option(
+                "--hours", type=float, default=0.0, help="play the arm over and over and print the memory"
+            ),
+        ),
+    ),
+)

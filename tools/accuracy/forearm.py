@@ -1,4 +1,4 @@
-"""The held pose and the strap on simulated data: `python tools/forearm_accuracy.py [pose|strap] [--seeds N]`.
+"""The held pose and the strap on simulated data: `forearm [pose|strap]`.
 
 `pose`: realistic arms; whether pose and motion agree, and whether lever arms and roll are as good as stated.
 `strap`: rendered images with joints 8 mm off, markers beside the strap, a body before the arm.
@@ -6,10 +6,11 @@
 
 from __future__ import annotations
 
+import argparse
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
-from shared import ONE_PROCESS, rms, run_parts
 
 from calib.forearm.forearm_summary import compare
 from calib.forearm.held_pose import calibrate_forearm
@@ -17,17 +18,18 @@ from calib.intrinsics import Intrinsics, PlacedCamera
 from calib.strap.strap_in_image import Depth, find_strap
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.simulation.strap import Arm, StrapImageNoise, render
+from tools.accuracy.check import ONE_PROCESS, Check, parts_option, rms, seeds_option
 
 COLOUR = PlacedCamera(Intrinsics(960, 540, 600.0, 600.0, 480.0, 270.0), t_C_K=np.array([0.05, 0.0, 0.0]))
 INFRARED = PlacedCamera(Intrinsics(512, 424, 366.0, 366.0, 256.0, 212.0))
 
 
-def pose(seeds: int) -> None:
+def pose(seeds: range) -> Iterator[str]:
     """Pose against motion, with the strap seen and with the strap's place by ruler."""
     for seen in (True, False):
         agree, asked = Counter[str](), Counter[str]()
         levers, rolls = [], []
-        for seed in range(20, 20 + seeds):
+        for seed in seeds:
             arm = simulate_arm(ArmSimulation.preset("realistic", repetitions=1, strap=seen), seed)
             to_wrist = None if seen else arm.parameters["strap_to_wrist_m"]
             found = calibrate_forearm(
@@ -45,19 +47,17 @@ def pose(seeds: int) -> None:
             if found.calibration.R_F_A is not None and arm.calibration.R_F_A is not None:
                 turn = found.calibration.R_F_A @ arm.calibration.R_F_A.T
                 rolls.append(np.degrees(np.arctan2(turn[0, 2], turn[0, 0])))
-        print("strap seen" if seen else "strap by ruler")
-        print("  agree:", ", ".join(f"{name} {agree[name]} of {asked[name]}" for name in asked))
+        yield ("strap seen" if seen else "strap by ruler")
+        yield "  agree: " + ", ".join(f"{name} {agree[name]} of {asked[name]}" for name in asked)
         nees = np.mean(levers)
-        print(
-            f"  lever arms: squared error / sigma^2 {nees:.2f}; roll rms {rms(rolls):.0f} degrees", flush=True
-        )
+        yield (f"  lever arms: squared error / sigma^2 {nees:.2f}; roll rms {rms(rolls):.0f} degrees")
 
 
-def strap(seeds: int) -> None:
+def strap(seeds: range) -> Iterator[str]:
     """The arm's core under the strap; and what is accepted where no strap can be seen."""
     for sigma_m in (0.0, 0.003, 0.008):
         errors, nees, reasons, wrong = [], [], Counter[str](), 0
-        for seed in range(5 * seeds):
+        for seed in range(5 * len(seeds)):
             rng = np.random.default_rng(seed)
             along = rng.normal(size=3) * [1.0, 1.0, 0.5]
             elbow = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), rng.uniform(1.5, 2.5)])
@@ -84,12 +84,25 @@ def strap(seeds: int) -> None:
                     errors.append(error)
                     nees.append(error @ np.linalg.solve(seen.covariance, error) / 3)
         size = 1e3 * np.linalg.norm(errors, axis=1)
-        print(
+        yield (
             f"joints {1e3 * sigma_m:.0f} mm off: core rms {rms(size):.1f} mm, max {size.max():.1f} mm,"
-            f" squared error / sigma^2 {np.mean(nees):.2f}; {dict(reasons)}; accepted behind a body: {wrong}",
-            flush=True,
+            f" squared error / sigma^2 {np.mean(nees):.2f}; {dict(reasons)}; accepted behind a body: {wrong}"
         )
 
 
-if __name__ == "__main__":
-    run_parts(__doc__, {"pose": pose, "strap": strap}, seeds=12)
+PARTS = {"pose": pose, "strap": strap}
+
+
+def forearm(options: argparse.Namespace) -> Iterator[str]:
+    """The forearm by its held pose and by the strap in images, against the simulated one."""
+    for part in options.parts or PARTS:
+        yield from PARTS[part](options.seeds)
+
+
+CHECKS = (
+    Check(
+        "forearm",
+        forearm,
+        (parts_option(*PARTS), seeds_option("20:32", "`strap`: five for each")),
+    ),
+)

@@ -1,4 +1,4 @@
-"""Where the truth ranks among motions drawn from the posterior: `python tools/draws_check.py --gaps 200`.
+"""Where the truth ranks among motions drawn from the posterior: `draws --gaps 200`.
 
 Simulation-based calibration (Talts et al., arXiv:1804.06788, 2018): if the posterior is right, the truth's
 rank among the draws is uniform. One sample a gap, at a random time and along a random direction, so that the
@@ -15,45 +15,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chisquare, norm
-from shared import ONE_PROCESS
 
 from smoother.calibration import ArmCalibration
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import ONE_PROCESS, PRESETS, Check, option
 
-PRESETS = ("white", "realistic", "azure")
 #: With one draw less than a multiple of the bins all bins hold as many ranks.
 DRAWS, BINS = 63, 16
 #: Shorter gaps are interpolation between two frames, s.
 SHORTEST_S = 0.3
 SETTINGS = {"protocol": "random", "duration_s": 60.0}
-
-
-def main() -> None:
-    """A line a preset and quantity."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("presets", nargs="*", default=PRESETS)
-    parser.add_argument("--gaps", type=int, default=200)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument(
-        "--exact", action="store_true", help="give the true calibration, not one as uncertain as it says"
-    )
-    options = parser.parse_args()
-    for preset in options.presets:
-        ranks: dict[str, list[int]] = {}
-        seed, count = options.first_seed, 0
-        while count < options.gaps:
-            for of_gap in ranks_of(preset, seed, options.exact):
-                count += 1
-                for name, rank in of_gap.items():
-                    ranks.setdefault(name, []).append(rank)
-            seed += 1
-        print(
-            f"{preset}: {count} gaps of {seed - options.first_seed} recordings of {SETTINGS['duration_s']} s"
-        )
-        for name, found in ranks.items():
-            print(line(name, np.array(found[: options.gaps])), flush=True)
 
 
 def ranks_of(preset: str, seed: int, exact: bool) -> Iterator[dict[str, int]]:
@@ -126,5 +99,36 @@ def line(name: str, ranks: np.ndarray) -> str:
     )
 
 
-if __name__ == "__main__":
-    main()
+def draws(options: argparse.Namespace) -> Iterator[str]:
+    """The truth's rank among motions drawn from the posterior, by preset and quantity."""
+    for preset in options.presets:
+        ranks: dict[str, list[int]] = {}
+        seed, count = options.first_seed, 0
+        while count < options.gaps:
+            for of_gap in ranks_of(preset, seed, options.exact):
+                count += 1
+                for name, rank in of_gap.items():
+                    ranks.setdefault(name, []).append(rank)
+            seed += 1
+        recordings = f"{seed - options.first_seed} recordings of {SETTINGS['duration_s']} s"
+        yield f"{preset}: {count} gaps of {recordings}"
+        for name, found in ranks.items():
+            yield line(name, np.array(found[: options.gaps]))
+
+
+CHECKS = (
+    Check(
+        "draws",
+        draws,
+        (
+            option("presets", nargs="*", default=PRESETS),
+            option("--gaps", type=int, default=200),
+            option("--first-seed", type=int, default=0),
+            option(
+                "--exact",
+                action="store_true",
+                help="give the true calibration, not one as uncertain as it says",
+            ),
+        ),
+    ),
+)

@@ -1,4 +1,4 @@
-"""How surely camera and IMU are paired: `python -m tools.pairing_accuracy [PART ..]`.
+"""How surely camera and IMU are paired: `pairing [PART ..]`.
 
 Right pairs, and wrong ones (the skeleton of one recording, the IMU of another). For each kind: how many are
 proved as files with unrelated clocks, how many are accepted as streams of one recorder, and whether the clock
@@ -12,6 +12,7 @@ where a clock is known if inclination and turning rate agree on it to 0.1 s (dat
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,10 +31,9 @@ from smoother.recording import CameraFrame, Recording
 from smoother.selfcal.agreement import agreement
 from smoother.selfcal.pairing import decided
 from smoother.simulation import ArmSimulation, simulate_arm
+from tools.accuracy.check import PRESETS, Check, datasets, parts_option, seeds_option
 from tools.setup_cases import Setup, joints_of_the_other_arm, mirrored_skeleton
-from tools.shared import datasets, run_parts
 
-PRESETS = ("white", "realistic", "azure")
 #: A clock counts as found where it is this near, s.
 FOUND_S = 0.2
 #: Both independent ways are taken on this grid, Hz; where they agree to this, s, a clock counts as known.
@@ -80,8 +80,8 @@ def tried(recording: Recording, is_right: bool, true_s: float | None) -> PairTri
     )
 
 
-def show(name: str, trials: Sequence[PairTrial]) -> None:
-    """Print a line for the right pairs and one for the wrong ones."""
+def rows_of(name: str, trials: Sequence[PairTrial]) -> Iterator[str]:
+    """A line for the right pairs and one for the wrong ones."""
     for is_right in (True, False):
         rows = [each for each in trials if each.is_right is is_right]
         if not rows:
@@ -89,12 +89,11 @@ def show(name: str, trials: Sequence[PairTrial]) -> None:
         known = [each.found for each in rows if each.found is not None]
         evidence = np.nanpercentile([each.evidence for each in rows], [0, 50, 100])
         clocks = f", clock found {sum(known)} of {len(known)}" if known else ""
-        print(
+        yield (
             f"{name:28} {'right' if is_right else 'wrong'} {len(rows):4}: proved"
             f" {sum(each.proved for each in rows):4}, accepted of one recorder"
             f" {sum(each.accepted for each in rows):4}; evidence {evidence[0]:.1f} .. {evidence[1]:.1f} .."
-            f" {evidence[2]:.1f}{clocks}",
-            flush=True,
+            f" {evidence[2]:.1f}{clocks}"
         )
 
 
@@ -116,22 +115,22 @@ def _made(seeds: int, **changes: object) -> list[tuple[Recording, float | None]]
     return made
 
 
-def simulated(seeds: int) -> None:
+def simulated(seeds: int) -> Iterator[str]:
     """Random motion."""
     for duration_s in (8.0, 15.0, 30.0, 60.0):
-        show(
+        yield from rows_of(
             f"random, {duration_s:.0f} s", [*crossed(_made(seeds, protocol="random", duration_s=duration_s))]
         )
 
 
-def exercise(seeds: int) -> None:
+def exercise(seeds: int) -> Iterator[str]:
     """The same script in every recording."""
     for repetitions in (2, 5):
         made = _made(seeds, protocol="behind", repetitions=repetitions)
-        show(f"exercise, {float(np.ptp(made[0][0].arm.t_s)):.0f} s", [*crossed(made)])
+        yield from rows_of(f"exercise, {float(np.ptp(made[0][0].arm.t_s)):.0f} s", [*crossed(made)])
 
 
-def setups(seeds: int) -> None:
+def setups(seeds: int) -> Iterator[str]:
     """Drifting clocks, and skeletons that are not what they are called."""
     for duration_s, ppm in ((60.0, 3000.0), (110.0, 3000.0), (200.0, 1000.0), (400.0, 3000.0), (400.0, 50.0)):
         made = []
@@ -139,7 +138,9 @@ def setups(seeds: int) -> None:
             t_s = recording.arm.t_s
             arm = replace(recording.arm, t_s=t_s - 1e-6 * ppm * (t_s - t_s.mean()) - 3.0)
             made.append((replace(recording, arm=arm), None if offset_s is None else offset_s + 3.0))
-        show(f"{duration_s:.0f} s, clock {ppm:.0f} ppm", [tried(each, True, s) for each, s in made])
+        yield from rows_of(
+            f"{duration_s:.0f} s, clock {ppm:.0f} ppm", [tried(each, True, s) for each, s in made]
+        )
     trials: dict[str, list[PairTrial]] = {"mirrored": [], "wrong down": [], "other arm": []}
     for seed in range(seeds):
         config = ArmSimulation.preset(PRESETS[seed % 3], protocol="random", duration_s=40.0)
@@ -151,10 +152,10 @@ def setups(seeds: int) -> None:
         trials["wrong down"].append(tried(wrong_down, True, true_s))
         trials["other arm"].append(tried(joints_of_the_other_arm(setup).recording, False, None))
     for name, rows in trials.items():
-        show(f"40 s, {name}", rows)
+        yield from rows_of(f"40 s, {name}", rows)
 
 
-def utd(seeds: int) -> None:
+def utd(seeds: int) -> Iterator[str]:
     """Trials of UTD-MHAD, so many subjects; the wrong IMU is of another trial of the same activity."""
     root = datasets("utd_mhad")
     names = [path.name.removesuffix("_inertial.mat") for path in sorted((root / "Inertial").glob("*.mat"))]
@@ -171,10 +172,10 @@ def utd(seeds: int) -> None:
         others = [each for each in names if each != name and each.split("_")[0] == name.split("_")[0]]
         other = recordings[others[rng.integers(len(others))]]
         trials.append(tried(replace(recording, imu=other.imu), False, None))
-    show("UTD-MHAD", trials)
+    yield from rows_of("UTD-MHAD", trials)
 
 
-def azure(seeds: int) -> None:
+def azure(seeds: int) -> Iterator[str]:
     """Trials of SmartFallMM; the wrong IMU of so many other trials, those of the same activity first."""
     root, recordings = datasets("smartfallmm"), {}
     for path in sorted((root / "skeleton").glob("*.csv")):
@@ -190,7 +191,7 @@ def azure(seeds: int) -> None:
         )
         for other in others[:seeds]:
             trials.append(tried(replace(recording, imu=recordings[other].imu), False, None))
-    show("SmartFallMM, Azure Kinect", trials)
+    yield from rows_of("SmartFallMM, Azure Kinect", trials)
 
 
 def _imported(skeleton: Path, imu: tuple[Path, ...]) -> Recording | None:
@@ -242,6 +243,13 @@ def _on(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
     return gaussian_smoothed(np.stack([np.interp(grid, t, axis) for axis in values.T], axis=1), 3.0)
 
 
-if __name__ == "__main__":
-    parts = {"simulated": simulated, "exercise": exercise, "setups": setups, "utd": utd, "azure": azure}
-    run_parts(__doc__ or "", parts, 12)
+PARTS = {"simulated": simulated, "exercise": exercise, "setups": setups, "utd": utd, "azure": azure}
+
+
+def pairing(options: argparse.Namespace) -> Iterator[str]:
+    """How many right and wrong pairs of camera and IMU are proved, accepted, and given the right clock."""
+    for part in options.parts or PARTS:
+        yield from PARTS[part](len(options.seeds))
+
+
+CHECKS = (Check("pairing", pairing, (parts_option(*PARTS), seeds_option("12"))),)

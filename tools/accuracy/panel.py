@@ -1,4 +1,4 @@
-"""How good `calibrate panel` is: `python tools/panel_accuracy.py rendered|real [options]`.
+"""How good `calibrate panel` is: `panel [rendered|real]`.
 
 `rendered` draws panels, finds the camera by them and compares with the truth: one pose a trial, eight poses,
 and eight with a wrong depth and a bright distractor. `real` needs the folder of data sets in
@@ -8,7 +8,7 @@ UNOCCLUDE_DATASETS (`kinect_calib`: a real panel in real Kinect depth, with a pu
 from __future__ import annotations
 
 import argparse
-from ast import literal_eval
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -26,57 +26,34 @@ from calib.panel.panel_table import accuracy
 from calib.panel.plane import Plane, fit_plane
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
+from tools.accuracy.check import CHANGES, Check, changes, datasets, option, parts_option, seeds_option
 
 #: Pixels left out along the real panel's outline.
 RIM_PX = 3
 NEAR_M = 2.0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parts = parser.add_subparsers(dest="part", required=True)
-    rendered = parts.add_parser("rendered")
-    rendered.add_argument("--trials", type=int, default=100, help="with one pose [100]")
-    rendered.add_argument("--eights", type=int, default=20, help="with eight poses [20]")
-    rendered.add_argument("--seed", type=int, default=1000, help="the first one [1000]")
-    rendered.add_argument("--processes", type=int, default=1)
-    rendered.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="of the simulation")
-    parts.add_parser("real")
-    chosen = parser.parse_args()
-    if chosen.part == "real":
-        real()
-    else:
-        changes = dict(item.split("=", 1) for item in chosen.set)
-        show_rendered(chosen, {name: _value(text) for name, text in changes.items()})
-
-
-def _value(text: str) -> Any:
-    try:
-        return literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
-
-
 # Rendered panels
 
 
-def show_rendered(chosen: argparse.Namespace, changes: dict[str, Any]) -> None:
+def show_rendered(options: argparse.Namespace) -> Iterator[str]:
+    """Rendered panels: one pose a trial; for a fifth of the seeds eight poses, and eight with errors."""
     wrong = {"depth_offset_m": 0.005, "distractors": 1}
-    seed = chosen.seed
-    print("errors of camera from mocap, the place taken at the middle of the panel's places")
-    for title, count, settings in (
-        ("one pose", chosen.trials, {"poses": 1}),
-        ("eight poses", chosen.eights, {"poses": 8}),
-        ("eight poses, depth 5 mm too long, a distractor", chosen.eights, {"poses": 8, **wrong}),
+    few = options.seeds[: -(-len(options.seeds) // 5)]
+    yield ("errors of camera from mocap, the place taken at the middle of the panel's places")
+    for title, seeds, settings in (
+        ("one pose", options.seeds, {"poses": 1}),
+        ("eight poses", few, {"poses": 8}),
+        ("eight poses, depth 5 mm too long, a distractor", few, {"poses": 8, **wrong}),
     ):
-        config = PanelSimulation(**{**settings, **changes})
+        config = PanelSimulation(**(settings | changes(options)))
         work = partial(trial, config)
-        if chosen.processes > 1:
-            with ProcessPoolExecutor(chosen.processes) as pool:
-                rows = list(pool.map(work, range(seed, seed + count)))
+        if options.processes > 1:
+            with ProcessPoolExecutor(options.processes) as pool:
+                rows = list(pool.map(work, seeds))
         else:
-            rows = [work(number) for number in range(seed, seed + count)]
-        _show(title, rows)
+            rows = [work(seed) for seed in seeds]
+        yield from _show(title, rows)
 
 
 def trial(config: PanelSimulation, seed: int) -> dict[str, Any]:
@@ -122,39 +99,38 @@ def errors(frame: Frame, truth: SimulatedPanel, found: PanelCalibration) -> tupl
     return float(np.degrees(np.linalg.norm(turn))), float(1e3 * np.linalg.norm(shift)), vector
 
 
-def _show(title: str, rows: list[dict[str, Any]]) -> None:
+def _show(title: str, rows: list[dict[str, Any]]) -> Iterator[str]:
     good = [row for row in rows if "ours" in row]
-    print(f"{title}: {len(rows)} trials")
+    yield (f"{title}: {len(rows)} trials")
     for row in rows:
         if "refused" in row:
-            print(f"  seed {row['seed']} refused: {row['refused']}")
+            yield (f"  seed {row['seed']} refused: {row['refused']}")
     if not good:
         return
     for name in ("ours", "published"):
         values = np.array([row[name] for row in good])
         for column, unit in enumerate(("deg", "mm")):
             median, most, worst = np.nanpercentile(values[:, column], [50, 95, 100])
-            print(f"  {name:9} {unit:3}  median {median:6.3f}  95 % {most:6.3f}  worst {worst:6.3f}")
+            yield (f"  {name:9} {unit:3}  median {median:6.3f}  95 % {most:6.3f}  worst {worst:6.3f}")
     inside, squared = (np.mean([row[key] for row in good]) for key in ("inside", "squared"))
-    print(f"  inside 2 sigma, an axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")
+    yield (f"  inside 2 sigma, an axis: {100 * inside:.0f} %; squared error / sigma^2 {squared:.2f}")
 
 
 # A real panel
 
 
-def real() -> None:
-    from shared import datasets  # beside this script; tests load it without
-
+def real(options: argparse.Namespace) -> Iterator[str]:
+    """A real panel in real Kinect depth, against its published calibration."""
     for corrected in (False, True):
         rows = real_planes(datasets("kinect_calib"), corrected)
-        print(f"disparity distortion {'taken off' if corrected else 'left in'}")
-        print("  image          z, m  angle, deg  distance, mm  sigma, deg  depth noise, mm")
+        yield (f"disparity distortion {'taken off' if corrected else 'left in'}")
+        yield ("  image          z, m  angle, deg  distance, mm  sigma, deg  depth noise, mm")
         for name, (z, angle, distance, sigma, noise) in rows.items():
-            print(f"  {name}  {z:6.2f}  {angle:10.2f}  {distance:12.2f}  {sigma:10.2f}  {noise:15.1f}")
+            yield (f"  {name}  {z:6.2f}  {angle:10.2f}  {distance:12.2f}  {sigma:10.2f}  {noise:15.1f}")
         table = np.abs(np.array(list(rows.values())))
         for title, chosen in (("nearer than 2 m", table[:, 0] < NEAR_M), ("all", table[:, 0] > 0)):
             middle, worst = np.median(table[chosen, 1:3], axis=0), table[chosen, 1:3].max(axis=0)
-            print(
+            yield (
                 f"  {title} ({chosen.sum()}): median {middle[0]:.2f} deg {middle[1]:.2f} mm,"
                 f" worst {worst[0]:.2f} deg {worst[1]:.2f} mm"
             )
@@ -227,5 +203,24 @@ def _depth(path: Path, published: Any, corrected: bool) -> np.ndarray:
     return np.where((raw < 2047) & (depth > 0.3) & (depth < 8.0), depth, np.nan)
 
 
-if __name__ == "__main__":
-    main()
+PARTS = {"rendered": show_rendered, "real": real}
+
+
+def panel(options: argparse.Namespace) -> Iterator[str]:
+    """`calibrate panel` on rendered panels, or on a real panel in real Kinect depth."""
+    for part in options.parts or PARTS:
+        yield from PARTS[part](options)
+
+
+CHECKS = (
+    Check(
+        "panel",
+        panel,
+        (
+            parts_option(*PARTS),
+            seeds_option("1000:1100", "of one pose; a fifth of them also of eight"),
+            option("--processes", type=int, default=1),
+            CHANGES,
+        ),
+    ),
+)

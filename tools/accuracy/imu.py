@@ -1,4 +1,4 @@
-"""Accuracy of the sensors' calibration on simulated sensors: `python tools/imu_accuracy.py [--seeds 20]`.
+"""Accuracy of the sensors' calibration on simulated sensors: `imu`.
 
 Accelerometer: offsets of 0.5 m/s^2, scale 3 %, cross-axis 1 %, twelve poses held for two seconds each, turned
 by hand between. Magnetometer: hard iron 0.5, soft iron 20 % (of the field), 3,000 samples, noise 1 %.
@@ -8,6 +8,7 @@ Noise figures: white noise, and bias that wanders, over a rest.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,9 +18,10 @@ from calib.imu.magnetometer import calibrate_magnetometer
 from calib.imu.sensor_calibration import GRAVITY, allan_noise, calibrate_imu
 from smoother.errors import CalibrationError
 from smoother.simulation.poses import SensorModel, magnetometer_turns, rest_poses
+from tools.accuracy.check import Check, seeds_option
 
 
-def accelerometer(seeds: range, poses: int, noise: float) -> None:
+def accelerometer(seeds: range, poses: int, noise: float) -> Iterator[str]:
     """Error of the corrected specific force at rest, over all directions."""
     errors, biases, found = [], [], []
     up = sphere_points(500) * GRAVITY
@@ -33,14 +35,14 @@ def accelerometer(seeds: range, poses: int, noise: float) -> None:
             np.sqrt(np.mean(np.sum((got.accelerometer.apply(model.distort(up)) - up) ** 2, axis=1)))
         )
         biases.append(np.abs(got.gyroscope.offset - bias).max())
-    print(
+    yield (
         f"  {poses} poses, noise {noise:g} m/s^2: rms error {np.mean(errors):.4f}, worst of"
         f" {len(seeds)} seeds {max(errors):.4f} m/s^2; poses found {min(found)}..{max(found)};"
         f" gyroscope bias {np.degrees(max(biases)):.4f} deg/s at worst"
     )
 
 
-def refused(seeds: range) -> None:
+def refused(seeds: range) -> Iterator[str]:
     """Eight poses."""
     for seed in seeds:
         model = SensorModel.draw(np.random.default_rng(seed), offset=0.5, scale=0.03, cross=0.01)
@@ -50,10 +52,10 @@ def refused(seeds: range) -> None:
             text = str(error)
         else:
             raise SystemExit(f"eight poses were taken (seed {seed})")
-    print(f"  8 poses: refused for all seeds: {text}")
+    yield (f"  8 poses: refused for all seeds: {text}")
 
 
-def magnetometer(seeds: range) -> None:
+def magnetometer(seeds: range) -> Iterator[str]:
     """Length of the corrected true field, over the sphere."""
     worst, rms = [], []
     for seed in seeds:
@@ -62,7 +64,7 @@ def magnetometer(seeds: range) -> None:
         length = np.linalg.norm(got.apply(model.distort(sphere_points(500))), axis=1)
         worst.append(np.abs(length - 1.0).max())
         rms.append(np.sqrt(np.mean((length - 1.0) ** 2)))
-    print(
+    yield (
         f"  3000 samples: radius error rms {100 * np.mean(rms):.3f} %,"
         f" worst direction {100 * max(worst):.3f} %"
     )
@@ -72,12 +74,12 @@ def magnetometer(seeds: range) -> None:
     try:
         calibrate_magnetometer(plane + rng.normal(0.0, 0.01, plane.shape))
     except CalibrationError as error:
-        print(f"  planar rotation: refused: {error}")
+        yield (f"  planar rotation: refused: {error}")
     else:
         raise SystemExit("a planar rotation was taken")
 
 
-def noise(seeds: range) -> None:
+def noise(seeds: range) -> Iterator[str]:
     """White noise and random walk of a long rest, against those that were drawn."""
     rate, hours = 100.0, 1.0
     ratio = []
@@ -91,26 +93,22 @@ def noise(seeds: range) -> None:
         assert got is not None
         ratio.append([np.sqrt(np.mean(got.density**2)) / white, np.sqrt(np.nanmean(got.walk**2)) / walk])
     low, high = np.min(ratio, axis=0), np.max(ratio, axis=0)
-    print(
+    yield (
         f"  {hours:g} h at {rate:g} Hz: white noise {low[0]:.3f}..{high[0]:.3f} of the truth,"
         f" random walk {low[1]:.2f}..{high[1]:.2f}"
     )
 
 
-def main() -> None:
-    """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    seeds = range(parser.parse_args().seeds)
-    print("accelerometer")
+def imu(options: argparse.Namespace) -> Iterator[str]:
+    """Errors of corrected accelerometers, gyroscopes and magnetometers, and of noise figures."""
+    yield "accelerometer"
     for level in (0.005, 0.02, 0.1):
-        accelerometer(seeds, 12, level)
-    refused(seeds)
-    print("magnetometer")
-    magnetometer(seeds)
-    print("noise")
-    noise(seeds)
+        yield from accelerometer(options.seeds, 12, level)
+    yield from refused(options.seeds)
+    yield "magnetometer"
+    yield from magnetometer(options.seeds)
+    yield "noise"
+    yield from noise(options.seeds)
 
 
-if __name__ == "__main__":
-    main()
+CHECKS = (Check("imu", imu, (seeds_option("20"),)),)

@@ -1,4 +1,4 @@
-"""How well measures and their intervals hold on simulated arms: `python tools/measures_accuracy.py`.
+"""How well measures and their intervals hold on simulated arms: `measures`.
 
 For each preset: how often the 95 % interval of a measure holds the truth's, its rms error and its bias;
 occlusions are those of the simulated body. The truth is measured by the same functions over the same samples.
@@ -30,8 +30,9 @@ from smoother.recording import Truth
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import DRAWS, JSON, Check, option, seeds_option
 
-PRESETS = ("realistic", "azure")
+MEASURED = ("realistic", "azure")
 #: Ends the name of a preset whose arm moves about with a straight elbow, and how far that bends, rad.
 STRAIGHT, STRAIGHT_RAD = "-straight", (0.01, 0.11)
 #: Of a joint's extreme this part is hidden, in the time that the angle is within 20 degrees of it.
@@ -146,11 +147,11 @@ def coverage_table(samples: list[Sample]) -> list[dict[str, object]]:
     return rows
 
 
-def print_rows(title: str, rows: list[dict[str, object]]) -> None:
+def print_rows(title: str, rows: list[dict[str, object]]) -> Iterator[str]:
     """As a table."""
-    print(f"\n{title}\n{'measure':44} cases  covered   rms error      bias  interval's width    mean")
+    yield (f"\n{title}\n{'measure':44} cases  covered   rms error      bias  interval's width    mean")
     for row in rows:
-        print(
+        yield (
             f"{row['key']:44} {row['cases']:5} {100 * row['coverage']:6.0f} % {row['rms']:11.4g}"
             f" {row['bias']:+9.3g} {row['width']:14.4g} {row['truth']:11.4g}"
         )
@@ -178,7 +179,7 @@ def hidden_extremes(simulated: SimulatedArm) -> SimulatedArm:
     return replace(simulated, recording=replace(recording, arm=recording.arm.hide(hidden)))
 
 
-def hidden_range(preset: str, seeds: range) -> None:
+def hidden_range(preset: str, seeds: range) -> Iterator[str]:
     """The elbow's range with nothing hidden, and with two thirds of both extremes hidden."""
     config = ArmSimulation.preset(preset, protocol="random", occlusion_lengths_s=())
     for words, is_hidden, is_calibrated in (
@@ -200,10 +201,10 @@ def hidden_range(preset: str, seeds: range) -> None:
             for what in ("range", "max", "min")
             for off in [errors[f"elbow_flexion_{what}_deg"]]
         )
-        print(f"{preset}: elbow, {words}: rms (bias), degrees: {figures}; {len(seeds)} seeds", flush=True)
+        yield (f"{preset}: elbow, {words}: rms (bias), degrees: {figures}; {len(seeds)} seeds")
 
 
-def sparc_bias(preset: str, samples: list[Sample]) -> None:
+def sparc_bias(preset: str, samples: list[Sample]) -> Iterator[str]:
     """SPARC of movements that are recovered by half or more, and of those that the camera saw."""
     rows = [
         s for s in samples if s.scope == "movement" and s.key == "sparc" and np.isfinite(s.value - s.truth)
@@ -215,7 +216,7 @@ def sparc_bias(preset: str, samples: list[Sample]) -> None:
     ):
         off = np.array([s.value - s.truth for s in some])
         if len(off):
-            print(
+            yield (
                 f"{preset}: SPARC, movements {words}: bias {off.mean():+.4f}, rms {off.std():.4f}, {len(off)}"
             )
 
@@ -239,37 +240,40 @@ def markdown(tables: dict[str, list[dict[str, object]]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--presets", nargs="+", default=list(PRESETS), choices=PRESETS)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--draws", type=int, default=64)
-    parser.add_argument("--keep-in", type=Path, help="folder for what was recovered, to measure it again")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path, help="the table of docs/measures.md")
-    options = parser.parse_args()
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
+def measures(options: argparse.Namespace) -> Iterator[str]:
+    """How often the 95 % interval of a measure holds the truth's, its rms error and its bias."""
+    seeds = options.seeds
     tables = {}
     for preset in options.presets:
         samples = accuracy(preset, seeds, options.draws, options.keep_in)
         rows = coverage_table(samples)
         tables[preset] = rows
         for scope in ("session", "movement"):
-            print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
-        sparc_bias(preset, samples)
+            yield from print_rows(f"{preset}, {scope}", [row for row in rows if row["scope"] == scope])
+        yield from sparc_bias(preset, samples)
         straight = coverage_table(accuracy(preset + STRAIGHT, seeds, options.draws, options.keep_in))
         straight = [row for row in straight if str(row["key"]).startswith("elbow_flexion")]
         for scope in ("session", "movement"):
             rows_of = [row for row in straight if row["scope"] == scope]
-            print_rows(f"{preset}, a straight and stiff elbow, {scope}", rows_of)
-        hidden_range(preset, seeds)
+            yield from print_rows(f"{preset}, a straight and stiff elbow, {scope}", rows_of)
+        yield from hidden_range(preset, seeds)
     if options.markdown is not None:
         options.markdown.write_text(markdown(tables) + "\n", encoding="utf-8")
     if options.json is not None:
         options.json.write_text(json.dumps(tables, indent=1), encoding="utf-8")
 
 
-if __name__ == "__main__":
-    main()
+CHECKS = (
+    Check(
+        "measures",
+        measures,
+        (
+            option("--presets", nargs="+", default=list(MEASURED), choices=MEASURED),
+            seeds_option("20"),
+            DRAWS,
+            option("--keep-in", type=Path, help="folder for what was recovered, to measure it again"),
+            JSON,
+            option("--markdown", type=Path, help="the table of docs/measures.md"),
+        ),
+    ),
+)

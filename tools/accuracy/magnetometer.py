@@ -1,4 +1,4 @@
-"""What a magnetometer brings on BROAD: `python tools/magnetometer_accuracy.py [options]`.
+"""What a magnetometer brings on BROAD: `magnetometer`.
 
 Needs the data sets' folder in UNOCCLUDE_DATASETS. The magnetometer is calibrated on one trial and used in
 all. The strap alone is seen (30 Hz, 8 mm of noise), so that the heading comes from accelerations otherwise.
@@ -8,12 +8,12 @@ Of every trial: orientation and heading of the whole recovery while the body mov
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from shared import datasets, rms
 
 from calib.imu.magnetometer import MagnetometerCalibration, calibrate_magnetometer
 from smoother.evaluation.gaps import evaluate_gaps
@@ -21,6 +21,7 @@ from smoother.io import import_broad
 from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.smoothing import smooth
+from tools.accuracy.check import ONLY, Check, datasets, option, rms, seeds_option
 
 
 def corrected(recording: Recording, found: MagnetometerCalibration) -> Recording:
@@ -43,12 +44,12 @@ def attitude(recovery: Recovery, recording: Recording) -> tuple[float, float]:
     return rms(np.linalg.norm(error, axis=1)), rms(error[:, 2])
 
 
-def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespace) -> None:
+def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespace) -> Iterator[str]:
     """Both ways over one trial, a line each."""
     for name in ("without", "with"):
         notes: tuple[str, ...] = ()
         rows: list[list[float]] = [[] for _ in range(2 + 2 * len(options.lengths))]
-        for seed in range(options.seeds):
+        for seed in options.seeds:
             recording = import_broad(path, seed=seed)
             if name == "with":
                 recording = corrected(recording, found)
@@ -66,31 +67,34 @@ def trial(path: Path, found: MagnetometerCalibration, options: argparse.Namespac
             f"{length:g} s: {mean[2 + 2 * k]:5.2f} cm {mean[3 + 2 * k]:5.2f} deg"
             for k, length in enumerate(options.lengths)
         ]
-        print(
+        yield (
             f"{path.stem[:34]:34} {name:7}: orientation {mean[0]:5.2f}  heading {mean[1]:5.2f} deg   "
-            f"{'   '.join(parts)}   {' '.join(notes)}",
-            flush=True,
+            f"{'   '.join(parts)}   {' '.join(notes)}"
         )
 
 
-def main() -> None:
-    """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="trials whose name holds this")
-    parser.add_argument("--calibrated-on", default="05_", help="trial whose name starts so")
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s")
-    options = parser.parse_args()
+def magnetometer(options: argparse.Namespace) -> Iterator[str]:
+    """Orientation, heading and gaps on BROAD, with a calibrated magnetometer and without."""
     trials = sorted(datasets("broad").glob("*.mat"))
     source = next(path for path in trials if path.stem.startswith(options.calibrated_on))
     mag = import_broad(source).imu.mag
     assert mag is not None
     found = calibrate_magnetometer(mag)
-    print(f"calibrated on {source.stem}: {100 * found.residual:.1f} % off the sphere")
+    yield f"calibrated on {source.stem}: {100 * found.residual:.1f} % off the sphere"
     for path in trials:
         if options.only in path.stem:
-            trial(path, found, options)
+            yield from trial(path, found, options)
 
 
-if __name__ == "__main__":
-    main()
+CHECKS = (
+    Check(
+        "magnetometer",
+        magnetometer,
+        (
+            ONLY,
+            option("--calibrated-on", default="05_", help="trial whose name starts so"),
+            option("--lengths", type=float, nargs="*", default=[1.0, 3.0], help="gaps to hide, s"),
+            seeds_option("2"),
+        ),
+    ),
+)

@@ -1,26 +1,16 @@
-"""The accuracy figures of the README: `python tools/accuracy.py broad|arm|utd|coverage [options]`.
-
-`broad` and `utd` need the data sets' folder in UNOCCLUDE_DATASETS; `arm` simulates its recordings, and with
-`--gap-s 5 10 20 30` tables gaps of those lengths in random motion; `--imus 2` then sets one IMU and two
-(wrist and upper arm) side by side on the same arms. `short` looks for gaps of 0.5 to 5 s in which two are
-worse; `trunk` scores the shoulder's angles relative to an IMU on the trunk.
-"""
+"""The smoother on data sets of others and on simulated arms: `broad`, `utd`, `arm`."""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from chain_accuracy import compare_imus, compare_short_gaps
-from coverage import PRESETS, coverage
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
-from shared import datasets, rms
-from trunk_accuracy import compare_trunk
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
@@ -34,6 +24,21 @@ from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import (
+    CALIBRATED,
+    CHANGES,
+    CONFIG,
+    ONLY,
+    SUBJECTS,
+    Check,
+    changes,
+    datasets,
+    option,
+    preset_option,
+    rms,
+    seeds_option,
+)
+from tools.accuracy.two_imus import compare_imus
 
 LENGTHS_S = (0.5, 1.0, 2.0, 3.0)
 #: What is seen between two long gaps, about, s.
@@ -54,16 +59,16 @@ class Tally:
         self._sums[key] = self._sums.get(key, np.zeros(4)) + row
         self._worst[key] = max(self._worst.get(key, 0.0), figures.position_max_m)
 
-    def show(self) -> None:
+    def show(self) -> Iterator[str]:
         """Print one line a key."""
         for key, (e, d, c, n) in self._sums.items():
-            print(
+            yield (
                 f"  {key!s:>10}: rms {100 * np.sqrt(e / n):5.2f} cm  max {100 * self._worst[key]:5.2f} cm"
                 f"  orientation {np.sqrt(d / n):5.2f} deg  squared error / sigma^2 {c / n:5.2f}"
             )
 
 
-def broad(options: argparse.Namespace) -> None:
+def broad(options: argparse.Namespace) -> Iterator[str]:
     """BROAD: the strap alone at 30 Hz with 8 mm of noise, gaps at random."""
     tally, config = Tally(), read_config(options.config)
     for path in sorted(each for each in datasets("broad").glob("*.mat") if options.only in each.stem):
@@ -77,35 +82,31 @@ def broad(options: argparse.Namespace) -> None:
                 )
                 figures = table.lengths[length]["graph"].figures
                 if figures.position_rms_m is None:
-                    print(f"  {path.stem}, seed {seed}, {length:g} s: {'; '.join(table.notes)}")
+                    yield (f"  {path.stem}, seed {seed}, {length:g} s: {'; '.join(table.notes)}")
                     continue
                 for each in (own, tally):
                     each.add(f"{length:g} s", figures)
             e, _, c, n = own._sums[f"{length:g} s"]
             line.append(f"{100 * np.sqrt(e / n):5.2f} ({c / n:4.1f})")
         runs = len(LENGTHS_S) * len(options.seeds)
-        print(
-            f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run",
-            flush=True,
-        )
+        yield (f"{path.stem[:42]:42} {'  '.join(line)}   {(time.perf_counter() - began) / runs:.1f} s a run")
     tally.show()
 
 
-def arm(options: argparse.Namespace) -> None:
-    """The simulated protocol (behind the head, belly, behind the back), truth from the simulator."""
+def arm(options: argparse.Namespace) -> Iterator[str]:
+    """The simulated protocol (behind the head, belly, behind the back), or gaps of given lengths."""
     tally, config = Tally(), read_config(options.config)
-    changes = dict(pair.split("=", 1) for pair in options.set)
     if options.imus == 2:
         options.gap_s = options.gap_s or [3.0, 10.0, 30.0, 60.0]
-        compare_imus(options)
+        yield from compare_imus(options)
         return
     if options.gap_s:
         for length_s in options.gap_s:
-            _long_gaps(length_s, changes, options)
+            yield from _long_gaps(length_s, options)
         return
     squares: list[np.ndarray] = []
     for seed in options.seeds:
-        simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes), seed=seed)
+        simulated = simulate_arm(ArmSimulation.preset(options.preset, **changes(options)), seed=seed)
         calibration = simulated.calibration if options.calibrated else None
         blind: Recording = replace(simulated.recording, truth=None)
         began = time.perf_counter()
@@ -117,15 +118,12 @@ def arm(options: argparse.Namespace) -> None:
             if getattr(figures, part).samples:
                 tally.add(part, getattr(figures, part))
         squares.append(sample_errors(recovery, simulated.recording.truth).squared_sigmas[recovery.occluded])
-        print(
-            f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s",
-            flush=True,
-        )
+        yield (f"seed {seed:3}: {_parts(figures.to_dict())} {_found(recovery, simulated)} {spent:.1f} s")
     tally.show()
-    print(f"  occluded samples inside the region that should hold  {_coverage(np.concatenate(squares))}")
+    yield (f"  occluded samples inside the region that should hold  {_coverage(np.concatenate(squares))}")
 
 
-def _long_gaps(length_s: float, changes: dict[str, str], options: argparse.Namespace) -> None:
+def _long_gaps(length_s: float, options: argparse.Namespace) -> Iterator[str]:
     """Gaps of one length in random motion: print what they hold, and each gap with `--each`."""
     config, gaps = read_config(options.config), []
     settings: dict[str, Any] = {
@@ -135,7 +133,9 @@ def _long_gaps(length_s: float, changes: dict[str, str], options: argparse.Names
         "occlusion_every_s": length_s + BETWEEN_GAPS_S,
     }
     for seed in options.seeds:
-        simulated = simulate_arm(ArmSimulation.preset(options.preset, **{**settings, **changes}), seed=seed)
+        simulated = simulate_arm(
+            ArmSimulation.preset(options.preset, **(settings | changes(options))), seed=seed
+        )
         truth = simulated.recording.truth
         assert truth is not None
         calibration = simulated.calibration if options.calibrated else None
@@ -156,14 +156,11 @@ def _long_gaps(length_s: float, changes: dict[str, str], options: argparse.Names
                 )
             )
             if options.each:
-                print(
-                    f"  seed {seed:3} gap {gap.start_s:6.1f} s + {gap.length_s:4.1f} s: {gaps[-1]}",
-                    flush=True,
-                )
+                yield (f"  seed {seed:3} gap {gap.start_s:6.1f} s + {gap.length_s:4.1f} s: {gaps[-1]}")
     if gaps:
-        _show_gaps(length_s, gaps)
+        yield from _show_gaps(length_s, gaps)
     else:
-        print(f"{length_s:g} s: no gap", flush=True)
+        yield (f"{length_s:g} s: no gap")
 
 
 @dataclass(frozen=True)
@@ -194,20 +191,19 @@ class GapErrors:
         )
 
 
-def _show_gaps(length_s: float, gaps: list[GapErrors]) -> None:
+def _show_gaps(length_s: float, gaps: list[GapErrors]) -> Iterator[str]:
     rms, sigmas = (np.array([getattr(gap, name) for gap in gaps]) for name in ("rms_m", "sigmas"))
     distance, angle, squares, turns = (
         np.concatenate([getattr(gap, name) for gap in gaps])
         for name in ("distance_m", "angle_deg", "squared_sigmas", "turn_squared_sigmas")
     )
-    print(
+    yield (
         f"{length_s:g} s, {len(gaps)} gaps: rms {100 * np.sqrt(np.nanmean(distance**2)):.2f} cm"
         f"  worst gap {100 * np.nanmax(rms):.2f} cm  orientation {np.sqrt(np.nanmean(angle**2)):.2f} deg"
         f"  squared error / sigma^2 {np.nanmean(squares) / 3:.2f} (orientation {np.nanmean(turns) / 3:.2f})\n"
         f"    largest rms / sigma of a gap {np.nanmax(sigmas):.1f}, above 4: {np.sum(sigmas > 4)}"
         f"  inside the region  {_coverage(squares, (0.5, 0.95))}"
-        f"  (orientation  {_coverage(turns, (0.5, 0.95))})",
-        flush=True,
+        f"  (orientation  {_coverage(turns, (0.5, 0.95))})"
     )
 
 
@@ -250,7 +246,7 @@ def _found(recovery: Recovery, simulated: object) -> str:
     )
 
 
-def utd(options: argparse.Namespace) -> None:
+def utd(options: argparse.Namespace) -> Iterator[str]:
     """UTD-MHAD: calibrated on a subject's first trials, a gap in the middle of every other one."""
     folder, config = datasets("utd_mhad"), read_config(options.config)
     rows: list[tuple[float, int, bool, np.ndarray, np.ndarray, float]] = []
@@ -265,7 +261,7 @@ def utd(options: argparse.Namespace) -> None:
         }
         first = [recording for (_, t), recording in trials.items() if t == 1]
         found = calibrate_motion(first, None, config)
-        print(f"subject {subject}: {found.calibration}", flush=True)
+        yield (f"subject {subject}: {found.calibration}")
         for (action, trial), recording in trials.items():
             if trial == 1:
                 continue
@@ -291,17 +287,17 @@ def utd(options: argparse.Namespace) -> None:
                 rows.append((length, action, moved < 0.30, off, line_off, float(np.nanmax(stated)), inside))
     for length in (0.5, 1.0):
         for name, pick in (("all", lambda r: True), ("slow", lambda r: r[2]), ("fast", lambda r: not r[2])):
-            _show_utd(f"{length:g} s {name}", [r for r in rows if r[0] == length and pick(r)])
+            yield from _show_utd(f"{length:g} s {name}", [r for r in rows if r[0] == length and pick(r)])
     for action in sorted({r[1] for r in rows}):
-        _show_utd(f"1 s action {action}", [r for r in rows if r[0] == 1.0 and r[1] == action])
+        yield from _show_utd(f"1 s action {action}", [r for r in rows if r[0] == 1.0 and r[1] == action])
 
 
-def _show_utd(title: str, rows: list) -> None:
+def _show_utd(title: str, rows: list) -> Iterator[str]:
     if not rows:
         return
     graph, line = (np.concatenate([r[k] for r in rows]) for k in (3, 4))
     trial = [(rms(r[3]), rms(r[4])) for r in rows]
-    print(
+    yield (
         f"  {title:15}: graph rms {100 * rms(graph):5.1f} median {100 * np.median(graph):5.1f} cm"
         f"   interpolation rms {100 * rms(line):5.1f} median {100 * np.median(line):5.1f} cm   graph nearer"
         f" in {100 * np.mean([g < i for g, i in trial]):3.0f} % of {len(rows)}   median sigma"
@@ -310,51 +306,24 @@ def _show_utd(title: str, rows: list) -> None:
     )
 
 
-def main() -> None:
-    """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("broad", help=broad.__doc__)
-    one.add_argument("--only", default="", help="trials whose name holds this")
-    two = commands.add_parser("arm", help=arm.__doc__)
-    two.add_argument("--preset", default="white")
-    two.add_argument("--calibrated", action="store_true", help="give the true calibration")
-    two.add_argument(
-        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting of the preset"
-    )
-    two.add_argument(
-        "--gap-s", type=float, nargs="+", metavar="S", help="random motion with gaps of these lengths instead"
-    )
-    two.add_argument("--imus", type=int, choices=(1, 2), default=1, help="2: one IMU and two, side by side")
-    two.add_argument("--at-end", action="store_true", help="with --imus 2: one gap, at the recording's end")
-    two.add_argument("--each", action="store_true", help="with --gap-s: also print every gap")
-    three = commands.add_parser("utd", help=utd.__doc__)
-    three.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
-    four = commands.add_parser("coverage", help=coverage.__doc__)
-    four.add_argument("sources", nargs="+", choices=(*PRESETS, "broad", "utd"))
-    four.add_argument("--subjects", type=int, nargs="*", default=[1, 2, 3, 4])
-    five = commands.add_parser("short", help=compare_short_gaps.__doc__)
-    five.add_argument("--presets", nargs="+", default=["white", "realistic"], choices=PRESETS)
-    five.add_argument("--calibrated", action="store_true", help="give the true calibration")
-    five.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting")
-    six = commands.add_parser("trunk", help=compare_trunk.__doc__)
-    six.add_argument("--preset", default="realistic", choices=PRESETS)
-    six.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="change a setting")
-    for each in (one, two, three, four, five, six):
-        each.add_argument(
-            "--config", type=Path, help="settings as TOML, as `unocclude smooth --config` takes them"
-        )
-        each.add_argument("--seeds", type=_seeds, default=range(3), metavar="A:B", help="from A up to B - 1")
-    options = parser.parse_args()
-    command = {"broad": broad, "arm": arm, "utd": utd, "coverage": coverage, "short": compare_short_gaps}
-    command["trunk"] = compare_trunk
-    command[options.command](options)
-
-
-def _seeds(text: str) -> range:
-    first, _, last = text.partition(":")
-    return range(int(first), int(last)) if last else range(int(first))
-
-
-if __name__ == "__main__":
-    main()
+CHECKS = (
+    Check("broad", broad, (ONLY, CONFIG, seeds_option("3"))),
+    Check(
+        "arm",
+        arm,
+        (
+            preset_option("white"),
+            CALIBRATED,
+            CHANGES,
+            option(
+                "--gap-s", type=float, nargs="+", metavar="S", help="random motion with such gaps instead"
+            ),
+            option("--imus", type=int, choices=(1, 2), default=1, help="2: one IMU and two, side by side"),
+            option("--at-end", action="store_true", help="with --imus 2: one gap, at the recording's end"),
+            option("--each", action="store_true", help="with --gap-s: also print every gap"),
+            CONFIG,
+            seeds_option("3"),
+        ),
+    ),
+    Check("utd", utd, (SUBJECTS, CONFIG)),
+)

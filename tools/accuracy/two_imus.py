@@ -1,7 +1,4 @@
-"""One and two IMUs on the same simulated arms: `python tools/accuracy.py arm --imus 2 --gap-s 3 10 30 60`.
-
-`python tools/accuracy.py short --seeds 20` looks for gaps of 0.5 to 5 s in which two IMUs are worse than one.
-"""
+"""One and two IMUs on the same simulated arms: `arm --imus 2` and `short`."""
 
 from __future__ import annotations
 
@@ -21,6 +18,17 @@ from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import (
+    CALIBRATED,
+    CHANGES,
+    CONFIG,
+    PRESETS,
+    Check,
+    changes,
+    option,
+    rms,
+    seeds_option,
+)
 
 #: What is seen between two gaps, about, and before one at the end, s.
 BETWEEN_GAPS_S, BEFORE_END_S = 8.0, 45.0
@@ -42,18 +50,16 @@ class ChainErrors:
     heading_deg: np.ndarray
 
 
-def compare_imus(options: argparse.Namespace) -> None:
+def compare_imus(options: argparse.Namespace) -> Iterator[str]:
     """A table of gaps by their length, with one IMU and with two; nothing is calibrated unless asked for."""
-    changes = dict(pair.split("=", 1) for pair in options.set)
     config = read_config(options.config)
-    print(
-        "nothing calibrated" if not options.calibrated else "calibrated", f"preset {options.preset}", changes
-    )
+    given = "calibrated" if options.calibrated else "nothing calibrated"
+    yield f"{given} preset {options.preset} {changes(options)}"
     for length_s in options.gap_s:
         gaps: dict[int, list[ChainErrors]] = {1: [], 2: []}
         spent = {1: 0.0, 2: 0.0}
         for seed in options.seeds:
-            settings = _settings(length_s, options.at_end) | changes
+            settings = _settings(length_s, options.at_end) | changes(options)
             simulated = simulate_arm(ArmSimulation.preset(options.preset, **settings), seed=seed)
             whole = replace(simulated.recording, truth=None)
             for imus, recording in ((1, replace(whole, upper_imu=None)), (2, whole)):
@@ -61,21 +67,20 @@ def compare_imus(options: argparse.Namespace) -> None:
                 spent[imus] += seconds
                 gaps[imus] += _gaps(recovery, simulated, length_s, options.at_end)
         for imus in (1, 2):
-            _show(length_s, imus, gaps[imus], spent[imus])
-        one, two = (_rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
-        print(f"    two against one: error {two / one:.2f}, time {spent[2] / spent[1]:.2f}", flush=True)
+            yield from _show(length_s, imus, gaps[imus], spent[imus])
+        one, two = (rms(np.concatenate([gap.distance_m for gap in gaps[imus]])) for imus in (1, 2))
+        yield (f"    two against one: error {two / one:.2f}, time {spent[2] / spent[1]:.2f}")
 
 
-def compare_short_gaps(options: argparse.Namespace) -> None:
+def compare_short_gaps(options: argparse.Namespace) -> Iterator[str]:
     """Gaps of 0.5 to 5 s with one IMU and with two: nowhere is the error to be larger than 1.02 times."""
-    changes = dict(pair.split("=", 1) for pair in options.set)
     config = read_config(options.config)
     settings = {
         "imus": "wrist,upper-arm",
         "protocol": "random",
         "duration_s": SHORT_RECORDING_S,
         "occlusion_lengths_s": SHORT_GAPS_S,
-    } | changes
+    } | changes(options)
     for preset in options.presets:
         gaps: dict[tuple[float, int], list[ChainErrors]] = {}
         spent = {1: 0.0, 2: 0.0}
@@ -89,17 +94,17 @@ def compare_short_gaps(options: argparse.Namespace) -> None:
                     length_s = min(SHORT_GAPS_S, key=lambda s: abs(s - gap.length_s))
                     gaps.setdefault((length_s, imus), []).append(errors)
                     gaps.setdefault((np.inf, imus), []).append(errors)
-        print(f"preset {preset} {changes}, seeds {options.seeds.start} to {options.seeds.stop - 1}")
-        print("  gap      gaps   one, cm   two, cm   ratio   squared error / sigma^2, one and two")
+        yield (f"preset {preset} {changes(options)}, seeds {options.seeds.start} to {options.seeds.stop - 1}")
+        yield ("  gap      gaps   one, cm   two, cm   ratio   squared error / sigma^2, one and two")
         for length_s in (*SHORT_GAPS_S, np.inf):
             one, two = (gaps.get((length_s, imus), []) for imus in (1, 2))
             if one and two:
-                print(_short_line(length_s, one, two), flush=True)
-        print(f"  time, two against one: {spent[2] / spent[1]:.2f}", flush=True)
+                yield (_short_line(length_s, one, two))
+        yield (f"  time, two against one: {spent[2] / spent[1]:.2f}")
 
 
 def _short_line(length_s: float, one: list[ChainErrors], two: list[ChainErrors]) -> str:
-    first, second = (_rms(np.concatenate([gap.distance_m for gap in gaps])) for gaps in (one, two))
+    first, second = (rms(np.concatenate([gap.distance_m for gap in gaps])) for gaps in (one, two))
     squares = [np.nanmean(np.concatenate([gap.squared_sigmas for gap in gaps])) / 3 for gaps in (one, two)]
     name = "all" if np.isinf(length_s) else f"{length_s:g} s"
     verdict = "" if second <= NEVER_WORSE * first else "  two are worse"
@@ -193,25 +198,35 @@ def _heading(recovery: Recovery, simulated: SimulatedArm) -> np.ndarray:
     return heading
 
 
-def _show(length_s: float, imus: int, gaps: list[ChainErrors], seconds: float) -> None:
+def _show(length_s: float, imus: int, gaps: list[ChainErrors], seconds: float) -> Iterator[str]:
     def every(name: str) -> np.ndarray:
         return np.concatenate([getattr(gap, name) for gap in gaps])
 
     if not gaps:
-        print(f"{length_s:g} s: no gap")
+        yield (f"{length_s:g} s: no gap")
         return
     distance = every("distance_m")
     last = np.array([gap.heading_deg[-40:] for gap in gaps if len(gap.heading_deg) >= 40])
-    print(
-        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * _rms(distance):5.2f} cm  max"
+    yield (
+        f"{length_s:4g} s, {imus} IMU, {len(gaps):3} gaps: rms {100 * rms(distance):5.2f} cm  max"
         f" {100 * np.nanmax(distance):5.2f}  squared error / sigma^2"
         f" {np.nanmean(every('squared_sigmas')) / 3:4.2f}  wrist to shoulder"
-        f" {100 * _rms(every('wrist_to_shoulder_m')):5.2f} cm  orientation {_rms(every('angle_deg')):4.2f}"
-        f" deg  relative heading at the end {_rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
-        f"  answered {100 * np.isfinite(distance).mean():.1f} %  {seconds:.1f} s",
-        flush=True,
+        f" {100 * rms(every('wrist_to_shoulder_m')):5.2f} cm  orientation {rms(every('angle_deg')):4.2f}"
+        f" deg  relative heading at the end {rms(last) if np.isfinite(last).any() else np.nan:4.2f} deg"
+        f"  answered {100 * np.isfinite(distance).mean():.1f} %  {seconds:.1f} s"
     )
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
+CHECKS = (
+    Check(
+        "short",
+        compare_short_gaps,
+        (
+            option("--presets", nargs="+", default=["white", "realistic"], choices=PRESETS),
+            CALIBRATED,
+            CHANGES,
+            CONFIG,
+            seeds_option("3"),
+        ),
+    ),
+)

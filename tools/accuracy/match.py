@@ -1,4 +1,4 @@
-"""Which IMU is on whom: `python tools/match_accuracy.py [utd] [scenes] [--methods motion,..] [--develop]`.
+"""Which IMU is on whom: `match [utd|scenes] [--methods motion,..] [--develop]`.
 
 `utd`: all trials of an action in UTD-MHAD at once (four people who do the same, one IMU on each right
 wrist; needs UNOCCLUDE_DATASETS), whole trials and their first 2 s, with four wrists and four upper arms to
@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from shared import datasets
 
 from smoother.io import import_utd_mhad
 from smoother.matching import METHODS, SURE_FROM, ImuMatch, decide, limbs_of, pair_evidence
 from smoother.matching.match import assign
 from smoother.recording import CameraFrame, Recording
 from smoother.simulation import ArmSimulation, PeopleSimulation, simulate_people
+from tools.accuracy.check import Check, datasets, option, parts_option, seeds_option
 
 #: Weight of `none` where every IMU is on somebody.
 NEVER = -1e5
@@ -109,10 +109,10 @@ def scenes(methods: list[str], seeds: range) -> dict[str, list[Answer]]:
     return answers
 
 
-def print_answers(title: str, answers: dict[str, list[Answer]]) -> None:
+def answer_rows(title: str, answers: dict[str, list[Answer]]) -> Iterator[str]:
     """A row a method, then reliability of the pairs."""
-    print(f"\n{title}, {len(next(iter(answers.values())))} IMUs")
-    print(
+    yield (f"\n{title}, {len(next(iter(answers.values())))} IMUs")
+    yield (
         f"{'method':22}{'right':>8}{'unknown':>9}{'wrong':>7}{'sure':>8}{'sure, wrong':>13}{'assigned':>10}"
     )
     for method, rows in answers.items():
@@ -124,8 +124,8 @@ def print_answers(title: str, answers: dict[str, list[Answer]]) -> None:
         bad = sum(not one.is_right for one in sure)
         share = len(sure) / len(rows)
         cells = f"{right:8.1%}{unknown:9.1%}{wrong:7d}{share:8.1%}{bad:13d}{assigned:10.1%}"
-        print(f"{method:22}{cells}")
-    print("reliability: pairs with a probability of .. are right in .. of .. cases")
+        yield (f"{method:22}{cells}")
+    yield ("reliability: pairs with a probability of .. are right in .. of .. cases")
     for method, rows in answers.items():
         reliability = []
         for low, high in pairwise(PROBABILITIES):
@@ -134,32 +134,34 @@ def print_answers(title: str, answers: dict[str, list[Answer]]) -> None:
                 mean = np.mean([one.match.probability for one in inside])
                 fraction = np.mean([one.is_right for one in inside])
                 reliability.append(f"{mean:.3f}: {fraction:.3f} of {len(inside)}")
-        print(f"{method:22}{'; '.join(reliability)}", flush=True)
+        yield (f"{method:22}{'; '.join(reliability)}")
 
 
-def main() -> None:
-    """Run the parts that the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument(
-        "parts", nargs="*", choices=[[], "utd", "scenes"], help="what to measure; all if none"
-    )
-    parser.add_argument("--methods", default=",".join(METHODS), help="names, with commas")
-    parser.add_argument("--seeds", type=int, default=200, help="number of scenes")
-    parser.add_argument("--develop", action="store_true", help="what the constants were set on")
-    parser.add_argument("--all-trials", action="store_true", help="of utd, developed and others together")
-    options = parser.parse_args()
+def match(options: argparse.Namespace) -> Iterator[str]:
+    """How often IMUs are found on the right limb of the right person, and how often surely."""
     methods = options.methods.split(",")
-    parts = options.parts or ["utd", "scenes"]
+    wanted = options.parts or ["utd", "scenes"]
     trials = (1, 2, 3, 4) if options.all_trials else (1, 2) if options.develop else (3, 4)
-    if "utd" in parts:
+    if "utd" in wanted:
         for first_s, about in ((None, "whole"), (2.0, "first 2 s")):
             title = f"UTD-MHAD, trials {', '.join(map(str, trials))}, {about}"
-            print_answers(title, {method: utd(method, trials, first_s) for method in methods})
-    if "scenes" in parts:
+            yield from answer_rows(title, {method: utd(method, trials, first_s) for method in methods})
+    if "scenes" in wanted:
         start = 1000 if options.develop else 0
-        seeds = range(start, start + options.seeds)
-        print_answers(f"Scenes, seeds {start} to {seeds[-1]}", scenes(methods, seeds))
+        seeds = range(start + options.seeds.start, start + options.seeds.stop)
+        yield from answer_rows(f"Scenes, seeds {seeds[0]} to {seeds[-1]}", scenes(methods, seeds))
 
 
-if __name__ == "__main__":
-    main()
+CHECKS = (
+    Check(
+        "match",
+        match,
+        (
+            parts_option("utd", "scenes"),
+            option("--methods", default=",".join(METHODS), help="names, with commas"),
+            seeds_option("200", "scenes"),
+            option("--develop", action="store_true", help="what the constants were set on"),
+            option("--all-trials", action="store_true", help="of utd, developed and others together"),
+        ),
+    ),
+)

@@ -1,4 +1,4 @@
-"""Whether changes between sessions are called rightly: `python tools/progress_accuracy.py`.
+"""Whether changes between sessions are called rightly: `progress`.
 
 Simulated persons, each with three sessions: the same motion twice (other sensor errors, another mounting of
 the sensor, other errors of the camera), then with the elbow bending less. Each session is recovered from its
@@ -15,8 +15,8 @@ import argparse
 import json
 import math
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from smoother.simulation.body import FLEXION, draw_measures
 from smoother.simulation.motion import draw_stage
 from smoother.simulation.protocol import perform
 from smoother.smoothing import smooth
+from tools.accuracy.check import DRAWS, JSON, Check, option, preset_option, seeds_option
 
 #: Of the elbow's bending that is left in the third session.
 BENDING = 0.75
@@ -80,37 +81,12 @@ def value(row: Measure) -> SessionValue:
     )
 
 
-def main() -> None:
-    """Measure, and print and keep the counts."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--persons", type=int, default=6)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--preset", default="realistic")
-    parser.add_argument("--duration-s", type=float, default=20.0)
-    parser.add_argument("--draws", type=int, default=64)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    config = ArmSimulation.preset(options.preset, protocol="random", duration_s=options.duration_s)
-    counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
-    for seed in range(options.first_seed, options.first_seed + options.persons):
-        rows = [measured(simulated, options.draws) for simulated in sessions_of(config, seed)]
-        for number in (1, 2):
-            first, last = rows[0], rows[number]
-            if first is not None and last is not None:
-                count_pair(counts, first, last, same=number == 1)
-        print(f"person {seed}: {summary(counts)}", flush=True)
-    for key, each in sorted(counts.items()):
-        print(f"{key:40s} {dict(each)}")
-    if options.json is not None:
-        options.json.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
-
-
 def count_pair(
     counts: dict[str, dict[str, int]],
     first: tuple[dict[str, Measure], dict[str, Measure]],
     last: tuple[dict[str, Measure], dict[str, Measure]],
     same: bool,
-) -> None:
+) -> Iterator[str]:
     """Count what is said of two sessions."""
     for key in first[0].keys() & last[0].keys():
         if not is_main(key) or not (first[1][key].is_known and last[1][key].is_known):
@@ -133,7 +109,7 @@ def count_pair(
         if not change.low <= true <= change.high:
             half = 0.5 * (change.high - change.low)
             numbers = f"{change.difference:.3g} (true {true:.3g}, half {half:.3g}, movements {movements})"
-            print(f"  {what}: {key} {numbers}")
+            yield (f"  {what}: {key} {numbers}")
 
 
 def summary(counts: dict[str, dict[str, int]]) -> str:
@@ -149,5 +125,33 @@ def summary(counts: dict[str, dict[str, int]]) -> str:
     )
 
 
-if __name__ == "__main__":
-    main()
+def progress(options: argparse.Namespace) -> Iterator[str]:
+    """False alarms, found changes and intervals that hold, between simulated persons' sessions."""
+    config = ArmSimulation.preset(options.preset, protocol="random", duration_s=options.duration_s)
+    counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+    for seed in options.seeds:
+        rows = [measured(simulated, options.draws) for simulated in sessions_of(config, seed)]
+        for number in (1, 2):
+            first, last = rows[0], rows[number]
+            if first is not None and last is not None:
+                yield from count_pair(counts, first, last, same=number == 1)
+        yield f"person {seed}: {summary(counts)}"
+    for key, each in sorted(counts.items()):
+        yield f"{key:40s} {dict(each)}"
+    if options.json is not None:
+        options.json.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
+
+
+CHECKS = (
+    Check(
+        "progress",
+        progress,
+        (
+            seeds_option("6", "a person each"),
+            preset_option("realistic"),
+            option("--duration-s", type=float, default=20.0),
+            DRAWS,
+            JSON,
+        ),
+    ),
+)

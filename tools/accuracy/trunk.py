@@ -1,8 +1,9 @@
-"""Shoulder angles relative to the trunk, with an IMU on it and without: `python tools/accuracy.py trunk`."""
+"""Shoulder angles relative to the trunk, with an IMU on it and without: `trunk`."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,50 +16,49 @@ from smoother.result.upper_motion import UpperMotion
 from smoother.shoulder_angles import SHOULDER_ANGLES, TRUNK_ANGLES, shoulder_angles, trunk_angles
 from smoother.simulation import ArmSimulation, SimulatedArm, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import CHANGES, Check, changes, preset_option, rms, seeds_option
 
 #: A humerus that is raised by less, or nearly upright, has no plane of elevation, degrees.
 RAISED_DEG = (25.0, 155.0)
 
 
-def compare_trunk(options: argparse.Namespace) -> None:
+def compare_trunk(options: argparse.Namespace) -> Iterator[str]:
     """Shoulder angles relative to the thorax: by an IMU on it, and as if the trunk stood still."""
-    changes = dict(pair.split("=", 1) for pair in options.set)
     settings = {
         "imus": "wrist,upper-arm,trunk",
         "protocol": "random",
         "duration_s": 60.0,
         "trunk_turn_deg": 10.0,
-    } | changes
-    print(f"preset {options.preset} {settings}")
+    } | changes(options)
+    yield (f"preset {options.preset} {settings}")
     tilt, heading, squares = [], [], []
     angles: dict[str, list[np.ndarray]] = {}
     for seed in options.seeds:
         made = simulate_arm(ArmSimulation.preset(options.preset, **settings), seed=seed)
         recovery = smooth(replace(made.recording, truth=None), processes=1)
         if recovery.trunk is None or made.trunk_motion is None:
-            print(f"seed {seed}: {recovery.notes[-1]}")
+            yield (f"seed {seed}: {recovery.notes[-1]}")
             continue
         error, square = _thorax(recovery, made)
         tilt.append(error[:, [0, 2]])
         heading.append(error[:, 1])
         squares.append(square)
-        print(
-            f"seed {seed:3}: lean {_rms(error[:, [0, 2]]):.2f}, heading {_rms(error[:, 1]):.2f} deg,"
-            f" squared error / sigma^2 {np.mean(square):.2f}",
-            flush=True,
+        yield (
+            f"seed {seed:3}: lean {rms(error[:, [0, 2]]):.2f}, heading {rms(error[:, 1]):.2f} deg,"
+            f" squared error / sigma^2 {np.mean(square):.2f}"
         )
         for name, errors in _angles(recovery, made).items():
             angles.setdefault(name, []).append(errors)
     if not tilt:
         return
-    print(
-        f"all: lean {_rms(np.vstack(tilt)):.2f}, heading {_rms(np.concatenate(heading)):.2f} deg,"
+    yield (
+        f"all: lean {rms(np.vstack(tilt)):.2f}, heading {rms(np.concatenate(heading)):.2f} deg,"
         f" squared error / sigma^2 {np.mean(np.concatenate(squares)):.2f}"
     )
     for name, values in angles.items():
         with_imu, without, ratio = np.vstack(values).T
-        print(
-            f"  {name:26} rms {_rms(with_imu):5.2f} deg, without the trunk's IMU {_rms(without):5.2f} deg,"
+        yield (
+            f"  {name:26} rms {rms(with_imu):5.2f} deg, without the trunk's IMU {rms(without):5.2f} deg,"
             f" squared error / sigma^2 {np.mean(ratio**2):.2f}"
         )
 
@@ -106,5 +106,4 @@ def _angles(recovery: Recovery, made: SimulatedArm) -> dict[str, np.ndarray]:
     return out
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+CHECKS = (Check("trunk", compare_trunk, (preset_option("realistic"), CHANGES, seeds_option("3"))),)

@@ -1,12 +1,9 @@
-"""Accuracy of `calibrate world` on rendered sessions: camera from base IMU, tilt, mounting, sigmas.
-
-Example: .venv/bin/python tools/world_accuracy.py --seeds 20
-"""
+"""`calibrate world` on rendered sessions, camera from base IMU, tilt, mounting, sigmas: `world`."""
 
 from __future__ import annotations
 
 import argparse
-import sys
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +15,7 @@ from calib.world.panel_view import view_panel
 from calib.world.world_calibration import WorldCalibration, calibrate_world, world_poses
 from smoother.errors import UnoccludeError
 from smoother.simulation.panel import PanelSimulation, SimulatedPanel, simulate_panel
+from tools.accuracy.check import Check, option, seeds_option
 
 #: Sessions: what they are called, and their settings.
 SESSIONS = {
@@ -61,23 +59,20 @@ def errors(panel: SimulatedPanel, found: WorldCalibration) -> dict[str, float]:
     }
 
 
-def main() -> int:
-    """Print a table; 1 where the limit is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20, help="sessions of each kind")
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--poses", type=int, default=6)
-    arguments = parser.parse_args()
-    print("6 poses, an ordinary phone's IMUs, panel IMU 3 degrees off; degrees, median / worst")
+def world(options: argparse.Namespace) -> Iterator[str]:
+    """Camera from base IMU, its tilt and the mounting on rendered sessions; ends with 1 above the limit."""
+    yield (
+        f"{options.poses} poses, an ordinary phone's IMUs, panel IMU 3 degrees off; degrees, median / worst"
+    )
     missed = False
     for name, settings in SESSIONS.items():
         rows = []
-        for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-            panel = simulate_panel(PanelSimulation(poses=arguments.poses, **settings), seed)
+        for seed in options.seeds:
+            panel = simulate_panel(PanelSimulation(poses=options.poses, **settings), seed)
             try:
                 rows.append(errors(panel, calibrated(panel)))
             except UnoccludeError as error:
-                print(f"  {name}, seed {seed}: {error}")
+                yield (f"  {name}, seed {seed}: {error}")
                 missed = True
         if not rows:
             continue
@@ -86,14 +81,14 @@ def main() -> int:
         shown = (*shown, "rotation") if "magnet" in name else shown
         words = ", ".join(f"{key} {np.median(columns[key]):.2f} / {columns[key].max():.2f}" for key in shown)
         inside = np.mean(columns["tilt"] <= 2 * np.sqrt(2) * columns["tilt_sigma"])
-        print(
+        yield (
             f"  {name}: {words}; tilt within 2 sigma {100 * inside:.0f} %, NEES/3"
             f" {columns['nees'].mean():.2f}"
         )
         if "turned" in name:
             missed |= bool(columns["rotation"].max() > LIMIT_DEG)
-    return int(missed)
+    if missed:
+        raise SystemExit(1)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+CHECKS = (Check("world", world, (seeds_option("100:120"), option("--poses", type=int, default=6))),)

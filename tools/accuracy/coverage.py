@@ -1,4 +1,4 @@
-"""Stated uncertainty against error in gaps: `python tools/accuracy.py coverage SOURCE..`.
+"""Stated uncertainty against error in gaps: `coverage SOURCE ..`.
 
 For position, orientation and elbow flexion: squared error over variance, and how many samples lie inside the
 regions that should hold 50 and 95 of 100. Sources are simulated presets and data sets of others; of UTD-MHAD,
@@ -16,7 +16,6 @@ from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
-from shared import datasets
 
 from calib.motion.motion_calibration import calibrate_motion
 from smoother.calibration import ArmCalibration
@@ -31,8 +30,8 @@ from smoother.recording import Recording
 from smoother.result import Recovery
 from smoother.simulation import ArmSimulation, simulate_arm
 from smoother.smoothing import smooth
+from tools.accuracy.check import PRESETS, SUBJECTS, Check, datasets, option, seeds_option
 
-PRESETS = ("white", "realistic", "azure")
 LENGTHS_S = (0.5, 1.0, 2.0, 3.0)
 UTD_LENGTHS_S = (0.5, 1.0)
 #: Gaps of a length in a trial of BROAD.
@@ -130,22 +129,30 @@ def _jobs(source: str, options: argparse.Namespace) -> Iterator[tuple[Callable, 
             )
 
 
-def coverage(options: argparse.Namespace) -> None:
+def coverage(options: argparse.Namespace) -> Iterator[str]:
     """Stated uncertainty against error in gaps, by source and quantity."""
-    print(f"{'':16} {'':14} samples  squared error / sigma^2  inside 50 %  inside 95 %")
+    yield (f"{'':16} {'':14} samples  squared error / sigma^2  inside 50 %  inside 95 %")
     with ProcessPoolExecutor(os.cpu_count()) as workers:
         for source in options.sources:
             for function, jobs in _jobs(source, options):
-                _show([each for answer in workers.map(function, jobs) for each in answer])
+                yield from _show([each for answer in workers.map(function, jobs) for each in answer])
 
 
-def _show(squares: list[Squares]) -> None:
+def _show(squares: list[Squares]) -> Iterator[str]:
     for part, quantity, freedom in dict.fromkeys((s.part, s.quantity, s.freedom) for s in squares):
         values = np.concatenate([s.values for s in squares if (s.part, s.quantity) == (part, quantity)])
         values = values[np.isfinite(values)]
         half, most = (100 * np.mean(values <= chi2.ppf(p, freedom)) for p in (0.5, 0.95))
-        print(
+        yield (
             f"{part:16} {quantity:14} {len(values):7} {np.mean(values) / freedom:12.2f}"
-            f" {half:21.0f} % {most:10.0f} %",
-            flush=True,
+            f" {half:21.0f} % {most:10.0f} %"
         )
+
+
+CHECKS = (
+    Check(
+        "coverage",
+        coverage,
+        (option("sources", nargs="+", choices=(*PRESETS, "broad", "utd")), SUBJECTS, seeds_option("3")),
+    ),
+)
