@@ -16,7 +16,7 @@ from smoother.io import import_broad, import_utd_mhad
 from smoother.recording import Recording
 from smoother.simulation import ArmSimulation, simulate_arm
 
-from ..shared import ONE_PROCESS, datasets
+from ..accuracy.check import ONE_PROCESS, datasets
 from .without import WITHOUT
 
 LENGTHS_S = (1.0, 3.0, 2.0, 5.0, 0.5, 0.25)
