@@ -3,55 +3,41 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 
 from ...errors import RecordingError
 from ..tables.columns import MissingAxis, missing_axes, missing_axes_words
 from ..tables.file_head import first_rows, no_table, read_head
+from ..tables.imu_formats import IMU_FORMATS
 from ..tables.joint_columns import find_joint_columns
+from ..tables.phone_formats import PHONE_FORMATS
 from ..tables.protocol import DeviceFormat, FileHead, ImuTable, SkeletonTable
+from ..tables.skeleton_formats import SKELETON_FORMATS
 from ..tables.table_layout import layout_of
-
-#: "module:Class" of every importer, a line each; where two recognise a file, the upper one has it.
-FORMATS: tuple[str, ...] = (
-    "xdf:XdfFile",
-    "ros_files:RosBag1",
-    "ros_files:McapFile",
-    "numbered_joints:JointArray",
-    "marker_skeletons:C3dSkeleton",
-    "marker_skeletons:TrcSkeleton",
-    "skeleton_json:KinectJson",
-    "skeleton_json:PoseJson",
-    ".tables.skeleton_formats:AzureKinectTable",
-    ".tables.skeleton_formats:KinectV2Table",
-    ".tables.skeleton_formats:MediapipeTable",
-    ".tables.skeleton_formats:NamedJoints",
-    "long_skeleton:LongSkeleton",
-    "numbered_joints:BareKinect",
-    "xsens_mt:XsensMt",
-    "xsens_dot:XsensDot",
-    "mvnx:Mvnx",
-    "shimmer:Shimmer",
-    "apdm:Apdm",
-    "apdm_hdf:ApdmHdf",
-    "ximu:Ximu",
-    "nilspod:NilsPod",
-    "metamotion:MetaMotion",
-    "sensorlog:SensorLog",
-    "phyphox:Phyphox",
-    "axivity:Axivity",
-    "android:AndroidLog",  # behind the others: its columns are the least particular
-)
 
 
 @cache
 def formats() -> tuple[DeviceFormat, ...]:
-    """All importers, in the order of the table."""
-    importers = []
-    for entry in FORMATS:
-        module, _, name = entry.partition(":")
-        importers.append(getattr(import_module(f".{module}", __package__), name)())
+    """All importers; where two recognise a file, the earlier one has it."""
+    from . import apdm_hdf, axivity, marker_skeletons, mvnx, numbered_joints, ros_files, skeleton_json, xdf
+    from .long_skeleton import LongSkeleton
+
+    importers: list[DeviceFormat] = [
+        *(xdf.XdfFile(), ros_files.RosBag1(), ros_files.McapFile(), numbered_joints.JointArray()),
+        *(marker_skeletons.C3dSkeleton(), marker_skeletons.TrcSkeleton()),
+        *(skeleton_json.KinectJson(), skeleton_json.PoseJson(), *SKELETON_FORMATS),
+        *(LongSkeleton(), numbered_joints.BareKinect()),
+    ]
+    #: Files that are no plain tables, listed behind a row of `IMU_FORMATS`.
+    behind: dict[str, DeviceFormat] = {
+        "xsens-dot": mvnx.Mvnx(),
+        "apdm": apdm_hdf.ApdmHdf(),
+        "phyphox": axivity.Axivity(),
+    }
+    for row in (*IMU_FORMATS, *PHONE_FORMATS):
+        importers.append(row)
+        if row.key in behind:
+            importers.append(behind[row.key])
     return tuple(importers)
 
 

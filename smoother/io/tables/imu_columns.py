@@ -1,8 +1,10 @@
-"""What readers of tables of one inertial sensor share: columns to vectors in SI units."""
+"""Columns of a plain table to the vectors of inertial sensors, in SI units, as an `ImuFormat` says."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from ...array_types import FloatArray, IntArray
 from ...errors import RecordingError
 from .file_head import shown
-from .imu_checks import size_notes
+from .imu_checks import size_notes, with_settled_unit
 from .protocol import FileHead, ImuTable
 from .table_layout import TableLayout, layout_of
 from .text_table import Sheet, read_sheet
@@ -19,26 +21,115 @@ from .units import ACCELERATION, ANGULAR_VELOCITY, TIME, plain_unit
 Columns = tuple[int, int, int]
 
 
-class ImuSheetFormat:
-    """An importer of a table of inertial sensors; see `DeviceFormat`.
-
-    A subclass says which layouts are its own (`fits`) and reads them (`tables`).
+@dataclass(frozen=True)
+class Increments:
+    """Columns of velocity and rotation over a sample, which some devices write instead of rates.
 
     Attributes
     ----------
-    key, title, kind, recognised_by : str
-        As in `DeviceFormat`.
+    names : str
+        Of the two, as a sentence begins.
+    velocity : str
+        Stem of the velocity's columns, m/s.
+    rotation : tuple of str
+        Forms of the quaternion's columns, of `axis` (w, x, y, z) and `at` (0 to 3).
+    units : str
+        For the line about the file.
+    lacks : callable
+        Of a table without these: what it holds, and what to do, behind the format's title.
+    no_rate : str
+        Behind the file's name, where neither times nor a rate are there to multiply by.
+    signs : tuple of str
+        Of the velocity's axes.
     """
 
-    key = ""
-    title = ""
-    kind = "imu"
-    recognised_by = ""
+    names: str
+    velocity: str
+    rotation: tuple[str, ...]
+    units: str
+    lacks: Callable[[TableLayout, ImuTable], str]
+    no_rate: str
+    signs: tuple[str, ...] = ("xyz",)
+
+
+@dataclass(frozen=True)
+class ImuFormat:
+    """An importer of a plain table of inertial sensors; see `DeviceFormat`.
+
+    Attributes
+    ----------
+    key, title, recognised_by, kind : str
+        As in `DeviceFormat`.
+    fits : callable
+        Whether a table's columns are of this device.
+    lacks : str, or callable of TableLayout
+        What a table without both sensors is, and what to do, behind the title.
+    acc, gyro, mag : tuple of str
+        Stems of the vectors' columns (see `TableLayout.axes`), the preferred one first; `{}` stands for what
+        names the sensor.
+    axes : str
+        What stands behind the stem, `{}` for the axis, where that is none of the usual ways.
+    acc_unit, gyro_unit : str
+        Count where the file states none; the first may be a function that finds it, and notes it.
+    time : tuple of str
+        Labels of the time's column, the preferred one first; `time_unit` counts where the file states none.
+    times : callable of (Sheet, str, float or None), optional
+        Finds the times (n,), s, by what names the sensor and the stated rate, where `time` does not do.
+    no_times : str
+        Behind the file's name, where there must be times or a rate.
+    name, rate : tuple of str
+        Lines of the preamble that state the sensor's name and rate.
+    counter : tuple of str
+        Labels of a packet counter, which starts anew at `counter_wraps`.
+    sensor : re.Pattern, optional
+        Of a table with several sensors: matches the labels of vectors, its first group names the sensor.
+    notes : callable of (Sheet, str), optional
+        Sentences on what was chosen.
+    increments : Increments, optional
+        What the device writes instead.
+    settles_unit : bool
+        The gyroscope's unit, where it is not stated, is the one in which gravity turns with it.
+    headless : callable of (FileHead, TableLayout), optional
+        Whether a file without header is of this device.
+    sensors : callable of (ImuFormat, Sheet), optional
+        Reads the tables in a way of its own.
+    """
+
+    key: str
+    title: str
+    recognised_by: str
+    fits: Callable[[TableLayout], bool]
+    lacks: str | Callable[[TableLayout], str] = ""
+    acc: tuple[str, ...] = ("acc",)
+    gyro: tuple[str, ...] = ("gyr",)
+    mag: tuple[str, ...] = ("mag",)
+    axes: str = ""
+    acc_unit: str | Callable[[ImuFormat, Sheet, Columns | None, list[str]], str] = "m/s^2"
+    gyro_unit: str = "rad/s"
+    time: tuple[str, ...] = ("time",)
+    time_unit: str = "s"
+    times: Callable[[Sheet, str, float | None], FloatArray | None] | None = None
+    no_times: str = ""
+    name: tuple[str, ...] = ()
+    rate: tuple[str, ...] = ()
+    counter: tuple[str, ...] = ()
+    counter_wraps: int = 0
+    sensor: re.Pattern[str] | None = None
+    notes: Callable[[TableLayout, str], list[str]] | None = None
+    increments: Increments | None = None
+    settles_unit: bool = False
+    headless: Callable[[FileHead, TableLayout], bool] | None = None
+    sensors: Callable[[ImuFormat, Sheet], list[ImuTable]] | None = None
+    kind: str = "imu"
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is of this layout; never raises."""
         layout = layout_of(head.lines) if head.text else None
-        return layout is not None and self.fits(layout)
+        if layout is None:
+            return False
+        if self.headless is not None and not layout.names:
+            return self.headless(head, layout)
+        return self.fits(layout)
 
     def read(self, path: Path) -> list[ImuTable]:
         """A table a sensor, of a file that fits: see `DeviceFormat.read`."""
@@ -50,19 +141,97 @@ class ImuSheetFormat:
                 f" {shown(names, 150)}."
             )
         sheet.refuse_nameless(most=1)  # one more is a counter or a comment of some exporter
-        tables = self.tables(sheet)
+        tables = self._by_name(sheet) if self.sensors is None else self.sensors(self, sheet)
         for table in tables:
             table.notes[:0] = sheet.notes
             table.notes += size_notes(table)
         return tables
 
-    def fits(self, layout: TableLayout) -> bool:
-        """Whether a table's columns are of this device."""
-        raise NotImplementedError
+    def refused(self, sheet: Sheet, why: str) -> RecordingError:
+        """The sentence about a table of this device that cannot be used; `why` goes on behind the title."""
+        article = "an" if self.title[0] in "AXx" else "a"
+        return RecordingError(f"{sheet.path} is {article} {self.title} {why}")
 
-    def tables(self, sheet: Sheet) -> list[ImuTable]:
-        """The sensors of a table."""
-        raise NotImplementedError
+    def _by_name(self, sheet: Sheet) -> list[ImuTable]:
+        """The sensors of a table, in the order of its columns."""
+        prefixes = [""]
+        if self.sensor is not None:
+            matches = [self.sensor.fullmatch(label) for label in sheet.layout.labels]
+            prefixes = list(dict.fromkeys(match.group(1) or "" for match in matches if match))
+        tables = [table for prefix in prefixes if (table := self._table(sheet, prefix)) is not None]
+        if not tables:
+            raise self.refused(sheet, self.lacks if isinstance(self.lacks, str) else self.lacks(sheet.layout))
+        return tables
+
+    def _table(self, sheet: Sheet, prefix: str) -> ImuTable | None:
+        """One sensor; None where it lacks one of the two vectors."""
+        layout = sheet.layout
+        acc, gyro, mag = (self._columns(layout, stems, prefix) for stems in (self.acc, self.gyro, self.mag))
+        if (acc is None or gyro is None) and self.increments is None:
+            return None
+        notes: list[str] = [] if self.notes is None else self.notes(layout, prefix)
+        unit = self.acc_unit if isinstance(self.acc_unit, str) else self.acc_unit(self, sheet, acc, notes)
+        rate = layout.stated_number(*self.rate)
+        if self.times is not None:
+            t_s = self.times(sheet, prefix, rate)
+        else:
+            t_s = seconds(sheet, layout.find(*self.time), self.time_unit)
+        table = ImuTable(
+            name=layout.names[acc[0]][: len(prefix) - 1] if prefix and acc else layout.stated(*self.name),
+            t_s=t_s,
+            acc=specific_force(sheet, acc, unit),
+            gyro=angular_velocity(sheet, gyro, self.gyro_unit),
+            mag=magnetic_field(sheet, mag),
+            rate_hz=rate,
+            counter=packet_counter(sheet, layout.find(*self.counter)),
+            counter_wraps=self.counter_wraps,
+            units=unit_summary(sheet, (acc, unit), (gyro, self.gyro_unit)),
+            notes=notes,
+            gyro_unit_assumed=self.settles_unit and gyro is not None and not sheet.unit(gyro[0]),
+        )
+        if self.no_times and t_s is None and rate is None:
+            raise RecordingError(f"{sheet.path} {self.no_times.format(title=self.title)}")
+        if acc is None or gyro is None:
+            self._fill_from_increments(sheet, table)
+        return with_settled_unit(table) if self.settles_unit else table
+
+    def _columns(self, layout: TableLayout, stems: tuple[str, ...], prefix: str) -> Columns | None:
+        stems = tuple(stem.format(prefix) for stem in stems)
+        return (
+            named_columns(layout, tuple(stem + self.axes for stem in stems))
+            if self.axes
+            else layout.axes(*stems)
+        )
+
+    def _fill_from_increments(self, sheet: Sheet, table: ImuTable) -> None:
+        """Both vectors from the increments over a sample; they must be there."""
+        what = self.increments
+        assert what is not None
+        velocity = sheet.layout.axes(what.velocity, signs=what.signs)
+        rotation = [
+            sheet.layout.find(*(form.format(axis=axis, at=at) for form in what.rotation))
+            for at, axis in enumerate("wxyz")
+        ]
+        if velocity is None or None in rotation:
+            raise self.refused(sheet, what.lacks(sheet.layout, table))
+        rate = table.rate_hz or rate_of(table.t_s)
+        if rate is None:
+            raise RecordingError(f"{sheet.path} {what.no_rate}")
+        table.acc = acceleration_of(sheet.vectors(velocity), rate)
+        table.gyro = angular_velocity_of(sheet.vectors([at for at in rotation if at is not None]), rate)
+        table.units = what.units
+        table.notes.append(
+            f"{what.names} were multiplied by the rate of {rate:.4g} Hz to acceleration and angular velocity."
+        )
+
+
+def named_columns(layout: TableLayout, forms: tuple[str, ...]) -> Columns | None:
+    """Columns of x, y and z by labels in which `{}` stands for the axis; the first form that fits counts."""
+    for form in forms:
+        columns = [layout.find(form.format(axis)) for axis in "xyz"]
+        if None not in columns:
+            return columns[0], columns[1], columns[2]  # type: ignore[return-value]
+    return None
 
 
 def specific_force(

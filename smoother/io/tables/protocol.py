@@ -118,24 +118,23 @@ class FileHead:
 
 
 class DeviceFormat(Protocol):
-    """An importer of one layout of files.
+    """An importer of one layout of files."""
 
-    Attributes
-    ----------
-    key : str
-        Its name on the command line (`xsens-dot`).
-    title : str
-        Its name in sentences ("Xsens DOT export").
-    kind : str
-        "imu", "skeleton" or "recording" (both).
-    recognised_by : str
-        What in a file gives it away, for `unocclude import formats`.
-    """
+    @property
+    def key(self) -> str:
+        """Its name on the command line (`xsens-dot`)."""
 
-    key: str
-    title: str
-    kind: str
-    recognised_by: str
+    @property
+    def title(self) -> str:
+        """Its name in sentences ("Xsens DOT export")."""
+
+    @property
+    def kind(self) -> str:
+        """What it holds: "imu", "skeleton" or "recording" (both)."""
+
+    @property
+    def recognised_by(self) -> str:
+        """What in a file gives it away, for `unocclude import formats`."""
 
     def recognises(self, head: FileHead) -> bool:
         """Whether the file is of this layout; never raises."""

@@ -1,8 +1,8 @@
-"""Plain tables of skeletons with a header, a row a frame: a class a device."""
+"""Plain tables of skeletons with a header, a row a frame: a row of `SKELETON_FORMATS` each."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -167,129 +167,12 @@ def _counts_frames(time: FloatArray) -> bool:
     return bool(len(step) > 2 and (step == 1).mean() > 0.5 and np.isin(step, np.arange(100)).all())
 
 
-@dataclass(frozen=True)
-class AzureKinectTable:
-    """A row a frame and body: positions in mm in the depth camera's axes, confidences 0 to 3, times in us.
-
-    Confidence 2 and 3 is tracked, 1 (occluded, guessed) inferred, 0 (out of range) not tracked. Orbbec's
-    wrapper of the same SDK writes the same joints.
-
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
-    """
-
-    key: str = "azure-kinect"
-    title: str = "Azure Kinect or Orbbec body tracking, table"
-    kind: str = "skeleton"
-    recognised_by: str = (
-        "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
-    )
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the header names joints that only this SDK has."""
-        names = header_of(head)
-        if not find_joint_columns(names).has_arm():
-            return False
-        words = {word for name in names for word in words_of(name)}
-        return bool(words & {"navel", "naval", "clavicle", "k4abt"}) or "WRIST_RIGHT (c)" in names
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
-
-        Raises
-        ------
-        RecordingError
-            The file is no such table, or no arm is in it.
-        """
-        raw, _ = read_wide(path, azure_states, "a table of an Azure Kinect's joints")
-        inferred_throughout(raw)
-        return raw.skeletons(Conventions("mm", CameraFrame.OPTICAL))
-
-
-@dataclass(frozen=True)
-class KinectV2Table:
-    """A row a frame and body, with tracking states 0, 1, 2 or in words where there are any.
-
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
-    """
-
-    key: str = "kinect-v2"
-    title: str = "Kinect v2 joints, table"
-    kind: str = "skeleton"
-    recognised_by: str = (
-        "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
-    )
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the header names joints that only this SDK has."""
-        names = header_of(head)
-        if not find_joint_columns(names).has_arm():
-            return False
-        words = [words_of(name) for name in names]
-        pairs = {pair for row in words for pair in pairwise(row)}
-        return bool(pairs & {("spine", "base"), ("spine", "shoulder"), ("spine", "mid"), ("hand", "tip")})
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read all bodies.
-
-        Raises
-        ------
-        RecordingError
-            The file is no such table, or no arm is in it.
-        """
-        raw, _ = read_wide(path, kinect_states, "a table of a Kinect's joints")
-        return raw.skeletons(Conventions("m", CameraFrame.KINECT))
-
-
 #: World landmarks have the middle of the hips within this of their origin, m.
 _ABOUT_HIPS_M = 0.06
 RELATIVE_NOTE = (
     "World landmarks of MediaPipe are about the middle of the hips: motion is relative to the hips, the place"
     " in the room is not known, and a step or a bow of the trunk looks like a motion of the arm."
 )
-
-
-@dataclass(frozen=True)
-class MediapipeTable:
-    """A row a frame: x, y, z (and visibility) of landmarks by number or name.
-
-    Attributes
-    ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
-    """
-
-    key: str = "mediapipe"
-    title: str = "MediaPipe world landmarks, table"
-    kind: str = "skeleton"
-    recognised_by: str = (
-        "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
-    )
-
-    def recognises(self, head: FileHead) -> bool:
-        """Whether the header numbers landmarks, or names some that only BlazePose has."""
-        names = header_of(head)
-        columns = find_joint_columns(names)
-        if not columns.has_arm():
-            return False
-        words = {word for name in names for word in words_of(name)}
-        return columns.numbered or columns.world or bool(words & {"pinky", "mouth", "visibility"})
-
-    def read(self, path: Path) -> list[SkeletonTable]:
-        """Read the skeleton.
-
-        Raises
-        ------
-        RecordingError
-            The landmarks are parts of the image, or no arm is in the table.
-        """
-        raw, columns = read_wide(path, share_states, "a table of MediaPipe's landmarks")
-        return landmarks_in_metres(raw, columns.world, columns.normalised)
 
 
 def landmarks_in_metres(raw: RawSkeleton, world: bool, normalised: bool = False) -> list[SkeletonTable]:
@@ -361,25 +244,41 @@ def _in_image(raw: RawSkeleton) -> bool:
 
 
 @dataclass(frozen=True)
-class NamedJoints:
-    """A row a frame and body; the unit is found by the arms' lengths, up by how the body stands.
+class SkeletonFormat:
+    """An importer of a table with a header, a row a frame and body; see `DeviceFormat`.
 
     Attributes
     ----------
-    key, title, kind, recognised_by : str
-        See `DeviceFormat`.
+    key, title, recognised_by, kind : str
+        As in `DeviceFormat`.
+    expected : str
+        What a file should be, for messages.
+    fits : callable
+        Whether a table that names an elbow and a wrist of one side is of this format, by its columns' names
+        and what they are.
+    states : callable
+        Makes states of the numbers of a joint's confidence.
+    conventions : Conventions, or callable of (RawSkeleton, JointColumns)
+        What the format settles; or makes the skeletons in a way of its own.
+    guesses : bool
+        Joints that are never tracked count as inferred.
     """
 
-    key: str = "joint-table"
-    title: str = "table of joints by name (FreeMoCap, Pose2Sim and others)"
+    key: str
+    title: str
+    recognised_by: str
+    expected: str
+    fits: Callable[[Sequence[str], JointColumns], bool]
+    states: StateReader
+    conventions: Conventions | Callable[[RawSkeleton, JointColumns], list[SkeletonTable]]
+    guesses: bool = False
     kind: str = "skeleton"
-    recognised_by: str = (
-        "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
-    )
 
     def recognises(self, head: FileHead) -> bool:
-        """Whether the header names an elbow and a wrist of one side."""
-        return find_joint_columns(header_of(head)).has_arm()
+        """Whether the header names an elbow and a wrist of one side, as this format does."""
+        names = header_of(head)
+        columns = find_joint_columns(names)
+        return columns.has_arm() and self.fits(names, columns)
 
     def read(self, path: Path) -> list[SkeletonTable]:
         """Read all bodies.
@@ -387,7 +286,86 @@ class NamedJoints:
         Raises
         ------
         RecordingError
-            The file is no such table, or its positions are in no unit of length.
+            The file is no such table, no arm is in it, or its positions are in no unit of length.
         """
-        raw, _ = read_wide(path, kinect_states, "a table of joints")
-        return raw.skeletons(Conventions())
+        raw, columns = read_wide(path, self.states, self.expected)
+        if self.guesses:
+            inferred_throughout(raw)
+        if callable(self.conventions):
+            return self.conventions(raw, columns)
+        return raw.skeletons(self.conventions)
+
+
+def _words(names: Sequence[str]) -> set[str]:
+    return {word for name in names for word in words_of(name)}
+
+
+def _is_azure(names: Sequence[str], _: JointColumns) -> bool:
+    """Whether the header names joints that only this SDK has."""
+    return bool(_words(names) & {"navel", "naval", "clavicle", "k4abt"}) or "WRIST_RIGHT (c)" in names
+
+
+def _is_kinect_v2(names: Sequence[str], _: JointColumns) -> bool:
+    """Whether the header names joints that only this SDK has."""
+    pairs = {pair for name in names for pair in pairwise(words_of(name))}
+    return bool(pairs & {("spine", "base"), ("spine", "shoulder"), ("spine", "mid"), ("hand", "tip")})
+
+
+def _is_mediapipe(names: Sequence[str], columns: JointColumns) -> bool:
+    """Whether the header numbers landmarks, or names some that only BlazePose has."""
+    return columns.numbered or columns.world or bool(_words(names) & {"pinky", "mouth", "visibility"})
+
+
+#: Where two recognise a table, the upper one has it.
+SKELETON_FORMATS = (
+    # Positions in mm in the depth camera's axes, times in us. Confidence 2 and 3 is tracked, 1 (occluded,
+    # guessed) inferred, 0 (out of range) not tracked. Orbbec's wrapper of this SDK writes the same joints.
+    SkeletonFormat(
+        key="azure-kinect",
+        title="Azure Kinect or Orbbec body tracking, table",
+        recognised_by=(
+            "columns x, y, z of joints by the SDK's names (SPINE_NAVEL, CLAVICLE_LEFT, WRIST_RIGHT ..)"
+        ),
+        expected="a table of an Azure Kinect's joints",
+        fits=_is_azure,
+        states=azure_states,
+        conventions=Conventions("mm", CameraFrame.OPTICAL),
+        guesses=True,
+    ),
+    # Positions in m, x left, y up, z forward; tracking states 0, 1, 2 or in words where there are any.
+    SkeletonFormat(
+        key="kinect-v2",
+        title="Kinect v2 joints, table",
+        recognised_by=(
+            "columns x, y, z of joints by the SDK's names (SpineBase, SpineShoulder, WristRight ..)"
+        ),
+        expected="a table of a Kinect's joints",
+        fits=_is_kinect_v2,
+        states=kinect_states,
+        conventions=Conventions("m", CameraFrame.KINECT),
+    ),
+    # BlazePose's 33 landmarks by number or name; world landmarks are metres about the hips.
+    SkeletonFormat(
+        key="mediapipe",
+        title="MediaPipe world landmarks, table",
+        recognised_by=(
+            "columns x, y, z of 33 numbered landmarks, or of landmarks such as right_pinky, mouth_left"
+        ),
+        expected="a table of MediaPipe's landmarks",
+        fits=_is_mediapipe,
+        states=share_states,
+        conventions=lambda raw, columns: landmarks_in_metres(raw, columns.world, columns.normalised),
+    ),
+    # The unit is found by the arms' lengths, up by how the body stands.
+    SkeletonFormat(
+        key="joint-table",
+        title="table of joints by name (FreeMoCap, Pose2Sim and others)",
+        recognised_by=(
+            "columns x, y, z of an elbow and a wrist of one side, such as right_wrist_x or RWrist_X"
+        ),
+        expected="a table of joints",
+        fits=lambda names, columns: True,
+        states=kinect_states,
+        conventions=Conventions(),
+    ),
+)

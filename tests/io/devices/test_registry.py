@@ -11,8 +11,9 @@ import pytest
 from imu_files import rows
 
 from smoother.errors import RecordingError
-from smoother.io.devices.registry import FORMATS, format_named, formats, recognise, unknown_file
+from smoother.io.devices.registry import format_named, formats, recognise, unknown_file
 from smoother.io.tables.file_head import decode, read_head, shown
+from smoother.io.tables.imu_columns import ImuFormat
 from smoother.io.tables.text_table import read_sheet
 
 ROOT = Path(__file__).parents[3]
@@ -20,7 +21,7 @@ ROOT = Path(__file__).parents[3]
 
 def test_every_importer_has_a_page_and_a_sentence():
     index = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
-    assert len({importer.key for importer in formats()}) == len(FORMATS)
+    assert len({importer.key for importer in formats()}) == len(formats())
     for importer in formats():
         assert (ROOT / "docs" / "devices" / f"{importer.key}.md").exists(), importer.key
         assert f"devices/{importer.key}.md" in index
@@ -48,23 +49,15 @@ def test_heads(tmp_path: Path):
 
 def test_the_example_of_contributing(tmp_path: Path):
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(\"\"\"Acme.*?)```", text, re.DOTALL)
-    names: dict = {}
-    exec(
-        "from dataclasses import dataclass\nfrom pathlib import Path\nimport numpy as np\n"
-        "from smoother.io.tables.protocol import FileHead, ImuTable\n"
-        "from smoother.io.tables.text_table import read_sheet\n"
-        "from smoother.io.tables.table_layout import layout_of\n"
-        "from smoother.units import STANDARD_GRAVITY\n" + code,
-        names,
-    )
-    body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG * 16.4)
+    (code,) = re.findall(r"```python\n(ImuFormat\(.*?\n\))\n```", text, re.DOTALL)
+    importer = eval(code, {"ImuFormat": ImuFormat})
+    body = rows(np.arange(made.COUNT), made.ACC / made.GRAVITY * 1000, made.DEG)
     path = tmp_path / "acme.csv"
-    path.write_text("\n".join(["tick,acc1,acc2,acc3,rot1,rot2,rot3", *body, ""]))
-    importer = names["AcmeWristband"]()
+    path.write_text("\n".join(["tick,acc_x,acc_y,acc_z,rot_x,rot_y,rot_z", *body, ""]))
     assert importer.recognises(read_head(path))
     (table,) = importer.read(path)
     assert np.allclose(table.acc, made.ACC, atol=1e-6) and np.allclose(table.gyro, made.GYRO, atol=1e-6)
+    assert np.allclose(table.t_s, np.arange(made.COUNT) * 1e-3)
 
 
 @pytest.mark.parametrize(
